@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# of a table, in this order: key of a summary, heading with its unit
+# The columns of a table, in this order: key of a summary, heading with its unit.
 _COLUMNS = (
     ("verdict", "verdict"),
     ("law", "law"),
@@ -31,7 +31,7 @@ _COLUMNS = (
 )
 
 
-# of published points, a file each
+# Each file of published points has a marker of its own.
 _MARKERS = "osD^v"
 
 
@@ -56,7 +56,7 @@ def recordings_of(path: Path) -> list[Path]:
 def names_of(paths: Sequence[Path]) -> list[str]:
     """Return the shortest names by which paths differ: their last part, with as many before it as that takes."""
     parts = [_named(path).parts for path in paths]
-    # what all have at their ends distinguishes nothing
+    # An ending that all names share distinguishes nothing.
     while all(len(own) > 1 for own in parts) and len({own[-1] for own in parts}) == 1 and len(parts) > 1:
         if len(set(parts)) < len(parts):
             break

@@ -22,14 +22,22 @@ def conditions(
 ) -> dict[str, Any]:
     """Return what a figure or a table has to state beside its numbers.
 
-    Parameters: scenario, as attached; start_ns, end_ns, of the session by the master's clock [ns]; timeline, the clocks
-    of the recording, read from it if None.
-    Returns: `law`, those in force one after the other; `parameters` of the law that the scenario names;
-    `changed`, what was set while the session ran; `link_round_trip_ms`, median of the delays that the link added there
-    and back; `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
-    law has to bridge it (both null where nothing was recorded); profile and seed of the link; `plugins`, package,
-    version and digest of what other packages brought to it; versions.
-    Raises: ConfigError naming a section of the scenario that cannot be read.
+    Args:
+        recording: The recording that is described.
+        scenario: The scenario as it is attached to the recording.
+        start_ns: The start of the session by the master's clock [ns].
+        end_ns: The end of the session by the master's clock [ns].
+        timeline: The clocks of the recording; None reads them from it.
+
+    Returns:
+        `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
+        set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back;
+        `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the law
+        has to bridge it (both null where nothing was recorded); profile and seed of the link; `plugins`, package,
+        version and digest of what other packages brought to it; versions.
+
+    Raises:
+        ConfigError: A section of the scenario cannot be read; the message names it.
     """
     origin = f"{recording.path}: scenario.yaml"
     controller = validate(ControllerConfig, scenario.controller, origin, "controller")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from proto import WireError, decode_header
 from recording.tolerance import Tolerances, first_difference
 
-# so many in a row are alike where the two are in step: one message and its duplicate are not enough
+# So many in a row are alike where the two are in step: one message and its duplicate are not enough.
 _IN_STEP = 8
 
 

@@ -16,7 +16,7 @@ SHORTEST_HOLD_S = 0.5
 # the first part of a hold shows the answer to the step before it
 SETTLING_SHARE = 0.2
 _HAND_STEADY_SHARE = 0.01
-# of the greatest force: below it the hand has let go
+# The hand has let go below this share of the greatest force.
 _PRESSING_SHARE = 0.05
 HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
 # samples come every millisecond; at this distance [s] the deadline of the loop has passed
@@ -128,9 +128,14 @@ def lacks_of(
 ) -> list[Lack]:
     """Return what a hold lacks so much of that there is no telling what became of it; nothing if it has its samples.
 
-    Parameters: times of the samples of hand and tip, and of answers at the hand [s]; span_s, start and end of the hold.
-    A tenth of hand or tip has to be missing, in pieces of more than LONGEST_STEP_S; of the answers all: those that a
-    link delays or loses are a matter of the loop.
+    A tenth of hand or tip has to be missing, in pieces of more than LONGEST_STEP_S; of the answers all have to be,
+    because delayed and lost answers are a matter of the loop.
+
+    Args:
+        hand_time_s: The times of the hand's samples [s].
+        tip_time_s: The times of the tip's samples [s].
+        span_s: The start and the end of the hold [s].
+        answered_s: The times of the answers at the hand [s]; None does not judge them.
     """
     start_s, end_s = span_s
     lacking = []
@@ -159,8 +164,13 @@ def judge_holds(
     presses, the tip has to press with the same force, and to touch. A hold without samples of hand or tip, or without
     an answer at the hand, is `no_data`, also one of the programme that the recording does not show at all.
 
-    Parameters: times [s], F_m [N] at the hand's times, alpha_f F_s [N] at the tip's times, and what the instrument says
-    then; one dimension each; programme, what else is known.
+    Args:
+        hand_time_s: The times of the hand's samples [s], shape (n,).
+        hand_force_n: F_m at those times [N], shape (n,).
+        tip_time_s: The times of the tip's samples [s], shape (m,).
+        scaled_force_n: alpha_f F_s at those times [N], shape (m,).
+        tip: What the instrument says at those times; None if that is not known.
+        programme: What else is known of the operator's programme.
     """
     forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in programme.planned)]
     greatest = float(max(forces, default=0.0))
@@ -243,7 +253,7 @@ def verdict_of(holds: list[Hold]) -> tuple[Kind, str]:
     """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable."""
     if not holds:
         return "cannot_say", "the hand never stood still for long enough"
-    # of several that are as bad the first
+    # Among several holds that are equally bad, the first one decides.
     decisive = min(holds, key=lambda hold: _WORST_FIRST.index(hold.verdict))
     decisive = holds[-1] if decisive.verdict == "stable" else decisive
     return decisive.verdict, decisive.reason

@@ -13,7 +13,7 @@ from recording.arrays import replayed_sources
 from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource
 
-# a recorder that received the hand from the start has its first sample long before
+# A recorder that received the hand from the start has its first sample long before this.
 _LATE_START_S = 0.1
 
 Spans = tuple[tuple[float, float], ...]
@@ -22,11 +22,14 @@ Spans = tuple[tuple[float, float], ...]
 def cut_off(recording: RecordingSource, session_s: npt.NDArray[Any], running: npt.NDArray[np.intp]) -> list[str]:
     """Return in sentences what a recording lacks of the operator's programme at either end.
 
-    Parameters: session_s of every haptic/state [s]; running, indices of those in the session.
+    Args:
+        recording: The recording that is judged.
+        session_s: session_s of every haptic/state [s].
+        running: The indices of the samples in the session.
     """
     hand = next(channel.src for channel in recording.channels if channel.channel_topic == "haptic/state")
     if hand in replayed_sources(recording):
-        # it is played from where and as far as the operator wished
+        # The operator chose the beginning and the end of what is played.
         return []
     found = []
     first_s, last_s = float(session_s[running[0]]), float(session_s[running[-1]])
@@ -45,7 +48,9 @@ def _has_ended(recording: RecordingSource, src: str) -> bool:
 def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
     """Return the spans [s] of a session in which some series has no sample, joined where they overlap.
 
-    Parameters: time_s, of the samples of each series [s], in order; end_s, end of the session.
+    Args:
+        time_s: The times of the samples of each series [s], in order.
+        end_s: The end of the session [s].
     """
     spans: list[tuple[float, float]] = []
     for times in time_s:
@@ -64,7 +69,10 @@ def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
 def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) -> dict[str, Any]:
     """Return the part of a summary on its recording; `complete` is whether nothing at all is missing.
 
-    Parameters: start_ns, of the session, for the times of the parts [ns]; missing, sentences besides those of `info`.
+    Args:
+        info: What is known of the recording.
+        start_ns: The start of the session, from which the times of the parts count [ns].
+        missing: Sentences on what is missing besides those of `info`.
     """
     sentences = list(dict.fromkeys([*info.missing, *missing]))
     found: dict[str, Any] = {

@@ -24,7 +24,7 @@ import numpy.typing as npt
 Series = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-# samples that a band is thinned to, and columns of the Hankel matrix
+# A band is thinned to so many samples, and the Hankel matrix has so many columns.
 BLOCKS = 32
 _COLUMNS = 10
 LEAST_SAMPLES = 2 * (BLOCKS + 5)
@@ -34,9 +34,9 @@ _MOST_LINES = 4
 _LINE_OVER_NOISE = 20.0
 # poles in the outer half of a band are those of a neighbour, or of noise
 _BAND = 0.25
-# what is left of noise after three moving averages is alike in neighbouring samples, so that there is less to average
+# Three moving averages leave noise that is alike in neighbouring samples, so that averaging reduces it less.
 _CORRELATION = 1.8
-# what a band lets through of a line outside of it
+# A band lets through this share of a line outside of it.
 _LEAK = 1e-2
 # least distance of two lines, and of a line from zero, whose band reaches to BAND * BLOCKS [1/length of the hold]
 _LINE_CYCLES = 6.0
@@ -112,7 +112,11 @@ def lines(values: Series, noise_n: float, floor_n: float) -> list[int]:
 def modes_of(values: Series, period_s: float, noise_n: float, floor_n: float) -> list[Mode]:
     """Return the modes of a hold sampled every period_s [s] that stand out of noise [N] and floor [N].
 
-    Parameters: values, shape (n,), n >= LEAST_SAMPLES; noise_n: white noise; floor_n: what counts as nothing.
+    Args:
+        values: The samples of the hold [N], shape (n,), n >= LEAST_SAMPLES.
+        period_s: The time between two samples [s].
+        noise_n: The standard deviation of white noise [N].
+        floor_n: The amplitude below which a mode does not count [N].
     """
     length_s = len(values) * period_s
     found = _slow_modes(values, period_s, noise_n, floor_n)
@@ -143,7 +147,7 @@ def _slow_modes(values: Series, period_s: float, noise_n: float, floor_n: float)
     for pole, weight in zip(fit.poles, fit.weights, strict=True):
         if pole == 0.0 or pole.imag < 0.0 or abs(cmath.phase(pole)) > 2.0 * math.pi * _BAND:
             continue
-        # each step is (z - 1) of the motion itself
+        # Each step is (z - 1) times the motion itself.
         gain = min(1.0 / max(abs(pole - 1.0), 1e-12), BLOCKS)
         size = abs(weight) * (2.0 if pole.imag > 0.0 else 1.0)
         mode = _mode(fit, pole, size, 0.0, block * period_s, gain)

@@ -88,7 +88,7 @@ def _trace(direction: Direction, reports: Sequence[LinkNetwork]) -> NetworkTrace
         name: np.concatenate([np.asarray(getattr(report, name).to_numpy()) for report in reports])
         for name in ("number", "arrived_ns", "delay_ns", "lost_flag")
     }
-    # one that was given up and came after all has two rows, of which the one with its arrival counts
+    # A message that was given up and came after all has two rows; the one with its arrival counts.
     order = np.lexsort((columns["lost_flag"], columns["number"]))
     number = columns["number"][order]
     first = np.concatenate([[True], number[1:] != number[:-1]])
@@ -96,7 +96,7 @@ def _trace(direction: Direction, reports: Sequence[LinkNetwork]) -> NetworkTrace
     delay_ns = columns["delay_ns"][order][first]
     sent_ns = columns["arrived_ns"][order][first] - delay_ns
     if len(number) and not lost.all():
-        # what was lost in the last second is not reported yet: the numbers without a row
+        # Losses in the last second are not reported yet: these are the numbers without a row.
         arrived = number[~lost]
         lately = arrived[sent_ns[~lost] >= sent_ns[~lost].max() - SETTLE_NS]
         absent = np.setdiff1d(np.arange(lately.min(), lately.max()), number)
@@ -112,8 +112,8 @@ def _trace(direction: Direction, reports: Sequence[LinkNetwork]) -> NetworkTrace
         )
     inside = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     number, lost, delay_ns, sent_ns, known = (x[inside] for x in (number, lost, delay_ns, sent_ns, known))
-    # when a lost one was sent its neighbours tell: the clock of the loop is even
-    # from the first on: a double has no nanoseconds of an epoch
+    # The neighbours of a lost message tell when it was sent, because the clock of the loop is even. Times count from
+    # the first, because a double has no nanoseconds of an epoch.
     since_ns = np.maximum.accumulate(sent_ns[known] - sent_ns[0])
     return NetworkTrace(
         direction,
@@ -133,7 +133,8 @@ def write_traces(traces: Mapping[Direction, NetworkTrace], folder: Path) -> dict
         delays, losses = [], []
         last = -1.0
         for sent, delay, lost in zip(trace.sent_s.tolist(), trace.delay_s.tolist(), trace.lost.tolist(), strict=True):
-            # to the microsecond, strictly increasing, and not beyond the time that the trace repeats after
+            # The times are rounded to the microsecond, strictly increasing, and not beyond the time after which the
+            # trace repeats.
             at = round(sent, 6)
             if at <= last:
                 continue

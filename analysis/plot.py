@@ -34,7 +34,7 @@ class Trace(NamedTuple):
 def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     """Read the fields named TOPIC.FIELD; ConfigError or RecordingError names what is wrong with one."""
     recording = Recording(path)
-    # the recorder lags, by a time that changes: against its times a ramp is a staircase
+    # The recorder lags by a time that changes: against its times a ramp is a staircase.
     timeline = Timeline(recording)
     found_of: dict[str, tuple[Ints, Floats]] = {}
     for name in names:
@@ -48,7 +48,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
         for src in set(found["src"]):
             own = found["src"] == src
             sent_ns[own] = timeline.times_ns(src, sent_ns[own])
-        # several publishers of a topic, and messages that overtook others on the link
+        # A topic may have several publishers, and messages that overtook others on the link.
         order = np.argsort(sent_ns, kind="stable")
         found_of[name] = (sent_ns[order], found[field][order].astype(np.float64))
     origin_ns = min((int(sent_ns[0]) for sent_ns, _ in found_of.values() if sent_ns.size), default=0)
@@ -60,7 +60,7 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
 
 def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
     """Draw each trace in a panel of its own, on one axis of time; RecordingError when the file cannot be written."""
-    # it takes a second to import, which the other commands should not pay
+    # The import takes a second, which the other commands should not pay.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 1.0 + 2.0 * len(traces)), layout="constrained")
@@ -81,8 +81,13 @@ def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
 def draw(trace: Trace, width: int, height: int) -> str:
     """Draw a trace with braille characters.
 
-    Parameters: width, height of the whole in characters; at least 20 by 3.
-    Returns: lines with the range of values at the left and of time below.
+    Args:
+        trace: The trace to draw.
+        width: The width of the whole drawing in characters, at least 20.
+        height: The height of the whole drawing in characters, at least 3.
+
+    Returns:
+        The lines, with the range of values at the left and that of time below.
     """
     finite = np.isfinite(trace.values)
     if not finite.any():

@@ -22,7 +22,8 @@ def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) ->
 def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Return a sentence for each package whose files are not those of the recording.
 
-    Raises: ConfigError naming one that is not installed.
+    Raises:
+        ConfigError: A package is not installed; the message names it.
     """
     texts = []
     for key, facts in recorded.items():

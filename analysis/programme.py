@@ -12,13 +12,16 @@ def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, 
     """Return start [s], end [s] and force [N] of each stretch of constant force up to an end [s].
 
     Only a hand that is a force has them in its programme: what an arm or a person presses with is known from what was
-    recorded alone. Raises ConfigError naming the key of the scenario that cannot be read.
+    recorded alone.
+
+    Raises:
+        ConfigError: A key of the scenario cannot be read; the message names it.
     """
     operator = validate(HapticConfig, scenario.haptic_node, "scenario.yaml", "haptic_node").operator
     if not isinstance(operator, ForceProfileConfig):
         return []
     corners = [(point.time_s, point.force_n) for point in operator.points]
-    # zero before the first, the last one held
+    # The force is zero before the first corner, and stays at the last one.
     corners = [(min(0.0, corners[0][0]), 0.0), (corners[0][0], 0.0), *corners]
     corners.append((max(end_s, corners[-1][0]), corners[-1][1]))
     holds: list[tuple[float, float, float]] = []

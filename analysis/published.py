@@ -60,7 +60,11 @@ def paper_points() -> Published:
 
 
 def read_published(path: Path) -> Published:
-    """Read a file of points. Raises ConfigError naming file, line and what would be right."""
+    """Read a file of points.
+
+    Raises:
+        ConfigError: A line cannot be read; the message names file, line and what would be right.
+    """
     try:
         lines = read_regular(path, _LARGEST_BYTES).decode().splitlines()
     except OSError as error:

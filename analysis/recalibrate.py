@@ -24,8 +24,9 @@ def recalibrate(
 ) -> Recalibrated:
     """Copy a recording, with what the devices measured read again; references and commands stay what they were.
 
-    Raises ConfigError for a calibration of another device, and where there is none; RecordingError when the source has
-    no counts or volts to read, or the target exists.
+    Raises:
+        ConfigError: A calibration is missing, or is that of another device.
+        RecordingError: The source has no counts or volts to read, or the target exists.
     """
     read: dict[str, Callable[[Message], Message | None]] = {}
     if handle is not None:

@@ -116,7 +116,7 @@ class Traffic:
         for name, count in sorted(self.messages.items()):
             topic = TOPICS.get(name.partition("@")[0])
             if topic is not None and topic.rate_hz is not None and "*" not in topic.publishers:
-                # both ends of the session may fall between two messages
+                # Both ends of the session may fall between two messages.
                 shares[name] = min(1.0, round(count / (topic.rate_hz * duration_s), 5))
         return shares
 
@@ -126,10 +126,18 @@ def write_report(
 ) -> dict[str, Any]:
     """Write `fig12.png` and `summary.json` of a recording, or of the parts of one, to a folder.
 
-    Parameters: missing, sentences on what is known to be missing besides what the recording itself shows; options,
-    formats and style of the figure.
-    Returns: the summary. Raises RecordingError naming the file and what it lacks, ReportError with the
-    summary when a file cannot be written; none is left half written.
+    Args:
+        path: The recording, or the parts of one.
+        out: The folder that the report is written to.
+        missing: Sentences on what is known to be missing besides what the recording itself shows.
+        options: The formats and the style of the figure.
+
+    Returns:
+        The summary.
+
+    Raises:
+        RecordingError: A file lacks something; the message names the file and what it lacks.
+        ReportError: A file cannot be written; the error has the summary, and none is left half written.
     """
     recording = open_recordings([path] if isinstance(path, Path) else path)
     session = read_session(recording)
@@ -333,7 +341,7 @@ def _hold_ratio(series: SessionSeries) -> float | None:
 def _loop_age_ms(session: Session) -> dict[str, float] | None:
     """Return the age of the first answer to each sample of the hand, on the hand's own clock."""
     hand = session.hand
-    # not by number, which a device that was started again uses anew
+    # Samples are matched by their stamps, because a restarted device uses its numbers again.
     stamps, first = np.unique(hand["answered_t_ns"], return_index=True)
     ages = (hand["answered_at_ns"] - hand["answered_t_ns"])[first] * 1e-6
     ages = ages[hand["answered_t_ns"][first] >= session.start_ns]
@@ -397,7 +405,7 @@ def _scenario(recording: RecordingSource) -> Scenario:
 
 
 def _title(session: Session, summary: Mapping[str, Any]) -> str:
-    # what drifts or presses with another force is not stable either, and does not oscillate
+    # A motion that drifts, or presses with another force, is not stable either, and does not oscillate.
     verdict = summary["verdict"].replace("_", " ")
     ratio = summary["hold_ratio"]
     hold = f", hold ratio {ratio:.3f}" if ratio is not None else ""

@@ -95,10 +95,16 @@ def rerun(
 ) -> RerunResult:
     """Run a node on its recorded inputs and compare its outputs with the recorded ones.
 
-    Parameters: key, node@site; tolerances, none when None; settings, `section.key=value` over the recorded scenario;
-    take, is given topic and message of each output that was met.
-    Raises ConfigError when the node is not one that can be re-run or the scenario is wrong, RecordingError when the
-    recording lacks the scenario, the journal or the inputs of the node.
+    Args:
+        recording: The recording that has the inputs.
+        key: The node, as node@site.
+        tolerances: The tolerances by field; None compares exactly.
+        settings: Settings over the recorded scenario, as `section.key=value`.
+        take: Called with the topic and the message of each output that was compared.
+
+    Raises:
+        ConfigError: The node is not one that can be re-run, or the scenario is wrong.
+        RecordingError: The recording lacks the scenario, the journal or the inputs of the node.
     """
     if reason := no_rerun_reason(key):
         raise ConfigError(f"node {key}: cannot be run again: {reason}; those that can are {', '.join(RERUN_NODES)}")
@@ -195,7 +201,7 @@ class _Recorded:
         self.path, self.key = recording.path, key
         self.start_ns = recording.span_ns[0]
         self.outputs: dict[tuple[str, int], list[RecordedMessage]] = {}
-        # by endpoint
+        # The messages that were forwarded, by endpoint.
         self.forwarded: dict[str, list[Forwarded]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
         # when the recorder first received from a source
@@ -231,7 +237,7 @@ class _Recorded:
     def _add_forwarded(self, found: RecordedMessage) -> None:
         endpoint, topic, payload = f"{LINK}@{found.site}", found.topic, found.payload
         if topic == REJECTED_TOPIC:
-            # what flipped bits have left without a header
+            # Flipped bits have left this message without a header.
             rejected = cast(RejectedRecord, found.decode())
             if name_of(rejected.publisher) != LINK or len(rejected.frames) != 2:
                 return
@@ -431,7 +437,7 @@ def _take_turn(node: Node, clock: TurnClock, turn: Turn, recorded: _Recorded) ->
     if turn.kind == DEADLINE:
         node.on_deadline(clock.monotonic_ns())
     elif turn.kind == DEFERRED:
-        # no task waits where a batch begins, and all are run in the order in which the node adds them
+        # Tasks run in the order in which the node adds them, and none waits where a batch begins.
         if (task := node.context.deferred.take_turn()) is not None:
             task()
     else:
@@ -448,7 +454,7 @@ def _take_message(node: Node, turn: Turn, recorded: _Recorded) -> None:
         try:
             node.on_control(message)
         except TelenanoError:
-            # refused, as it was then
+            # The command is refused, as it was in the session.
             return
 
 
@@ -468,11 +474,11 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         key=key,
         book=AddressBook(nodes={}),
         site_file=Path(),
-        # where traces of the link are sought whose names are relative
+        # Traces of the link with relative names are sought beside this file.
         scenario_file=Path(recording.metadata.get("recording", {}).get("scenario_file", "")),
         clock=clock,
         log=_NoLog(key),
-        # nothing is connected: `bus` is all that a node with a journal asks of its wiring
+        # Nothing is connected: a node with a journal uses only `bus` of its wiring.
         network=cast(Any, None),
         wake_descriptor=-1,
         rerun_bus=bus,

@@ -70,7 +70,7 @@ def shared_epoch_offset_ns(folder: Path) -> int:
     own = folder / f"{shared.name}.{os.uname().nodename}"
     own.write_text(str(time.time_ns() - time.monotonic_ns()), encoding="ascii")
     try:
-        # of containers that start together exactly one creates it
+        # Exactly one of the containers that start together creates it.
         shared.hardlink_to(own)
     except FileExistsError:
         pass

@@ -27,7 +27,12 @@ _CAME_BACK = 97
 def import_problem(package: str, version: str, module: str, files: Iterable[tuple[str, Path]]) -> str:
     """Return why a module cannot be imported here without ending or holding up the process; empty where it can.
 
-    Parameters: files of the package, by name; one that cannot be found has none, and its import says so.
+    Args:
+        package: The name of the package, under which the result is kept.
+        version: The version of the package.
+        module: The module to import.
+        files: Name and path of each file of the package; empty if the package cannot be found, whose import then says
+            so.
     """
     described = [f"{name} {found.st_size} {found.st_mtime_ns}" for name, path in files for found in [path.stat()]]
     if not described:
@@ -50,7 +55,7 @@ def cache_folder() -> Path:
 def _kept_in(package: str, module: str) -> Path | None:
     try:
         return cache_folder() / f"{hashlib.sha256(f'{package} {module}'.encode()).hexdigest()[:24]}.json"
-    # who has no home keeps nothing, and tries each time
+    # A user without a home folder keeps nothing, and tries each time.
     except (OSError, RuntimeError):
         return None
 
@@ -99,7 +104,7 @@ def main() -> None:
     """Import the module that the command line names; what it raises is told by who imports it next."""
     from presets import plugins
 
-    # it may import what loads packages, and one of the others may be the one that hangs
+    # The module may import what loads packages, and one of the others may be the one that hangs.
     plugins.leave_out_packages()
     try:
         importlib.import_module(sys.argv[1])

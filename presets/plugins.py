@@ -28,9 +28,9 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")
 
-# in the process that tries a package, which imports no other
+# It is true in the process that tries a package, which imports no other package.
 _without_packages = False
-# what could not be used of what this process has loaded so far, by kind and name
+# The problems of what this process has loaded so far, by kind and name.
 _problems: dict[tuple[str, str], str] = {}
 
 
@@ -91,8 +91,11 @@ def leave_out_packages() -> None:
 def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = ()) -> Loaded[T]:
     """Import the entries of a kind.
 
-    Parameters: check, returns what is used of one, None where it is for somebody else, and raises TypeError or
-    ValueError saying what is wrong with it; taken, names that the project has itself.
+    Args:
+        kind: The kind of entries.
+        check: Returns what is used of an entry, None if it is for something else, and raises TypeError or ValueError
+            that says what is wrong with it.
+        taken: The names that the project uses itself.
     """
     loaded: Loaded[T] = Loaded({}, {})
     for name, row in installed(kind).items():
@@ -120,7 +123,7 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, 
         raise
     except SystemExit as error:
         return f"its import ends the whole program (SystemExit: {error})"
-    # whatever the code of somebody else raises, of which not all is an `Exception`
+    # The code of a package may raise anything, of which not all is an `Exception`.
     except BaseException as error:  # noqa: BLE001
         return f"{type(error).__name__}: {error}"
     if value is not None:

@@ -18,11 +18,14 @@ class NotRegularError(OSError):
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading.
 
-    Raises: OSError; IsADirectoryError for a folder, NotRegularError for a pipe, socket or device.
+    Raises:
+        OSError: The file cannot be opened.
+        IsADirectoryError: It is a folder.
+        NotRegularError: It is a pipe, a socket or a device.
     """
-    # before it is opened, which a device may answer by an action
+    # The check comes before opening, which a device may answer by an action.
     _require_regular(path, path.stat().st_mode)
-    # other systems have neither flag; what is put there between the two calls must not keep this process
+    # Other systems have neither flag; a file that appears between the two calls must not keep this process.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     file = os.fdopen(os.open(path, flags), "rb")
     try:
@@ -36,10 +39,11 @@ def open_regular(path: Path) -> BinaryIO:
 def read_regular(path: Path, most_bytes: int) -> bytes:
     """Return the content of a regular file.
 
-    Raises: OSError, whose `strerror` names both sizes where the file has more than most_bytes.
+    Raises:
+        OSError: The file cannot be read, or has more than most_bytes; its `strerror` then names both sizes.
     """
     with open_regular(path) as file:
-        # what the kernel makes up while it is read states no size
+        # A file that the kernel makes up while it is read states no size.
         content = file.read(most_bytes + 1)
         if len(content) > most_bytes:
             stated = max(os.fstat(file.fileno()).st_size, len(content))

@@ -17,7 +17,7 @@ from proto.codec import WireError
 BATCH_TOPIC = "node/batch"
 BATCH_FRAME = BATCH_TOPIC.encode()
 _VERSION = 1
-# far above what a publisher keeps, and a small part of what would fit into the longest frame
+# The limit is far above what a publisher keeps, and a small part of what would fit into the longest frame.
 MOST_COPIES = 4096
 _Int64 = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 

@@ -17,15 +17,15 @@ from proto.topics import TOPICS, Topic
 from proto.typed import typed_form, typed_rows
 
 MAX_MESSAGE_BYTES = 1 << 20
-# a message without maps and arrays of data inside, of which the longest has 500
+# The limit is for a message without maps and arrays of data inside; the longest has 500.
 MAX_PLAIN_BYTES = 4096
-# a command: with room for the node that repeats it in an event
+# A command needs room for the node that repeats it in an event.
 MAX_COMMAND_BYTES = MAX_MESSAGE_BYTES // 2
-# no message has more than seven; each vector is one
+# No message has more than seven; each vector is one.
 MAX_ARRAYS = 64
 _COUNT_LIMIT = 2**63
 _unpackb = msgpack.unpackb
-# goes through a payload without keeping anything of it
+# This decoder goes through a payload without keeping anything of it.
 _skim = msgspec.msgpack.Decoder(msgspec.Raw).decode
 
 Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "range", "source", "role"]
@@ -42,8 +42,9 @@ class WireError(ValueError):
 def encode(message: Message) -> bytes:
     """Return the msgpack bytes of a message.
 
-    Raises WireError (`oversized`) above what its topic allows, so that the publisher gets the error and not every
-    reader, and (`malformed`) for text that is not Unicode or an integer beyond 64 bits.
+    Raises:
+        WireError: The message is larger than its topic allows (`oversized`), so that the publisher gets the error and
+            not every reader; or a text is not Unicode, or an integer is beyond 64 bits (`malformed`).
     """
     fields = message.__dict__
     if message.additions:
@@ -60,8 +61,9 @@ def encode(message: Message) -> bytes:
 def accept(topic: str, payload: bytes) -> Message:
     """Return the message that `payload` holds on `topic`, if a node may act on it.
 
-    Raises WireError naming the topic, the key at fault and what would be right; `range` where a quantity is beyond its
-    range (`proto.ranges`).
+    Raises:
+        WireError: The message is not valid; the error names the topic, the key at fault and what would be right. Its
+            kind is `range` where a quantity is beyond its range (`proto.ranges`).
     """
     typed = _TYPED.get(topic)
     if typed is not None and (quick := typed.read(payload)) is not None:
@@ -80,8 +82,14 @@ def accept(topic: str, payload: bytes) -> Message:
 def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]) -> tuple[Message, bytes]:
     """Return a message and its bytes, with what is beyond its range at the nearer end (`proto.ranges.limited`).
 
-    Parameters: report, called with a sentence when something was limited. Raises pydantic.ValidationError when the
-    fields do not make a valid message, WireError as `encode` does.
+    Args:
+        topic: The topic, which names the model.
+        fields: The fields of the message by key.
+        report: Called with a sentence when a value was limited.
+
+    Raises:
+        pydantic.ValidationError: The fields do not make a valid message.
+        WireError: The message is larger than `encode` allows.
     """
     typed = _COMPOSED.get(topic)
     if typed is not None and (quick := typed.compose(fields)) is not None:
@@ -95,7 +103,10 @@ def compose(topic: str, fields: Mapping[str, Any], report: Callable[[str], None]
 def decode(topic: str, payload: bytes) -> Message:
     """Return the message that `payload` holds on `topic`, with any finite quantities.
 
-    For recordings and examples: what acts on a message takes `accept`. Raises WireError as that does, but for `range`.
+    This is for recordings and examples. Use `accept` for what acts on a message.
+
+    Raises:
+        WireError: The message is not valid, as in `accept`, but for its ranges.
     """
     typed = _TYPED.get(topic)
     if typed is not None and (quick := typed.read(payload)) is not None:
@@ -118,7 +129,9 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
 
     For those who keep messages and need not understand them: only the header is checked, without a model, which would
     take three times as long. The form of `src` is left to the caller, who meets the same few again and again.
-    Raises WireError as `decode` does.
+
+    Raises:
+        WireError: The header is not valid, as in `decode`.
     """
     typed = _TYPED.get(topic)
     if typed is not None and (quick := typed.fields(payload)) is not None:
@@ -210,10 +223,10 @@ def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:
         raise WireError("malformed", f"{topic}: not msgpack: {str(error) or type(error).__name__}") from error
     if type(fields) is not dict:
         raise WireError("malformed", f"{topic}: a msgpack {type(fields).__name__}, must be a map")
-    # where no map is inside, the count that the outer one begins with tells of a key that came twice
+    # If there is no map inside, the count at the beginning of the outer map shows a key that came twice.
     if form.plain and not (payload.startswith(form.head) and len(fields) == form.keys):
         _reject_twice(topic, payload, fields)
-    # the version before the keys: who added some raised it
+    # The version comes before the keys, because adding keys raises it.
     if fields.get("v") != form.version:
         _reject_newer(topic, fields, form.version)
     return form, fields

@@ -22,15 +22,15 @@ from proto.ranges import RANGES, any_range
 from proto.topics import TOPICS, Topic
 
 FOLDER = Path(__file__).parent
-# the parts of SPEC.md that are generated
+# These parts of SPEC.md are generated.
 PARTS = ("topics", "ranges")
 
 WITH_ADDITIONS = "_with_additions"
 
-# strings whose pattern a made-up text would not match
+# A made-up text would not match the patterns of these strings.
 _PATTERNED = {"id": "7f3a-01", "law": "virtual_impedance", "public_key": "07" * 32, "answers": "a9" * 32}
 _ELEMENT_TYPES = ("f8", "u1", "i2", "i4", "f4")
-# the least integer that a reader loses if it keeps integers as doubles
+# This is the least integer that a reader loses if it keeps integers as doubles.
 _BEYOND_DOUBLE = 2**53 + 1
 
 
@@ -232,14 +232,14 @@ class _Filler:
 
     def _numeric_array(self) -> dict[str, Any]:
         kind = _ELEMENT_TYPES[self._case.choice % len(_ELEMENT_TYPES)]
-        # negative elements where the type has them; nanometres where it has fractions
+        # The elements begin below zero where the type allows it, and are nanometres where it has fractions.
         steps = np.arange(6 if self._case.filled else 0) - (0 if kind == "u1" else 3)
         elements = (steps * (0.5e-9 if kind[0] == "f" else 1)).astype(kind)
         shaped = elements.reshape((2, -1) if elements.size else (0,))
         return Array.from_numpy(shaped).model_dump()
 
     def _object(self, schema: dict[str, Any]) -> dict[str, Any]:
-        # one entry for each kind of value that the map may hold
+        # The map may hold several kinds of values, and each needs an entry.
         kinds = schema["additionalProperties"].get("anyOf", [schema["additionalProperties"]])
         return {f"section.{self._case.name}_{kind['type']}": self._value(kind) for kind in kinds if self._case.filled}
 
@@ -256,7 +256,7 @@ class _Filler:
     def _number(self, schema: dict[str, Any]) -> float:
         value = next(self._numbers)
         if not self._case.numbers:
-            # what has no unit of its own has no range
+            # A quantity without a unit of its own has no range.
             largest = sys.float_info.max
             return float(schema.get("maximum", largest) if self._case.end else schema.get("minimum", -largest))
         return -value if value < 0.0 and schema.get("minimum") == 0.0 else value

@@ -16,8 +16,9 @@ _PREFIX = "sent."
 def end_data(sent: Mapping[str, int], forwarded: Mapping[tuple[str, str], int] | None = None) -> dict[str, Scalar]:
     """Return the data of the event.
 
-    Parameters: sent, by topic the number of messages sent, the event itself included; forwarded, by topic and source
-    the seq after the newest one that was sent on for that source.
+    Args:
+        sent: The number of messages sent, by topic, this event included.
+        forwarded: The seq after the newest message that was sent on, by topic and source.
     """
     own = {f"{_PREFIX}{topic}": count for topic, count in sent.items()}
     others = {f"{_PREFIX}{topic}.{src}": count for (topic, src), count in (forwarded or {}).items()}
@@ -27,7 +28,9 @@ def end_data(sent: Mapping[str, int], forwarded: Mapping[tuple[str, str], int] |
 def read_end(fields: Mapping[str, Any]) -> dict[tuple[str, str], int] | None:
     """Return by topic and source the seq after the last one that a publisher has sent; None for any other event.
 
-    Parameters: fields of a session/event as they came; entries of a form that is not that of `end_data` are left out.
+    Args:
+        fields: The fields of a session/event as they came. Entries in another form than that of `end_data` are left
+            out.
     """
     data = fields.get("data")
     if fields.get("kind") != "node" or not isinstance(data, Mapping) or data.get("state") != _STATE:

@@ -7,9 +7,9 @@ from pydantic import Field
 from proto.messages import Count, Message
 from proto.ranges import Percent
 
-# in bytes four times as many, beside which the rest fits into a plain message
+# A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
 MOST_TEXT = 512
-# of the project, or of a package that brings one
+# The program is one of the project, or of an installed package.
 AfmProgramName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 

@@ -44,13 +44,14 @@ from proto.ranges import (
     WayVector,
 )
 
-# far above what any message needs: without them a megabyte of empty maps costs gigabytes and a minute to refuse
+# The limits are far above what any message needs: without them a megabyte of empty maps costs gigabytes and a minute to
+# refuse.
 MAX_ITEMS = 4096
 MAX_KEYS = 1024
-# rows of a table of records, such as the inputs of a node
+# The rows of a table of records, such as the inputs of a node.
 MAX_ROWS = 1024
 MAX_TEXT = 4096
-# the one reason in node/health for which a message is not acted on and nothing is wrong
+# This is the one reason in node/health for which a message is not acted on although nothing is wrong.
 SUPERSEDED = "superseded"
 
 SOURCE_PATTERN = r"^[a-z][a-z0-9_]*@[a-z][a-z0-9_]*$"

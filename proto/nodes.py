@@ -29,7 +29,8 @@ _RECORDS = "the recording is what it makes of its inputs: `telenano bag verify` 
 _BY_HAND = "its commands are those that a person typed"
 _SUPERVISES = "it acts on processes and on time, which are not in a recording, and publishes nothing else"
 
-# the recorders start first and stop last, to record the others start and stop; the devices are made safe first
+# The recorders start first and stop last, so that they record the start and the stop of the others; the devices are
+# made safe first.
 NODES = (
     NodeRow("recorder@slave", "rig", stop=8, required=False, no_rerun=_RECORDS),
     NodeRow("recorder@master", "rig", stop=7, no_rerun=_RECORDS),
@@ -55,7 +56,7 @@ NODES = (
 )
 
 HAND, TIP = "haptic_node@master", "afm_node@slave"
-# what an emergency stop stops
+# These nodes obey an emergency stop.
 DEVICES = (HAND, TIP)
 LAUNCHER = "launcher@master"
 LAUNCHERS = (LAUNCHER, "launcher@slave")
@@ -66,7 +67,7 @@ VIEW = "view@master"
 RECORDER = "recorder@master"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"
-# where the link ends at the slave's site, for what crosses as datagrams: the node that takes it
+# The link ends in this node at the slave's site when messages cross as datagrams.
 FAR_END = "controller@slave"
 
 _RIG = tuple(row for row in NODES if row.part == "rig")
@@ -74,7 +75,7 @@ _PROCESSES = tuple(row for row in NODES if row.part in ("rig", "beside"))
 START_ORDER = tuple(row.key for row in _RIG if row.required)
 OPTIONAL_NODES = tuple(row.key for row in _RIG if not row.required)
 STOP_ORDER = tuple(row.key for row in sorted(_PROCESSES, key=lambda row: row.stop))
-# they keep a journal of their inputs and are run again from it
+# These nodes keep a journal of their inputs, from which they are run again.
 RERUN_NODES = tuple(row.key for row in _RIG if not row.no_rerun)
 
 

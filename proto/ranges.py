@@ -123,6 +123,9 @@ def any_range(model: type[M], fields: Mapping[str, Any]) -> M:
     """Return a message of any finite quantities: for recordings and examples, not for who acts on them.
 
     Raises pydantic.ValidationError when anything but a range is violated.
+
+    Raises:
+        pydantic.ValidationError: The fields violate anything but a range.
     """
     return _construct(model, _unlimited(model).model_validate(fields))
 
@@ -131,8 +134,14 @@ def limited(model: type[M], fields: Mapping[str, Any], report: Callable[[str], N
     """Return a message in which what is beyond its range, or does not fit into a count, is at the nearer end.
 
     What a node says stays in range whatever it computed: to end instead would take the guard of a device with it.
-    Parameters: report, called with a sentence when something was limited. Raises pydantic.ValidationError for any other
-    fault, NaN among them.
+
+    Args:
+        model: The class of the message.
+        fields: The fields of the message by key.
+        report: Called with a sentence when a value was limited.
+
+    Raises:
+        pydantic.ValidationError: The fields have any other fault, NaN included.
     """
     try:
         return model(**fields)
@@ -191,7 +200,7 @@ def _without_range(annotation: Any, metadata: Any = ()) -> Any:
     rules: list[Any] = []
     for rule in metadata:
         if isinstance(rule, Range):
-            # what cannot be negative was never allowed to be
+            # A quantity that cannot be negative was never allowed to be negative.
             rules += [Ge(0.0)] if rule.low == 0.0 else []
         elif not isinstance(rule, Elements):
             rules.append(rule)

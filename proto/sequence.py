@@ -4,13 +4,13 @@ from bisect import bisect_right
 from collections import deque
 from enum import Enum, auto
 
-# the most that a count on the wire can hold: there it stays, whatever numbers a peer makes up
+# A count on the wire can hold at most this number and stays there, whatever numbers a peer makes up.
 MOST_COUNTED = 2**63 - 1
 # a longer gap is counted whole, but only its newest part can still be recognised when it arrives late
 _REMEMBERED_GAP = 4096
-# so many messages in a row that are in order and this old are neither repeated nor late: the publisher's clock was set
-# back, a recording is played where its publisher, or an earlier replay, was received before, or a number that was far
-# ahead did not come from the publisher
+# So many messages in a row that are in order and this old are neither repeated nor late. Either the publisher's clock
+# was set back, or a recording is played where its publisher, or an earlier replay, was received before, or a number
+# that was far ahead did not come from the publisher.
 _REWIND_RUN = 8
 _REWIND_NS = 1_000_000_000
 
@@ -40,7 +40,7 @@ class SequenceTracker:
         self.late = 0
         self.duplicates = 0
         self.restarts = 0
-        # taken and counted, but not acted on: a newer one was waiting as well
+        # The message was received and counted, but not acted on, because a newer one was waiting as well.
         self.superseded = 0
         self.last_seq = -1
         self.last_t_ns = 0
@@ -48,7 +48,7 @@ class SequenceTracker:
         self.ended = False
         self._run = 0
         self._run_at = (-1, 0)
-        # first and last number of each gap, in order, and those within them that came late
+        # The first and the last number of each gap, in order, and the numbers within them that came late.
         self._gaps: deque[tuple[int, int]] = deque()
         self._remembered = 0
         self._filled: set[int] = set()
@@ -72,7 +72,7 @@ class SequenceTracker:
         Messages that come after this are those of its next process, whatever their number.
         """
         if not self.received:
-            # what was sent before the reader had connected is not missing to it
+            # Messages that were sent before the reader connected do not count as missing.
             return 0
         missing = max(0, sent - 1 - self.last_seq)
         if missing:
@@ -89,7 +89,7 @@ class SequenceTracker:
         if t_ns > self.last_t_ns:
             return self._restart()
         missing = self._is_missing(seq)
-        # the run is broken by anything that was received in between
+        # Any other message in between breaks the run.
         self._run = self._run + 1 if (seq - 1, self.received) == self._run_at else 1
         self._run_at = (seq, self.received + missing)
         if self._run >= _REWIND_RUN and self.last_t_ns - t_ns > _REWIND_NS:
@@ -121,7 +121,7 @@ class SequenceTracker:
         start = max(first, after - _REMEMBERED_GAP)
         self._gaps.append((start, after - 1))
         self._remembered += after - start
-        # with room to spare, so that a reader on a bad link does not forget at every gap
+        # The margin keeps a reader on a bad link from forgetting at every gap.
         if self._remembered > 2 * _REMEMBERED_GAP:
             self._forget()
 

@@ -35,7 +35,8 @@ class Topic:
 _COMMANDERS = ("launcher", "console", "console_*", "estop")
 _ROWS = (
     Topic("haptic/state", m.HapticState, ("haptic_node",), "latest", 1000.0, 0.05, None),
-    # as often as a page draws, while a person pushes: nobody waits for it, and no node is at fault where it ends
+    # A page sends this at its frame rate while a person pushes. No node waits for it, and none is at fault when it
+    # ends.
     Topic("operator/force", m.OperatorForce, ("view",), "lossless", None, None, None),
     Topic("haptic/command", m.HapticCommand, ("controller@master",), "latest", 1000.0, 0.05, None),
     Topic("teleop/forward", m.TeleopForward, ("controller@master",), "latest", 1000.0, 0.05, "forward"),
@@ -43,7 +44,7 @@ _ROWS = (
     Topic("afm/command", m.AfmCommand, ("controller@slave",), "latest", 1000.0, 0.05, None),
     Topic("afm/state", m.AfmState, ("afm_node",), "latest", 1000.0, 0.05, None),
     Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
-    # while it does something by itself; its readers act on a lack of it after half a second
+    # It is sent while the instrument runs a program; its readers act on a lack of it after half a second.
     Topic("afm/program", AfmProgram, ("afm_node",), "lossless", None, None, None),
     Topic("law/status", m.LawStatus, ("controller",), "latest", 100.0, 0.2, "backward"),
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
@@ -87,5 +88,6 @@ def output_name(topic: str, endpoint: str) -> str:
     return f"{topic}@{site_of(endpoint)}" if further and name_of(endpoint) in TOPICS[topic].publishers else topic
 
 
-# how old a sample, a command or an answer of the loop may be before nobody acts on it: one for the whole loop
+# Nodes do not act on a sample, a command or an answer of the loop that is older than this; the whole loop has one
+# deadline.
 LOOP_DEADLINE_S = deadline_of("haptic/state")

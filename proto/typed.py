@@ -30,9 +30,9 @@ from pydantic.fields import FieldInfo
 from proto.messages import Message
 from proto.ranges import Range
 
-# values of a text with a pattern, such as the few names of nodes, that the declared model has accepted
+# Texts with a pattern that the declared model has accepted, such as the few names of nodes.
 _MOST_TEXTS = 256
-# combinations of keys that may be absent, of which a node sends a few
+# A node sends only a few combinations of the keys that may be absent.
 _MOST_COMBINATIONS = 256
 M = TypeVar("M", bound=BaseModel)
 _REFUSALS = (msgspec.MsgspecError, ValueError, TypeError, RecursionError, OverflowError)
@@ -65,13 +65,13 @@ def typed_form(model: type[Message], most_bytes: int) -> TypedForm | None:
             form = _form(field.annotation, tuple(field.metadata)) if field.is_required() else None
             needed[name] = form
         else:
-            # absent is what None stands for
+            # None stands for an absent key.
             form = _form(get_args(field.annotation)[0])
             form = None if field.metadata and form is not str else form
             optional[name] = form
         if form is None:
             return None
-    # a version that is not known here, and any text that was not met before, is for the declared model to judge
+    # The declared model judges a version that is not known here, and any text that is new.
     needed["v"] = Annotated[int, msgspec.Meta(ge=1, le=model.version)]
     return _compiled(model, needed, optional, most_bytes)
 
@@ -138,7 +138,7 @@ def _form_of_field(field: FieldInfo) -> Any:
 
 def _compiled(model: type[Message], needed: dict[str, Any], optional: dict[str, Any], most_bytes: int) -> TypedForm:
     pack_header = msgpack.Packer().pack_map_header
-    # how a map of so many keys begins
+    # A map of so many keys begins with these bytes.
     heads = {count: bytes(pack_header(count)) for count in range(len(needed), len(needed) + len(optional) + 1)}
     keys = needed | {name: NotRequired[form] for name, form in optional.items()}
     decode = msgspec.msgpack.Decoder(TypedDict(model.__name__, keys)).decode  # type: ignore[operator]
@@ -155,7 +155,8 @@ def _compiled(model: type[Message], needed: dict[str, Any], optional: dict[str, 
         name: set() for name, form in (needed | optional).items() if form is str and name != "src"
     }
     others, names = tuple(texts.items()), tuple(model.model_fields)
-    # by the keys of a message, in the order of the model: how its map begins, and the keys that it lacks
+    # For each combination of keys, in the order of the model, this has the beginning of the map and the keys that it
+    # lacks.
     combinations: dict[tuple[str, ...], tuple[bytes, dict[str, None]]] = {}
 
     def fields_of(payload: bytes) -> dict[str, Any] | None:
@@ -165,7 +166,7 @@ def _compiled(model: type[Message], needed: dict[str, Any], optional: dict[str, 
             fields: dict[str, Any] = decode(payload)
         except _REFUSALS:
             return None
-        # so many keys, all of them known: none is there twice, and none is unknown
+        # The number of keys is right and all of them are known, so none is there twice.
         return fields if payload.startswith(heads[len(fields)]) else None
 
     def read(payload: bytes) -> Message | None:

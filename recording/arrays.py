@@ -12,11 +12,11 @@ from recording.multi_file import RecordingSource
 
 Column = npt.NDArray[Any]
 
-# of the record and not of the message; seq and t_ns are in the message as well
+# These belong to the record and not to the message; seq and t_ns are in the message as well.
 _RECORD_FIELDS = ("log_ns", "publish_ns")
 # topics of the loop, by their declared rate [Hz]
 _FAST_HZ = 100.0
-# so many samples in a row that are so much older than the newest are those of a player that was set back
+# So many samples in a row that are so much older than the newest come from a player that was set back.
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
 # a launcher reports a session when the device has answered that its programme runs
 _START_REPORT_NS = 2_000_000_000
@@ -31,10 +31,19 @@ def columns(
 ) -> dict[str, Column]:
     """Return fields of every message of a channel, in the order received.
 
-    Parameters: fields, keys of the message, dotted into its parts (`position_m.2`, `forward.delay_mean_s`), and
-    `log_ns` and `publish_ns` of the record; start_ns, end_ns, bounds of the time of reception [ns].
-    Returns: field -> array of one dimension: int64, float64 (NaN where a message has nil), bool, or objects for text.
-    Raises RecordingError naming file, channel and field when there is no such channel or field.
+    Args:
+        recording: The recording to read.
+        channel_topic: The topic of the channel.
+        fields: Keys of the message, dotted into its parts (`position_m.2`, `forward.delay_mean_s`), and `log_ns` and
+            `publish_ns` of the record.
+        start_ns: The earliest time of reception [ns]; None reads from the beginning.
+        end_ns: The end of the times of reception [ns]; None reads to the end.
+
+    Returns:
+        Arrays of one dimension by field: int64, float64 (NaN where a message has nil), bool, or objects for text.
+
+    Raises:
+        RecordingError: There is no such channel or field; the message names file, channel and field.
     """
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
@@ -119,8 +128,12 @@ def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     It begins where the time of the programme falls while the time of sending goes on, or where a player was set back.
     A message that stands behind later ones, or is repeated, is in none.
 
-    Parameters: session_s of `haptic/state` [s], negative while no programme runs; t_ns, time of sending [ns].
-    Returns: indices, fewer than two when no programme ran.
+    Args:
+        session_s: session_s of `haptic/state` [s], negative while no programme runs, shape (n,).
+        t_ns: The times of sending [ns], shape (n,).
+
+    Returns:
+        The indices, fewer than two when no programme ran.
     """
     running = np.flatnonzero(session_s >= 0.0)
     old = t_ns[running] < np.maximum.accumulate(t_ns[running])
@@ -143,9 +156,14 @@ def last_session(session_s: Column, seq: Column, t_ns: Column, starts_ns: Sequen
     A device whose process died while the programme ran begins it anew when it is commanded to; that is the same
     session, unless a launcher has started one since.
 
-    Parameters: session_s of `haptic/state` [s], negative while no programme runs; seq and t_ns [ns] of its messages;
-    starts_ns, when launchers reported that a session runs [ns].
-    Returns: indices, fewer than two when no programme ran.
+    Args:
+        session_s: session_s of `haptic/state` [s], negative while no programme runs, shape (n,).
+        seq: The seq of its messages, shape (n,).
+        t_ns: The times of sending of its messages [ns], shape (n,).
+        starts_ns: The times at which launchers reported that a session runs [ns].
+
+    Returns:
+        The indices, fewer than two when no programme ran.
     """
     session = last_programme(session_s, t_ns)
     while session.size and (first := int(session[0])) > 0:

@@ -22,7 +22,8 @@ class _Named(Protocol):
 def matcher(pattern: str) -> Matcher:
     """Return the predicate of a pattern: a glob such as `teleop/*`, or a regular expression between slashes, `/^afm/`.
 
-    Raises ConfigError naming a pattern that is not a regular expression.
+    Raises:
+        ConfigError: A pattern is not a regular expression; the message names it.
     """
     if len(pattern) > 1 and pattern.startswith("/") and pattern.endswith("/"):
         try:

@@ -46,8 +46,15 @@ def diff_recordings(
 ) -> RecordingDifference:
     """Compare two recordings by channel, publisher and `seq` of the message, whatever the times of reception.
 
-    Parameters: tolerances by field, zero when None; ignore, top-level fields left out, such as t_ns.
-    Raises RecordingError when a file is not a recording.
+    Args:
+        left: One recording.
+        right: The other recording.
+        tolerances: The tolerances by field; None compares exactly.
+        ignore: Top-level fields that are left out, such as t_ns.
+        selection: The part of the recordings that is compared.
+
+    Raises:
+        RecordingError: A file is not a recording.
     """
     allowed, skipped = tolerances or Tolerances(), tuple(ignore)
     sides = [_side(Recording(path), selection) for path in (left, right)]

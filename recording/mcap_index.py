@@ -35,7 +35,7 @@ def index_faults(data: Bytes, layout: Layout, messages: int) -> list[str]:
 
 
 def _faults(data: Bytes, layout: Layout, messages: int) -> Iterator[str]:
-    # Any: a mapped file is read as a stream is, and the package carries no types
+    # The type is Any because a mapped file is read as a stream is, and the package carries no types.
     stream: Any = data if isinstance(data, mmap.mmap) else BytesIO(data)
     reader: Any = SeekingReader(stream, validate_crcs=True)
     reader.get_header()

@@ -19,7 +19,7 @@ class _Packed:
     __slots__ = ("_record",)
 
     def __init__(self, index: ChunkIndex) -> None:
-        # without types in the library
+        # The library declares no types for it.
         builder: Any = RecordBuilder()
         index.write(builder)
         self._record = bytes(builder.end())

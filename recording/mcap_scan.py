@@ -26,9 +26,9 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
 _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
-# of what a chunk unpacks to, which is in memory as a whole; ours are at most 64 MiB and one message of 16 MiB
+# An unpacked chunk is in memory as a whole. Ours have at most 64 MiB and one message of 16 MiB.
 _LARGEST_CHUNK = 80 << 20
-# of a chunk above the size that is written by default and one message, which may be of zeros and pack to nearly nothing
+# The ratio limits chunks larger than the default size and one message, because zeros pack to nearly nothing.
 _GREATEST_RATIO = 1000
 _ORDINARY_CHUNK = 17 << 20
 # schemas and channels that differ; a rig has some hundred, and each of them is an object of ours
@@ -36,7 +36,7 @@ MOST_DEFINITIONS = 4096
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
 _END_OF_TIME = 2**64
-# what the parts of a damaged record can raise while they are read
+# Reading the parts of a damaged record can raise these.
 UNREADABLE = (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
 
 
@@ -99,7 +99,10 @@ def scan(data: Bytes, path: str = "") -> Layout:
     """Scan the outer records of a file that starts with the magic bytes.
 
     After bytes that are not a record it continues with the next intact chunk.
-    Raises: RecordingError naming the path, if the summary has more channels than any recording; nothing else.
+
+    Raises:
+        RecordingError: The summary has more channels than any recording; the message names the path. Nothing else is
+            raised.
     """
     layout, size = Layout(path=path), len(data)
     position = trusted = len(MAGIC)
@@ -127,10 +130,11 @@ def scan(data: Bytes, path: str = "") -> Layout:
 def unpack(data: Bytes, block: Block) -> bytes:
     """Return the records in a block; of one that is cut off, the bytes that can be decompressed.
 
-    Raises DamagedBlockError saying what is wrong.
+    Raises:
+        DamagedBlockError: The block is damaged; the message says what is wrong.
     """
     if block.data_start == block.offset:
-        # a record outside of any chunk
+        # The record is outside of any chunk.
         return data[block.data_start : block.data_end]
     _check_sizes(block)
     stored = data[block.data_start : block.data_end]
@@ -162,7 +166,7 @@ def records_of(content: bytes) -> Iterator[tuple[int, int, int]]:
         opcode, length = RECORD_HEAD.unpack_from(content, position)
         start = position + RECORD_HEAD.size
         position = start + length
-        # 0 is the opcode of nothing, and a chunk of zeros has millions of them
+        # 0 is no opcode, and a chunk of zeros has millions of them.
         if opcode == 0 or position > len(content) or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
             return
         yield opcode, start, position
@@ -286,7 +290,7 @@ def _decompress(stored: bytes, block: Block) -> bytes:
 
 
 def _unpacked(stored: bytes, block: Block) -> bytes:
-    # one more than stated, so that more is noticed and not taken
+    # One byte more than stated is read, so that a surplus is noticed and not unpacked.
     most = block.size_bytes + 1
     if block.compression == "":
         return stored
@@ -297,7 +301,7 @@ def _unpacked(stored: bytes, block: Block) -> bytes:
             raise DamagedBlockError("the sizes in the chunk are inconsistent")
         return zstandard.ZstdDecompressor().decompress(stored, max_output_size=most)
     if block.compression == "lz4":
-        # by name, because the package carries no types
+        # It is imported by name because the package carries no types.
         lz4 = importlib.import_module("lz4.frame")
         content: bytes = lz4.LZ4FrameDecompressor().decompress(stored, max_length=most)
         return content

@@ -20,7 +20,9 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
     (`recording.site_clock`, which report and replay go by as well); messages are copied byte by byte, so that what is
     in them stays on the clock of who sent it. A channel that both have is taken from the recorder at the site of the
     channel, who received it nearby.
-    Raises RecordingError when they are not of two sites, no offset was measured, or the target exists.
+
+    Raises:
+        RecordingError: The sources are not of two sites, no offset was measured, or the target exists.
     """
     recordings = [Recording(source) for source in sources]
     sites = [site_of(recording.metadata.get("recording", {}).get("node", "")) for recording in recordings]

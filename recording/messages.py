@@ -62,7 +62,8 @@ class RecordedMessage(NamedTuple):
     def decode(self) -> Record:
         """Return the validated message: a proto Message, or the recorder's own GapRecord or RejectedRecord.
 
-        Raises RecordingError naming the channel and what is wrong.
+        Raises:
+            RecordingError: The message is not valid; the error names the channel and what is wrong.
         """
         try:
             if self.topic in RECORDS:
@@ -74,7 +75,8 @@ class RecordedMessage(NamedTuple):
     def fields(self) -> dict[str, Any]:
         """Return the fields as plain Python values, not validated.
 
-        Raises RecordingError naming the channel when the payload is not a msgpack map.
+        Raises:
+            RecordingError: The payload is not a msgpack map; the message names the channel.
         """
         try:
             found = msgpack.unpackb(self.payload, use_list=False)

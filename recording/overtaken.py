@@ -21,9 +21,9 @@ from recording.mcap_scan import MESSAGE_HEAD, records_of
 # the messages between an overtaken one and its place were all in one batch, which has 64 KiB of payload and one message
 # at most, and no payload is shorter than the 40 bytes of its header: 1640 messages
 _WINDOW = 2048
-# what is repeated by a player that was set back is no overtaken message, see proto/sequence.py
+# Messages that a player repeats after it was set back are not overtaken messages, see proto/sequence.py.
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
-# beyond this a file was not written by a recorder, and the rest stays where it is
+# A file with more than this was not written by a recorder, and the rest stays where it is.
 _MOST_MOVED = 100_000
 _UNKNOWN = (-1, -1)
 
@@ -55,9 +55,9 @@ class _Stream:
     """The messages of one channel of one process so far: the newest, and as many before it as can be overtaken."""
 
     def __init__(self) -> None:
-        # in the order of their numbers, each with the place in the file at which it is read
+        # The window is in the order of the numbers, and each has the place in the file at which it is read.
         self.window: deque[tuple[Stamp, Place]] = deque(maxlen=_WINDOW)
-        # nothing of this process has left the window
+        # It stays true until a message of this process leaves the window.
         self.whole = True
         # old messages in a row
         self.old: list[Stamp] = []
@@ -102,9 +102,8 @@ class _Stream:
 def _is_rewind(old: Sequence[Stamp], numbers: Sequence[int], *, newest_ns: int) -> bool:
     """Return whether there is a run of old messages that were received before, or are far before all of the window.
 
-    A batch that begins before the window ends at it or in it.
-
-    Parameters: numbers, in the window, in order; newest_ns, time of sending of the newest of these [ns].
+    A batch that begins before the window ends at it or in it. `numbers` are in the window, in order, and newest_ns [ns]
+    is when the newest of them was sent.
     """
     known, run, previous = set(numbers), 0, -1
     joins = any(stamp.seq == numbers[0] - 1 for stamp in old)
@@ -136,7 +135,9 @@ class OvertakenFinder:
     def scan(self, content: bytes, is_numbered: Callable[[int], bool]) -> Iterator[tuple[int, int, int]]:
         """Look for old messages in a block; yield what else is in it, as `records_of` does.
 
-        Parameters: is_numbered, whether a channel has the numbers of one publisher in the order of sending.
+        Args:
+            content: The bytes of the block.
+            is_numbered: Whether a channel has the numbers of one publisher in the order of sending.
         """
         newest, head = self._newest, MESSAGE_HEAD.unpack_from
         for opcode, start, end in records_of(content):

@@ -29,7 +29,7 @@ class ProtobufMessage:
     def __init__(self, name: str, schema: Mapping[str, Any]) -> None:
         """Build the descriptor; ConfigError when protobuf is not installed."""
         descriptor_pb2 = _module("google.protobuf.descriptor_pb2")
-        # Any: made at run time
+        # The type is Any because the class is made at run time.
         self._file: Any = descriptor_pb2.FileDescriptorProto(
             name=f"{_PACKAGE}/{name}.proto", package=_PACKAGE, syntax="proto3"
         )
@@ -45,7 +45,9 @@ class ProtobufMessage:
     def encode(self, fields: Mapping[str, Any]) -> bytes:
         """Return a message, given as JSON values, in protobuf; a key that the contract does not have is left out.
 
-        Raises TypeError or ValueError for a value that is none of its field.
+        Raises:
+            TypeError: A value is not of the type of its field.
+            ValueError: A value is impossible in its field.
         """
         data: bytes = self._kind(**self._fit(fields)).SerializeToString(deterministic=True)
         return data

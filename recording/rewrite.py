@@ -42,11 +42,11 @@ class CopyWriter:
             self._stream: IO[bytes] = self._file.enter_context(part.open("wb"))
         except OSError as error:
             self._file.__exit__(type(error), error, error.__traceback__)
-            # where a file stands in the place of its folder, that is what exists
+            # If a file has the name of the folder, the file is what exists.
             if isinstance(error, FileExistsError) and path.exists():
                 raise RecordingError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
-        # Any: the package carries no types
+        # The type is Any because the package carries no types.
         self._mcap: Any = Writer(
             self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
@@ -71,7 +71,8 @@ class CopyWriter:
             raise RecordingError(f"{self.path}: cannot be written: {fault.strerror}") from fault
 
     def add(self, message: RawMessage) -> None:
-        # by identity first: to hash a channel with its schema costs more than to write the message
+        # The identity is looked up first, because hashing a channel with its schema costs more than writing the
+        # message.
         known = self._by_identity.get(id(message.channel))
         if known is None or known[0] is not message.channel:
             known = self._by_identity[id(message.channel)] = (message.channel, self._register(message.channel))
@@ -128,7 +129,9 @@ def filter_recording(
     """Copy the selected channels between two times [s] from the start of the recording.
 
     A damaged file is read as far as possible, so that this recovers one when everything is selected.
-    Raises RecordingError when the source is not a recording or the target exists.
+
+    Raises:
+        RecordingError: The source is not a recording, or the target exists.
     """
     recording = Recording(source)
     skipped = list(recording.structural_damage)
@@ -147,7 +150,8 @@ def filter_recording(
 def merge_recordings(sources: Sequence[Path], target: Path) -> CopyResult:
     """Merge recordings in the order of the times of reception.
 
-    Raises RecordingError when a source is not a recording or the target exists.
+    Raises:
+        RecordingError: A source is not a recording, or the target exists.
     """
     recordings = [Recording(source) for source in sources]
     skipped = [part for recording in recordings for part in recording.structural_damage]
@@ -164,9 +168,17 @@ def split_recording(
 ) -> list[CopyResult]:
     """Split a recording into files NAME_000.mcap, NAME_001.mcap, ... each with all attachments.
 
-    Parameters: interval_s, time in each file [s]; size_bytes, payload in each file [bytes]. One of them is needed.
-    If one cannot be written none is left.
-    Raises ConfigError otherwise, RecordingError when the source is not a recording or a target exists.
+    Either interval_s or size_bytes is needed. If one file cannot be written, none is left.
+
+    Args:
+        source: The recording to split.
+        folder: The folder that the files are written to.
+        interval_s: The time in each file [s].
+        size_bytes: The payload in each file [bytes].
+
+    Raises:
+        ConfigError: Neither of the two, or both, are given, or one has an impossible value.
+        RecordingError: The source is not a recording, or a target exists.
     """
     if (interval_s is None) == (size_bytes is None):
         raise ConfigError("a split needs either an interval or a size")
@@ -215,7 +227,7 @@ def _runs(
         while pending is not None and number == here:
             yield pending
             pending = next(messages, None)
-            # what was received a little out of order stays where it is
+            # Messages that were received slightly out of order stay in their order.
             number = here if pending is None else max(here, file_of(pending))
 
     if pending is not None:
@@ -225,7 +237,7 @@ def _runs(
 
 
 def _cached(selection: Selection) -> Callable[[RawChannel], bool]:
-    # by identity, with the channels kept alive, because to hash one with its schema is slow
+    # Channels are looked up by identity, and kept alive, because hashing one with its schema is slow.
     answers: dict[int, tuple[RawChannel, bool]] = {}
 
     def wanted(channel: RawChannel) -> bool:

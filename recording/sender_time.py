@@ -22,9 +22,9 @@ FATES_TOPIC = "link/fates"
 _NS = 1_000_000_000
 # a recorder that lags by more would have lost messages: then the publisher has another clock
 _LONGEST_LAG_NS = 30 * _NS
-# how far behind the newest message that was read one may still come that was sent before it, beyond the lag seen
+# A message may come so far behind the newest one that was sent after it, in addition to the lag seen.
 _LEAST_HORIZON_NS = 3 * _NS // 2
-# what the link did to a message is reported within a tenth of a second, and may lag as well
+# The link reports the fate of a message within a tenth of a second, and the report may lag as well.
 _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
 # below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
@@ -49,7 +49,7 @@ class SenderClock:
 
     def __init__(self, recording: RecordingSource) -> None:
         self._of_slave = ClockShift(read_site_clock(recording))
-        # by source; None for one that the clock of the slave's site applies to
+        # The shift of each source; None means that the clock of the slave's site applies to it.
         self._shifts: dict[str, int | None] = {}
 
     def time_ns(self, message: RecordedMessage) -> int:
@@ -88,8 +88,13 @@ class SenderOrder:
     ) -> None:
         """Begin with what was sent at `first_ns` [ns] or later, None for the beginning.
 
-        Parameters: select, what reads the recording, its own `select` when None; ends, whether the last messages of
-        publishers are among them.
+        Args:
+            recording: The recording to read.
+            wanted: Whether a channel is wanted.
+            clock: The clocks of the senders.
+            first_ns: The earliest time of sending [ns]; None begins at the beginning.
+            select: Reads the recording; None takes its own `select`.
+            ends: Whether the last messages of publishers are among those that are read.
         """
         self._ends = ends
         self._clock = clock
@@ -100,16 +105,17 @@ class SenderOrder:
         start_ns = None if first_ns is None else max(0, first_ns - _LEAST_HORIZON_NS)
         self._source: Iterator[RecordedMessage] = (select or recording.select)(self._needs, start_ns)
         self._heap: list[Sent] = []
-        # by channel, what left the link and is not reported yet; with the time at which it was sent to the link
+        # Messages that left the link and are not reported yet, by channel, each with the time at which the link
+        # received it.
         self._waiting: dict[RecordedChannel, deque[Sent]] = {}
         self._read_ns = 0
         self._most_lag_ns = 0
         self._place = 0
-        # by channel, the delay of the link that it reported last, or else the least that was seen
+        # The delay that the link reported last, by channel, or else the least that was seen.
         self._delay_ns: dict[RecordedChannel, int] = {}
         self._next: Sent | None = None
         self._exhausted = False
-        # the newest message of each channel that was sent before the beginning
+        # The newest message of each channel that was sent before the beginning.
         self.before: dict[RecordedChannel, Sent] = {}
         while first_ns is not None and (found := self.peek()) is not None and found.time_ns < first_ns:
             self.before[found.message.channel] = found

@@ -31,27 +31,27 @@ _NS = 1_000_000_000
 _STATUS, _NETWORK, _ANSWER = "link/status", "link/network", "clock/pong"
 # a recording of more than a minute is looked at in eight windows of ten seconds, each longer than an exchange is kept
 _WINDOW_NS, _MOST_WINDOWS = 10 * _NS, 8
-# in each of them the tip's samples are looked at for so long
+# The tip's samples of so long a time are examined in each window.
 _CAUSALITY_NS = 2 * _NS
-# questions of which the fastest counts: ten in a second
+# The fastest question of each block counts; ten are asked in a second.
 _BLOCK_NS = _NS
-# one straight line a minute: temperature and time services change the rate of a clock slowly
+# Each minute has a straight line of its own, because temperature and time services change the rate of a clock slowly.
 _SEGMENT_S = 60.0
-# at least so many blocks to a line
+# A line needs at least so many blocks.
 _SEGMENT_BLOCKS = 8
 # a growth that is so many times the scatter about its line, and so large [ns], is no chance; over so many blocks
 _SURE_GROWTH, _LEAST_GROWTH_NS, _LEAST_BLOCKS = 10.0, 500_000, 5
-# of the drift: by so much the other way may differ from it
+# The drift of the other way may differ by this share.
 _UNLIKE = 0.3
-# no clock of a computer drifts by more
+# No clock of a computer drifts by more than this.
 _MOST_DRIFT = 2e-3
-# an exchange is known again by its way there [s]: stamps are whole ns
+# An exchange is recognised by its way there [s], because stamps are whole ns.
 _SAME_S = 2e-6
-# in this time two clocks drift apart by less than their stamps are known to
+# Two clocks drift apart in this time by less than the error of their stamps.
 _STEP_NS = _NS // 1000
-# an answer may come so much before its question by the error of the stamps [ns]
+# An answer may precede its question by so much, because of the error of the stamps [ns].
 _EARLY_NS = 1_000_000
-# a way of which nothing is known [ns]
+# This stands for a delay of which nothing is known [ns].
 _LONG_NS = 2**60
 
 
@@ -80,7 +80,7 @@ class SiteClock(NamedTuple):
         at = (stamps_ns - origin).astype(np.float64)
         part = np.clip(np.searchsorted(x, at) - 1, 0, len(x) - 2)
         ahead, slopes = np.array(self.ahead_s), np.diff(self.ahead_s) / np.diff(x)
-        # the first and the last line go on
+        # Beyond the ends the first and the last line are extended.
         return np.asarray(np.rint((ahead[part] + slopes[part] * (at - x[part])) * _NS), dtype=np.int64)
 
     def one_ahead_ns(self, stamp_ns: int) -> int:
@@ -277,7 +277,7 @@ def _course(questions: _Questions, best: _Report, origin_ns: int) -> tuple[Float
     parts = max(1, min(int((ends[1] - ends[0]) * 1e-9 // _SEGMENT_S), len(times) // _SEGMENT_BLOCKS))
     knots = np.unique(np.quantile(times, np.linspace(0.0, 1.0, parts + 1)))
     course = _through(times, there, knots)
-    # the exchange that the best report rests on, which may have been made seconds before
+    # The best report rests on this exchange, which may have been made seconds before.
     off = np.abs(questions.there_ns * 1e-9 - (best.offset_s + best.uncertainty_s))
     place = int(np.argmin(off))
     made = float((questions.asked_ns[place] if off[place] < _SAME_S else best.t_ns) - origin_ns)
@@ -310,7 +310,7 @@ def _through(times: Floats, values: Floats, knots: Floats) -> Floats:
     middle = float(np.median(values))
 
     def summed(at_left: Floats, at_right: Floats) -> list[float]:
-        # in the order of the points
+        # `bincount` adds in the order of the points, so the sums have the same bits on every processor.
         sums = np.bincount(left, at_left, last + 1) + np.bincount(left + 1, at_right, last + 1)
         return [float(value) for value in sums]
 

@@ -18,8 +18,10 @@ _SCALARS = (bool, int, float, str)
 def plain(message: RecordedMessage) -> dict[str, Any]:
     """Return a message as JSON values: arrays as lists of numbers, bytes as base64.
 
-    Of a message that this version cannot decode, the fields are returned as they are. Raises RecordingError when it
-    is not a msgpack map either.
+    The fields of a message that this version cannot decode are returned as they are.
+
+    Raises:
+        RecordingError: The payload is not a msgpack map either.
     """
     try:
         return json_fields(message.decode())

@@ -16,7 +16,7 @@ from pathlib import Path
 _SUFFIX = ".part"
 # the temporary name of several files of one run
 _RESULTS = "results"
-# of a name; with machine and process it stays within the 255 bytes of a file system
+# A name of this length stays, with machine and process, within the 255 bytes of a file system.
 _LONGEST = 120
 
 
@@ -25,7 +25,14 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """Yield the temporary path of a file that gets its name when the block ends, and is removed if it fails.
 
     A link is followed; a device or a pipe is written to as it is.
-    Parameters: replace, whether a file of that name is replaced; FileExistsError names it otherwise. Raises: OSError.
+
+    Args:
+        path: The path of the file.
+        replace: Whether a file of that name is replaced.
+
+    Raises:
+        FileExistsError: A file of that name exists and is not to be replaced.
+        OSError: The file cannot be written.
     """
     if replace and path.is_symlink():
         path = path.resolve()
@@ -44,7 +51,9 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
 def whole_folder(path: Path) -> Iterator[Path]:
     """Yield the temporary path of a new folder that gets its name when the block ends, and is removed if it fails.
 
-    Raises: FileExistsError naming a folder that exists; OSError.
+    Raises:
+        FileExistsError: The folder exists; the error names it.
+        OSError: The folder cannot be written.
     """
     with _temporary(path, path, replace=False) as part:
         part.mkdir(parents=True)
@@ -58,8 +67,14 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
 
     If it fails the folder is as it was, and one that was not there is not there again. The temporary folder is in that
     folder, which may be all that this process can write to.
-    Parameters: replace, whether files of those names are replaced; FileExistsError names one otherwise.
-    Raises: OSError.
+
+    Args:
+        path: The path of the folder.
+        replace: Whether files of the same names are replaced.
+
+    Raises:
+        FileExistsError: A file of one of the names exists and is not to be replaced.
+        OSError: A file cannot be written.
     """
     with new_folder(path), _temporary(path / _RESULTS, path, replace=True) as part:
         part.mkdir()
@@ -71,7 +86,7 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
         try:
             _move_into(part, path)
         except KeyboardInterrupt:
-            # a few renames are left: the results of one run stay together
+            # Only a few renames are left, so that the results of one run stay together.
             _move_into(part, path)
             raise
 
@@ -98,7 +113,7 @@ def _move_into(part: Path, path: Path) -> None:
 def _temporary(path: Path, named: Path, *, replace: bool) -> Iterator[Path]:
     """Yield the temporary path of a result, after what killed processes have left of it was removed.
 
-    Parameters: named, what an OSError names in the place of the temporary path.
+    An OSError names `named` instead of the temporary path.
     """
     if not replace and os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
@@ -129,7 +144,7 @@ def _name_once(part: Path, path: Path) -> None:
     except FileExistsError:
         raise
     except OSError:
-        # a file system without links
+        # The file system has no links.
         if os.path.lexists(path):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from None
         part.rename(path)

@@ -56,7 +56,8 @@ def chosen(option: str, what: str, text: str, known: Sequence[str]) -> tuple[str
 def numbers(option: str, text: str, least: float, most: float, unit: str) -> tuple[float, ...]:
     """Read `a,b,c` and `start:stop:step` (stop included), also mixed, into increasing different numbers.
 
-    Raises ConfigError for what is not a number, outside [least, most], or no range.
+    Raises:
+        ConfigError: A part is no number or no range, or lies outside [least, most].
     """
     values: list[float] = []
     for part in text.split(","):
@@ -91,7 +92,7 @@ def _range(option: str, text: str, unit: str) -> list[float]:
     count = math.floor((stop - start) / step * (1.0 + 1e-12)) + 1
     if count > _MOST_VALUES:
         raise ConfigError(f"{option} {text}: {count} values are more than {_MOST_VALUES}")
-    # rounded, so that 0.1 + 0.2 does not become a delay of its own
+    # The sum is rounded, so that 0.1 + 0.2 does not become a delay of its own.
     return [round(start + i * step, 9) for i in range(count)]
 
 

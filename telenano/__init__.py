@@ -22,7 +22,7 @@ __all__ = ["LiveRig", "RecordedSession", "SimulatedSession", "Table", "check_law
 
 
 def __getattr__(name: str) -> Any:
-    # the command begins faster without what it may not need
+    # The command begins faster without modules that it may not need.
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:

@@ -104,7 +104,8 @@ class RecordedSession:
     def table(self, channel: str, src: str | None = None) -> Table:
         """Return the messages of a channel, from one of its publishers where there are several.
 
-        Raises: RecordingError naming the channels, or the publishers, that there are.
+        Raises:
+            RecordingError: There is no such channel or publisher; the message names those there are.
         """
         sources = self.channels.get(channel)
         if sources is None:
@@ -151,7 +152,8 @@ class LiveRig:
 def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> RecordedSession:
     """Open a recording, or all parts of one, in their order.
 
-    Raises: RecordingError naming a file that cannot be read.
+    Raises:
+        RecordingError: A file cannot be read; the message names it.
     """
     return RecordedSession(map(Path, (path, *further)))
 
@@ -159,7 +161,11 @@ def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> Reco
 def check_law(name: str) -> dict[str, list[str]]:
     """Try the rules that the rig relies on with a law; return each rule with what breaks it, empty where nothing does.
 
-    As `telenano law check` does. Raises ConfigError naming the laws there are, or what keeps one of a package from use.
+    This does the same as `telenano law check`.
+
+    Raises:
+        ConfigError: There is no such law, or the law of a package cannot be used; the message names the laws there are,
+            or the reason.
     """
     from services.controller.law_rules import broken_rules, known_law
 
@@ -171,8 +177,9 @@ def check_law(name: str) -> dict[str, list[str]]:
 def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
     """Connect to a running rig, by the packaged site file of one machine or one of your own.
 
-    Raises: ConfigError naming what is wrong with the site file, or the key that this machine lacks; RigError where no
-    rig of the site file runs.
+    Raises:
+        ConfigError: The site file is wrong, or this machine lacks a key; the message names what is wrong.
+        RigError: No rig of the site file runs.
     """
     from presets import DEFAULT_SITE_FILE
     from services.runtime.bus.observer import Observer, require_rig

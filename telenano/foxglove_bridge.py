@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 DEFAULT_PORT = 8765
 DEFAULT_RATE_HZ = 100.0
-# what nobody plots, and what costs as much as everything else
+# These topics are rarely plotted, and cost as much as everything else.
 LEFT_OUT = ("node/journal", "link/fates")
-# of the SDK, and of the viewers before it, for which what is said here is the same
+# The protocols of the SDK and of the viewers before it; what is sent here is the same for both.
 _PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 # a message: kind, subscription, time [ns]
 _MESSAGE, _MESSAGE_DATA = struct.Struct("<BIQ"), 1
@@ -63,7 +63,7 @@ class _Viewer:
         self.subscriptions: dict[int, int] = {}
         self._ready = asyncio.Event()
         self._texts: deque[str] = deque()
-        # what a viewer does not read in time is past
+        # A frame that a viewer does not read in time is dropped.
         self._frames: deque[bytes] = deque(maxlen=_MOST_QUEUED)
 
     def tell(self, **fields: Any) -> None:

@@ -17,7 +17,7 @@ from services.runtime.loop.realtime import ordinary_scheduling
 
 def build(context: NodeContext, config: AfmConfig) -> AfmNode:
     """Build the node with its instrument."""
-    # what the dynamic one loads and compiles takes seconds, in which the law beside it has its period to keep
+    # Loading and compiling the dynamic model takes seconds, in which the law beside it has to keep its period.
     with ordinary_scheduling() if config.model == "dynamic" else nullcontext():
         return AfmNode(context, config, _driver(config))
 

@@ -304,7 +304,7 @@ class _OwnSections(Settings):
 
     def to_friction_params(self) -> FrictionParams:
         f = self.friction
-        # without friction its adhesion has no use, and takes a while to find
+        # Without friction the adhesion is not needed, and it takes a while to find.
         pull_n = adhesion_n(self.to_params().plant.tip) if f.coefficient > 0.0 else 0.0
         return FrictionParams(f.coefficient, pull_n, f.lateral_stiffness_n_per_m, f.tip_height_m)
 
@@ -343,9 +343,15 @@ class _OwnSections(Settings):
     ) -> "DynamicPlant":
         """Return the cantilever with its dynamics (Eq. 4), driven at drive_hz [Hz] or at its resonance.
 
-        Parameters: like, one of this configuration, whose grid of the force is taken; finest, the most steps of a
-        period where a step is divided because the tip meets the sample.
-        Raises: ValueError naming value and unit, where the values admit no model.
+        Args:
+            drive_hz: The frequency of the drive [Hz]; None takes the resonance.
+            steps_per_period: The steps in a period of the drive; None takes the configured number.
+            temperature_k: The temperature of thermal noise [K]; 0 switches it off.
+            like: A dynamic cantilever of this configuration, whose grid of the force is reused.
+            finest: The most steps of a period where a step is divided because the tip meets the sample.
+
+        Raises:
+            ValueError: The values admit no model; the message names value and unit.
         """
         # a node that asks for no dynamics does not import them
         from services.afm_node.physics.dynamic import FINEST, Damping, build_dynamic
@@ -361,7 +367,8 @@ class _OwnSections(Settings):
     def to_params(self) -> AfmParams:
         """Build the parameters of the pure step; built once per set of its parameters.
 
-        Raises: ValueError naming value and unit, where the values admit no model.
+        Raises:
+            ValueError: The values admit no model; the message names value and unit.
         """
         t, c, s = self.tip_sample, self.cantilever, self.safety
         properties = TipSampleProperties(
@@ -384,7 +391,7 @@ class _OwnSections(Settings):
 
 
 _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
-# keys of the section, and methods of its class
+# Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields, *dir(_OwnSections)})
 SAMPLES = load("samples", checked_sample, TAKEN)
 DRIVERS = drivers_of("afm_node", TAKEN | SAMPLES.found.keys())
@@ -420,7 +427,7 @@ class AfmConfig(_PackageSections):
     environment: EnvironmentName = _ENVIRONMENT
 
 
-# a configuration is built when it is read, and again by whoever runs it
+# A configuration is built when it is read, and again by the process that runs it.
 @lru_cache(maxsize=16)
 def _plant(
     properties: TipSampleProperties, reach_n: float, stiffness_n_per_m: float, rest_m: float, volts: float

@@ -36,7 +36,11 @@ class LateralStage(Protocol):
     """What moves the tip over the sample."""
 
     def move_to(self, x_m: float, y_m: float) -> None:
-        """Put the tip over a place of the sample [m], 0, 0 its middle. Raises ValueError if that is not finite."""
+        """Put the tip over a place of the sample [m], 0, 0 its middle.
+
+        Raises:
+            ValueError: The place is not finite.
+        """
 
     @property
     def lateral_force_n(self) -> tuple[float, float]:
@@ -125,14 +129,19 @@ class AfmDriver(Protocol):
     def open(self) -> None:
         """Connect, and put the device into its safe state.
 
-        Raises: OSError, if the device cannot be reached; RuntimeError, if it is already open.
+        Raises:
+            OSError: The device cannot be reached.
+            RuntimeError: The device is already open.
         """
 
     def exchange(self, base_m: float) -> AfmSample:
         """Apply a base position [m] and return the newest that the device measured, without waiting.
 
         A device that is lost raises nothing: its report says so, and the sample is the last one.
-        Raises: ValueError, if the position is not finite; RuntimeError, if not open.
+
+        Raises:
+            ValueError: The position is not finite.
+            RuntimeError: The device is not open.
         """
 
     def retract(self) -> bool:

@@ -86,10 +86,10 @@ class AfmNode(Node):
 
     inputs = INPUTS
     commands: ClassVar[tuple[str, ...]] = ("arm", "estop")
-    # a pattern means the end of the operator's programme, after which the tip may stay where it is
+    # A command to a pattern ends the operator's programme, after which the tip may stay where it is.
     named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
-    # the tick then goes through the slave's half and the link, which may share its processor
+    # After this the tick is in the slave's half and the link, which may share its processor.
     idle_after = "afm/command"
     period_s = PERIOD_S
     state_kind = AfmNodeState
@@ -311,7 +311,7 @@ class AfmNode(Node):
         if (stage := self._driver.stage) is not None:
             self._memory.lateral_n = stage.lateral_force_n
         report = self._driver.report
-        # a force beyond the range of the input is no number to the guard
+        # A force beyond the range of the input is no number for the guard.
         self._memory.force_n = sample.force_n if report is None or report.force_valid else math.nan
         self._publish_state(allowed, sample, elapsed_s, report)
         self._report_changes(allowed)
@@ -341,7 +341,7 @@ class AfmNode(Node):
             self._publish_line(wanted.line)
         asked = safety.SafetyInputs(
             reference_m=wanted.base_m,
-            # its references are made in this step
+            # The references of the program are made in this step.
             command_age_s=0.0,
             action=action,
             arm_requested=self._memory.guard.mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION,

@@ -150,7 +150,8 @@ def safety_step(
 ) -> tuple[SafetyState, SafetyOutputs]:
     """Decide mode and base position of one tick of dt [s].
 
-    Raises: ValueError, if dt is not positive and finite.
+    Raises:
+        ValueError: dt is not positive and finite.
     """
     if not (dt > 0.0 and math.isfinite(dt)):
         raise ValueError("dt in s must be finite and > 0")

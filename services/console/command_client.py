@@ -102,13 +102,23 @@ def send_control(
 ) -> dict[str, SessionEvent]:
     """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
 
-    Parameters: command; site_file; site, at which it is typed; on_answer, called with each answer when it comes;
-    is_wanted, asked before each sending: once it is false, nothing more is sent; issued_ns, when a person gave the
-    command, on the monotonic clock of this machine [ns], now if None. One that has waited for its turn since then does
-    not move a device that an emergency stop has stopped meanwhile.
-    Returns: the answers by node, refusals among them.
-    Raises: RigError when nodes do not answer, no rig is there, the command is no longer wanted, or an emergency stop
-    has made it void; EndpointError when another console is at work.
+    A command that has waited since it was given does not move a device that an emergency stop has stopped meanwhile.
+
+    Args:
+        command: The command.
+        site_file: The site file of the rig.
+        site: The site at which the command is typed.
+        on_answer: Called with each answer when it comes.
+        is_wanted: Called before each sending; once it returns false, nothing more is sent.
+        issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now.
+
+    Returns:
+        The answers by node, refusals included.
+
+    Raises:
+        RigError: Nodes do not answer, no rig is there, the command is no longer wanted, or an emergency stop made it
+            void.
+        EndpointError: Another console is at work.
     """
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
     book = load_site(site_file)

@@ -93,7 +93,7 @@ class LocalRig:
         found: dict[str, list[str]] = {way: [] for way in Reach._fields}
         for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):
             here = site in ("", site_of(device))
-            # what another machine can reach may run there
+            # A device that another machine can reach may run there.
             only_here = device in self.endpoints and device not in self._networked
             if here and self.has_inlet(device):
                 found["direct"].append(device)
@@ -167,8 +167,18 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
     """Stop the devices that are reached directly or through the link, and wait until all of them have answered.
 
     The stop is kept for those on this machine, and for those of a rig here that do not run: they obey it when they can.
-    Parameters: rig; reach, the way to each device; target, as in a session/control; on_answer, called with each answer.
-    Returns: the answers by node. Raises RigError naming the devices that did not answer.
+
+    Args:
+        rig: The rig on this machine.
+        reach: The way to each device.
+        target: The target, as in a session/control.
+        on_answer: Called with each answer.
+
+    Returns:
+        The answers by node.
+
+    Raises:
+        RigError: Devices did not answer; the message names them.
     """
     expected = {*reach.direct, *reach.by_link}
     answers: dict[str, Answer] = {}
@@ -206,7 +216,7 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
             now_s = time.monotonic()
     missing = sorted(expected - set(answers))
     if missing:
-        # once more: an arm from before the stop may have taken the first one away
+        # The stop is kept once more, because an earlier arming may have removed the first copy.
         kept = [device for device in keep_stop(rig, reach, target, identifier) if device in missing]
         later = f": {', '.join(kept)} will obey it on going on, or when started again" if kept else ""
         raise RigError(f"{', '.join(missing)} did not answer estop within {_DEADLINE_S:g} s{later}")
@@ -216,7 +226,8 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
 def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list[str]:
     """Keep a stop for the devices of this machine that are meant, also those that a launcher will start again.
 
-    Returns: the devices that it is kept for; a file that cannot be written is no reason not to send the stop.
+    Returns:
+        The devices that it is kept for. A file that cannot be written is no reason not to send the stop.
     """
     absent = reach.absent if reach.direct or reach.by_link or rig.is_supervised() else ()
     devices = (*reach.direct, *absent)
@@ -251,7 +262,7 @@ def _is_bound(endpoint: str) -> bool:
         try:
             probe.connect(endpoint.removeprefix("ipc://"))
         except BlockingIOError:
-            # somebody has it and is not fast enough to take all that connect
+            # Another process has it, and is not fast enough to serve all that connect.
             return True
         except OSError:
             return False

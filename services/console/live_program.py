@@ -107,11 +107,21 @@ def run_program(
 ) -> AfmProgram:
     """Begin a program at the instrument of a running rig and collect what comes of it until it is over.
 
-    Parameters: site, at which this runs; parameters of the `set` that begins it; on_report, called with each report of
-    the program, and several times a second without a new one: what it returns (pause, resume, abort or nothing) is
-    sent. Ctrl-C and SIGTERM end the program and retract the tip; at a second one the end is not waited for.
-    Returns: the last report. Raises: RigError when no rig is there, the program is refused, or the instrument falls
-    silent.
+    Ctrl-C and SIGTERM end the program and retract the tip; a second one does not wait for the end.
+
+    Args:
+        site_file: The site file of the rig.
+        site: The site at which this runs.
+        parameters: The parameters of the `set` that begins the program.
+        collected: Collects what the program measures.
+        on_report: Called with each report of the program, and several times a second without a new one; what it returns
+            (pause, resume, abort or nothing) is sent.
+
+    Returns:
+        The last report.
+
+    Raises:
+        RigError: No rig is there, the program is refused, or the instrument falls silent.
     """
     topics = (*_TOPICS, "afm/state") if isinstance(collected, LiveCurve) else _TOPICS
     book = load_site(site_file)
@@ -139,7 +149,7 @@ def _aborted(listener: "_Listener", send: Callable[[str], None]) -> AfmProgram:
             try:
                 send("abort")
             except RigError:
-                # what is over by itself cannot be aborted
+                # A program that is over cannot be aborted.
                 if not listener.is_over():
                     raise
         return listener.listen(lambda report: "", lambda word: None)
@@ -179,7 +189,7 @@ class _Listener:
 
     def _take(self, message: object) -> None:
         if isinstance(message, AfmProgram):
-            # what was over before this one began
+            # The report is that of an earlier program, which was over before this one began.
             if self.report is None and message.state in ("finished", "ended"):
                 return
             self.report, self._heard_s = message, time.monotonic()

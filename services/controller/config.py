@@ -122,11 +122,12 @@ class _OwnSections(Settings):
         return TimingParams(round(1e9 * self.period_s), longest, local_ns if self.local_loop else 0)
 
 
-# keys of the section, and methods of its class; laws of installed packages (entry points `telenano.laws`)
+# Packages may not use the keys of the section, nor the methods of its class; laws of installed packages have the entry
+# point `telenano.laws`.
 TAKEN = frozenset({*OWN_LAWS, *_OwnSections.model_fields, *dir(_OwnSections)})
 PACKAGE_LAWS = load("laws", _with_own_parameters, TAKEN)
 LAWS: dict[str, Law] = {**OWN_LAWS, **PACKAGE_LAWS.found}
-# the hand follows the surface and does not move the tip: no loop, nothing for a study of loops
+# Under the tactile law the hand follows the surface and does not move the tip, so that there is no loop to study.
 KNOWN_LAWS: dict[str, Law] = {**LAWS, TACTILE.name: TACTILE}
 
 if TYPE_CHECKING:

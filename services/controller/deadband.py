@@ -90,7 +90,7 @@ def deadband(params: DeadbandParams, state: DeadbandState, signal: PortSignal, d
     send = (
         not params.enabled
         or state.since_s < 0.0
-        # rounding of a sum of periods is not to cost a period
+        # Rounding in a sum of periods must not cost a period.
         or since_s >= params.keep_alive_s * (1.0 - 1e-9)
         or signal.active != last.active
         or signal.in_contact != last.in_contact

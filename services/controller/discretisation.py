@@ -27,17 +27,21 @@ class Discretisation(NamedTuple):
 def exact_discretisation(mass: float, damping: float, stiffness: float, period_s: float) -> Discretisation:
     """Return the step of M x'' + B x' + K x = u over a period [s] for u held, each figure the double nearest to it.
 
-    Parameters: mass [kg], > 0; damping [N s/m], >= 0; stiffness [N/m], >= 0; period_s, > 0; all finite.
-
     phi = exp(A T) with A = [[0, 1], [-K/M, -B/M]], gamma = psi [0, 1/M]' with psi the integral of exp(A t) from 0 to T.
     Taylor's series gives both for a part T / 2^n; then psi(2 t) = psi(t) (1 + phi(t)), phi(2 t) = phi(t)^2, n times.
+
+    Args:
+        mass: The mass M [kg], finite, > 0.
+        damping: The damping B [N s/m], finite, >= 0.
+        stiffness: The stiffness K [N/m], finite, >= 0.
+        period_s: The period T [s], finite, > 0.
     """
     with localcontext(Context(prec=_DIGITS, rounding=ROUND_HALF_EVEN, Emin=MIN_EMIN, Emax=MAX_EMAX)) as context:
         spring, damper = Decimal(stiffness) / Decimal(mass), Decimal(damping) / Decimal(mass)
         step, doublings = Decimal(period_s), 0
         while (spring.sqrt() + damper) * step > _LARGEST_STEP:
             step, doublings = step / 2, doublings + 1
-        # each doubling may cost a bit
+        # Each doubling may cost a bit.
         context.prec += doublings // 3
         phi, psi = _series((Decimal(0), Decimal(1), -spring, -damper), step)
         for _ in range(doublings):
@@ -59,7 +63,7 @@ def decay(ratio: float) -> float:
 def approach(ratio: float) -> float:
     """Return 1 - exp(-ratio), the double nearest to it: the share of a first-order step; ratio [1], >= 0."""
     exact = Decimal(ratio)
-    # as many more digits as the difference from 1 loses
+    # The difference from 1 loses so many digits, so as many more are computed.
     lost = max(0, -exact.adjusted()) if exact.is_finite() else 0
     with localcontext(Context(prec=_DIGITS + lost, Emin=MIN_EMIN, Emax=MAX_EMAX)):
         return float(1 - (-exact).exp())

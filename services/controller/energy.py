@@ -16,7 +16,7 @@ from typing import NamedTuple
 from services.controller.law import EnergyAccount
 from services.numerics.compiled import compiled
 
-# rounding of sums of millions of terms, and no more
+# The tolerance covers the rounding in sums of millions of terms, and no more.
 TOLERANCE_J = 1e-9
 
 

@@ -74,7 +74,8 @@ class ControllerHalf(Node):
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
-        # x and y, which no law knows: what this half tells of its device [m], and what the other one sent last
+        # x and y, which no law knows: the values that this half reports of its device [m], and those that the other one
+        # sent last.
         self.lateral_m = self.far_lateral = ZERO_XY
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
@@ -95,7 +96,7 @@ class ControllerHalf(Node):
         changed = self.config.model_copy(update={"law": law.name})
         try:
             warm_up(law, changed.params(), changed)
-        # whatever the code of somebody else raises; it must not end a session that does without it
+        # The code of a package may raise anything; it must not end a session that does without it.
         except Exception as error:
             if law.name not in PACKAGE_LAWS.found:
                 raise
@@ -214,7 +215,8 @@ class ControllerHalf(Node):
             return False
         # F_s is the reaction along +z, F_m the push along -z
         force_n, separation_m, separation_valid, in_contact = to_paper_axis(message.force_n), 0.0, False, False
-        # the classes of messages answer `isinstance` in Python, which takes longer than all of this
+        # `isinstance` is avoided because the classes of messages answer it in Python, which takes longer than all of
+        # this.
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
             # the master's half: the lateral force on the tip [N]
@@ -240,7 +242,7 @@ class ControllerHalf(Node):
         """Return the newest signal with the time of silence since."""
         if self.heard.received_ns < 0:
             return NO_SIGNAL
-        # its last two fields are anew with each look; `_replace` takes five times as long
+        # The last two fields change with each look; `_replace` takes five times as long.
         return PortSignal(*self.signal[:-2], self._silence_s(), self.round_trip_s()[0])
 
     def round_trip_s(self) -> tuple[float, bool]:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from services.numerics.compiled import inlined
 
-# what `periods_to` returns where the sequence of samples begins, or begins anew
+# `periods_to` returns this where the sequence of samples begins, or begins anew.
 ANEW = -1
 # a sample moves the grid by this share of what it is off, because even the first one may have been late
 _SHARE = 64
@@ -31,11 +31,15 @@ def periods_to(clock: HandClock, sampled_ns: int, period_ns: int, longest: int) 
     twice. To round each difference of two stamps by itself would count 2, 1, 1 periods for the three from 0 by 1.6 and
     2.4 to 3.0 ms. After a sample that was late by more than half a period the next one is none later: 0.
 
-    Parameters: sampled_ns, the stamp of the sample [ns]; longest, the longest pause that is bridged [periods].
+    Args:
+        clock: The clock at the sample before.
+        sampled_ns: The stamp of the sample [ns].
+        period_ns: The period of the hand [ns].
+        longest: The longest pause that is bridged [periods].
     """
     if 0 <= clock.sampled_ns < sampled_ns:
         since_ns = sampled_ns - clock.grid_ns
-        # the common case first: a division takes as long as all the rest in compiled code
+        # The common case comes first: in compiled code a division takes as long as all the rest.
         periods = 1 if since_ns == period_ns else max(0, (since_ns + period_ns // 2) // period_ns)
         if periods <= longest:
             off_ns = since_ns - periods * period_ns

@@ -39,7 +39,7 @@ from services.controller.hand_periods import ANEW, HandClock, no_sample, periods
 from services.controller.law import paced
 from services.numerics.compiled import inlined
 
-# what the slave half does about a state of the instrument, or about one that has not come
+# The slave half does one of these on a state of the instrument, or when none has come.
 NOTHING, ACCOUNT, ANSWER, ANSWER_EARLY, GO_ON = 0, 1, 2, 3, 4
 _NEVER_NS = -1
 # the place among the steps of commands where those that are no longer told apart are added up
@@ -128,14 +128,19 @@ def master_sampled(
     A sample that the device only repeats is none: the law does not step, and the next one bridges the gap. To join the
     old position anew would leave tip and hand apart by the way in between, for the rest of the session.
 
-    Parameters: repeated, by a device that has nothing newer; commanded, whether the sample settled what was due.
+    Args:
+        timing: The timing before the sample.
+        params: The parameters of timing.
+        sampled_ns: The stamp of the sample [ns].
+        repeated: Whether a device that has nothing newer repeats the sample.
+        commanded: Whether the sample settled what was due.
     """
     if repeated:
         return timing, Sampled(False, 0, not commanded and timing.hand.sampled_ns >= 0)
     hand, periods = periods_to(timing.hand, sampled_ns, params.period_ns, params.longest_periods)
     begins = periods == ANEW
     if periods == 0:
-        # the sample before was late, and its step was that of both: a step more would be a period too many
+        # The sample before was late, and its step was that of both: another step would be a period too many.
         return MasterTiming(hand, timing.heard, timing.due), Sampled(False, 0, not commanded)
     # After a pause the law goes on from its own state: a hand that was restarted is off, and a law stays with an off
     # hand, while one that was only held up finds its reference where it was.
@@ -220,8 +225,12 @@ def slave_signalled(
 ) -> tuple[SlaveTiming, bool]:
     """Return the timing at a signal that came at received_ns [ns], and whether the half begins anew.
 
-    Parameters: hand_ns, the stamp of the hand's sample that the signal descends from [ns]; understood, whether it is of
-    the law in force: any other counts as silence.
+    Args:
+        timing: The timing before the signal.
+        params: The parameters of timing.
+        received_ns: When the signal came [ns].
+        hand_ns: The stamp of the hand's sample that the signal descends from [ns].
+        understood: Whether the signal is of the law in force; any other counts as silence.
     """
     hand, periods = periods_to(timing.hand, hand_ns, params.period_ns, params.longest_periods)
     heard = Heard(received_ns, hand_ns) if understood else timing.heard
@@ -266,8 +275,13 @@ def slave_measured(
 ) -> tuple[SlaveTiming, Settled]:
     """Return what follows from a state of the instrument in which it has carried out the command of a number.
 
-    Parameters: held, the half stands still while the law changes; follows, the newest signal is active and so is the
-    instrument, so that a half with a local loop goes on.
+    Args:
+        timing: The timing before the state of the instrument.
+        params: The parameters of timing.
+        now_ns: The time now [ns].
+        number: The number of the command that was carried out.
+        held: Whether the half stands still while the law changes.
+        follows: Whether the newest signal and the instrument are active, so that a half with a local loop goes on.
     """
     c, heard = timing.commands, timing.heard
     later = c.newest - number

@@ -193,9 +193,14 @@ _ACCOUNTS = ("master_energy_account", "slave_energy_account")
 def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **flags: bool) -> Law:
     """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
 
-    Parameters: module, the `__name__` of the module, which calls this below its last step; slave, a module that has the
-    steps of the slave half, where that is not the same one; flags, those of `Law`.
-    Raises: AttributeError naming a step that is missing.
+    Args:
+        module: The `__name__` of the module, which calls this below its last step.
+        config: The model of the law's section.
+        slave: The module with the steps of the slave half, if that is another one.
+        flags: The flags of `Law`.
+
+    Raises:
+        AttributeError: A step is missing; the message names it.
     """
     own = sys.modules[module]
     values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
@@ -218,7 +223,7 @@ def checked_law(name: str, value: Any) -> Law:
     return value
 
 
-# what every section of a law has, for those who do not know the law
+# Every section of a law has these fields, so code that does not know the law may use them.
 _SHARED_FIELDS = ("position_scale", "force_scale", "silence_limit_s")
 
 # the most periods of one step of the slave half: its force is that of the beginning
@@ -229,12 +234,14 @@ MOST_PERIODS_A_STEP = 3
 def paced(behind: int, elapsed: int, silent: int) -> tuple[int, int]:
     """Return how many periods the slave half is behind the hand after its next step, and the periods of that step.
 
-    Parameters: behind, before it (negative: ahead); elapsed, periods of the hand that a signal brings, 0 for a step
-    between signals; silent, whole periods since the last signal.
-
     Its calls come with signals that are late, lost and overtaken, and from an instrument that waits a period and a half
     for the next: they are no clock. So a step is as many periods long as the half is behind, and none long between
     signals if it is not.
+
+    Args:
+        behind: How many periods the half is behind the hand before the step; negative is ahead.
+        elapsed: The periods of the hand that a signal brings, 0 for a step between signals.
+        silent: The whole periods since the last signal.
     """
     behind += elapsed
     periods = min(max(behind + silent, 1 if elapsed > 0 else 0), MOST_PERIODS_A_STEP)

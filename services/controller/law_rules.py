@@ -19,11 +19,11 @@ _TIP = TipMeasurement(
     base_position_m=1.1e-8, force_n=7e-9, separation_m=1e-10, separation_valid=True, in_contact=True, following=True
 )
 _PERIOD_S = 1e-3
-# of the same place, after rounding
+# Two positions this close are the same one, after rounding.
 _SAME_PLACE_M = 1e-20
-# no further than its speed and a force of 10 N take the hand in a period
+# The speed of the hand and a force of 10 N take it no further than this in a period.
 _HAND_JUMP_M, _HAND_JUMP_M_PER_S = 2.5e-5, 0.05
-# what 0.7 N at the hand's scale moves a base through a damper of 30 N s/m in a period
+# A force of 0.7 N at the hand's scale moves a base through a damper of 30 N s/m this far in a period.
 _TIP_JUMP_M = 0.7 / 30.0 * _PERIOD_S * 1.5e-6 * 1.001
 _HOLD_S, _SPRING_N_PER_M, _HOLD_SHARE = 4.0, 20.0, 0.06
 _CORNER_SEED, _CORNER_CASES = 1, 8
@@ -53,7 +53,7 @@ def broken_rules(name: str) -> dict[str, list[str]]:
     for rule in RULES:
         try:
             found[rule.name] = list(rule.broken_by(name))
-        # whatever a law of somebody else raises is a finding of the rule
+        # Anything that the law of a package raises is a finding of the rule.
         except Exception as error:  # noqa: BLE001
             found[rule.name] = [f"fails: {type(error).__name__}: {error}"]
     return found

@@ -60,12 +60,12 @@ from services.runtime.loop.node_state import FindInput
 
 MASTER_INPUTS = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
 SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
-# a program that says nothing for so long is over [ns]: it reports ten times a second
+# A program that is silent for so long is over [ns]: it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000
 _NO_COMMAND = -2
-# a hand whose device is lost is that of an inactive site; a simulated device says nothing
+# A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")
-# while the other half is waited for, the hand comes to rest like a virtual mass that is left alone
+# The hand comes to rest like a free virtual mass while this half waits for the other one.
 _COASTING_S = 0.005
 
 
@@ -111,7 +111,7 @@ class MasterController(ControllerHalf):
     """
 
     inputs, state_kind = MASTER_INPUTS, MasterState
-    # the tick then is with the slave's side
+    # After this the tick is at the slave's side.
     idle_after = "haptic/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
@@ -298,7 +298,7 @@ class SlaveController(ControllerHalf):
     """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
 
     inputs, state_kind = SLAVE_INPUTS, SlaveState
-    # the tick then goes through the link, which may share its processor
+    # After this the tick is in the link, which may share its processor.
     idle_after = "afm/state"
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
@@ -310,7 +310,7 @@ class SlaveController(ControllerHalf):
         self._instrument_ns = 0
         self._instrument_lost = False
         self._lateral_n = ZERO_XY
-        # until when the instrument images or measures by itself, and obeys no hand
+        # The instrument images or measures by itself until then, and obeys no hand.
         self._occupied_until_ns = 0
 
     def capture(self) -> SlaveState:
@@ -388,7 +388,7 @@ class SlaveController(ControllerHalf):
 
     def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
         if self.timing.commands.waiting:
-            # the instrument has not answered the last tick: its newest sample has to do, for as long as it is fresh
+            # The instrument has not answered the last tick, so its newest sample is used for as long as it is fresh.
             self._doubt_instrument()
         early = self.law.local_loop and not self._instrument_lost and not self.switching
         self.timing, settled = slave_unanswered(self.timing, early)

@@ -13,7 +13,7 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     """Bind a publisher at each site and subscribe to the nodes of both."""
     if changes := changes_text(settings):
         wiring.log.warning(changes)
-    # the publishers first: they are what may fail
+    # The publishers come first, because they may fail.
     to_master, to_slave = (wiring.bind(f"delay_node@{site}", batched=True) for site in ("master", "slave"))
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():

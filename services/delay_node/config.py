@@ -29,7 +29,7 @@ Seconds = Annotated[float, Field(ge=0.0, le=LONGEST_S)]
 Interval = Annotated[float, Field(ge=1e-6, le=LONGEST_S)]
 # An integer that goes into link/status.
 _MOST = 2**63 - 1
-# What link/status has room for, in each direction: keys that are set, and the bytes of these and of texts.
+# link/status has room for so much in each direction: keys that are set, and the bytes of these and of texts.
 _MOST_BYTES = MAX_MESSAGE_BYTES // 4
 
 
@@ -276,7 +276,7 @@ class DirectionSettings(Impairment):
     def _consistent(self) -> "DirectionSettings":
         section = self.model_dump()
         faults = [
-            # each at the key at fault, not at the section, which is what a plain ValueError would name
+            # Each error names the key at fault; a plain ValueError would name the section.
             InitErrorDetails(type=PydanticCustomError("value_error", "{text}", {"text": text}), loc=path, input=section)
             for path, text in self._problems()
         ]
@@ -347,7 +347,7 @@ class LinkSettings(Settings):
 
     @model_validator(mode="after")
     def _reportable(self) -> "LinkSettings":
-        # What is set is reported ten times a second: it has to fit.
+        # The settings are reported ten times a second, so they have to fit.
         settings = flattened(self, only_set=True)
         for way in ("forward", "backward"):
             texts = [f"{key}{value}".encode() for key, value in settings.items() if key.startswith(f"{way}.")]
@@ -362,7 +362,9 @@ class LinkSettings(Settings):
 def parse_settings(tree: Mapping[str, Any], origin: str = "link settings") -> LinkSettings:
     """Validate a nested mapping, such as the section `delay_node` of a scenario.
 
-    Raises: ConfigError with one line for each wrong key: origin, dotted key, what is wrong, the value given.
+    Raises:
+        ConfigError: Keys are wrong; the message has a line for each, with origin, dotted key, what is wrong, and the
+            value given.
     """
     return validate(LinkSettings, tree, origin)
 
@@ -373,7 +375,8 @@ def changed(settings: LinkSettings, flat: Mapping[str, Setting]) -> LinkSettings
     `profile` drops everything but the seed and starts from the named profile; the other keys of the same request are
     laid over it. The text `none` stands for a missing value. `forward.topics.afm/state.delay_s` addresses a topic.
 
-    Raises: ConfigError naming the key; the settings given stay as they were.
+    Raises:
+        ConfigError: A key is wrong, which the message names; the settings given stay as they were.
     """
     kept: dict[str, Any] = {"seed": settings.seed} if "profile" in flat else settings.model_dump(exclude_unset=True)
     change = nested({key: None if value == "none" else value for key, value in flat.items()}, "session/control")

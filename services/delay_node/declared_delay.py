@@ -42,7 +42,7 @@ class DeclaredDelay(msgspec.Struct, array_like=True):
         try:
             hand_t_ns = decode_header(release.topic, release.payload)[1].get("hand_t_ns")
         except WireError:
-            # it was corrupted on its way: its readers refuse it
+            # The message was corrupted on its way, and its readers reject it.
             return False
         if type(hand_t_ns) is not int or hand_t_ns < 0:
             return False

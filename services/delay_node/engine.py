@@ -16,7 +16,7 @@ from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
 from services.runtime.loop.node_state import FindInput
 
-# a day: no setting asks for more than an hour, but a heavy tail may draw anything
+# The limit is a day: no setting asks for more than an hour, but a heavy tail may draw anything.
 _LONGEST_DELAY_NS = 86_400_000_000_000
 
 
@@ -85,7 +85,8 @@ class DirectionEngine:
 
         With `keep_fates` the caller has to call `take_fates` regularly.
 
-        Raises: ConfigError naming file and line, for a file that cannot be used.
+        Raises:
+            ConfigError: A file cannot be used; the message names file and line.
         """
         self._direction: Direction = direction
         self._folder = folder
@@ -150,7 +151,8 @@ class DirectionEngine:
     def files_of(self, settings: LinkSettings) -> dict[str, Files]:
         """Read the files that the settings name: the first half of a change, the one that may fail.
 
-        Raises: ConfigError naming file and line.
+        Raises:
+            ConfigError: A file cannot be used; the message names file and line.
         """
         direction: DirectionSettings = getattr(settings, self._direction)
         return read_files(direction, self._folder, self._direction)
@@ -165,7 +167,8 @@ class DirectionEngine:
         self._advance(now_ns)
         old = self._pipeline.shared_models
         self._pipeline.adopt(settings, files, now_ns)
-        # opened again at once: what a topic has after a change follows from the settings and from what it had before
+        # The pipelines open again at once: the state of a topic after a change follows from the settings and from its
+        # state before.
         self._topic_pipelines = {topic: self._pipeline.of_topic(topic) for topic in self._topic_pipelines}
         self._pipeline.forget_unused()
         self._queues = self._all_queues()
@@ -202,8 +205,9 @@ class DirectionEngine:
     def restore(self, state: DirectionState, settings: LinkSettings, find: FindInput) -> None:
         """Go on from a state, which had these settings.
 
-        Raises: ConfigError for a file that cannot be used, KeyError, ValueError or TypeError when the state is not one
-        of this engine.
+        Raises:
+            ConfigError: A file cannot be used.
+            KeyError: The state is not one of this engine; ValueError and TypeError mean the same.
         """
         files = self.files_of(settings)
         pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)
@@ -214,7 +218,7 @@ class DirectionEngine:
         self._queues = self._all_queues()
         self._now_ns, self._arrivals, self._pushed = state.now_ns, state.arrivals, state.pushed
         self._figures, self._fates = state.figures, state.fates
-        # in the order of the heap that it was
+        # The entries keep the order of the heap, so that the list is a heap again.
         self._heap = []
         for release_ns, pushed, damaged, fate in state.in_flight:
             payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
@@ -228,7 +232,7 @@ class DirectionEngine:
     def _captured(self, message: InFlight) -> Queued:
         pipeline, order, seq, copy, payload, *rest = message
         topic, now = pipeline.topic, self._topic_pipelines[pipeline.topic]
-        # all that its way from the queue on depends on
+        # The way of a message from the queue on depends on these settings only.
         if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
             raise ValueError(f"a message on {topic} waits under an order or slots that are no longer in force")
         damaged = payload if message.corrupted else b""
@@ -342,7 +346,7 @@ class DirectionEngine:
         """Put a message into the queue, or schedule it at once where it bypasses the queue."""
         pipeline = message.pipeline
         queue = pipeline.shared.queue
-        # Where order is asked for nobody leaves the line, not even a message that passes untouched.
+        # With order, no message leaves the line, not even one that passes untouched.
         if queue is None or (bypass and not pipeline.ordered):
             past_queue = queue is not None and queue.holds_before(pipeline.topic, message.order)
             self._schedule(message, message.ready_ns, message.arrived_ns, past_queue=past_queue)
@@ -410,10 +414,11 @@ class LinkEngine:
     ) -> None:
         """Start with the settings at start_ns [ns], the origin of outage schedules, traces and slots.
 
-        Raises: ConfigError naming file and line, for a file that cannot be used.
+        Raises:
+            ConfigError: A file cannot be used; the message names file and line.
         """
         self.settings = settings
-        # of the settings in force, None for those that it was built with: to write them down takes longer than to ask
+        # Settings changed since the start, as a dict; cached because dumping the model is slow.
         self._changed_settings: dict[str, Any] | None = None
         self.forward = DirectionEngine("forward", settings, start_ns, folder=folder, keep_fates=keep_fates)
         self.backward = DirectionEngine("backward", settings, start_ns, folder=folder, keep_fates=keep_fates)
@@ -421,7 +426,8 @@ class LinkEngine:
     def reconfigure(self, settings: LinkSettings, now_ns: int) -> None:
         """Apply new settings to the messages that arrive from now on; those in flight keep their fate.
 
-        Raises: ConfigError naming file and line, for a file that cannot be used; the old settings stay.
+        Raises:
+            ConfigError: A file cannot be used; the message names file and line, and the old settings stay.
         """
         files = [(engine, engine.files_of(settings)) for engine in (self.forward, self.backward)]
         for engine, read in files:
@@ -436,8 +442,9 @@ class LinkEngine:
     def restore(self, state: LinkState, find: FindInput) -> None:
         """Go on from a state; `find` returns the payloads of what is in flight.
 
-        Raises: ConfigError for a file that cannot be used, KeyError, ValueError or TypeError when the state is not one
-        of this engine.
+        Raises:
+            ConfigError: A file cannot be used.
+            KeyError: The state is not one of this engine; ValueError and TypeError mean the same.
         """
         self._changed_settings = state.settings
         if self._changed_settings is not None:
@@ -469,7 +476,8 @@ def fates_of(
     For simulations that need the delays of the link beforehand: seq counts from 0, the origin of traces and
     schedules is the first arrival, arrivals_ns must not decrease.
 
-    Raises: ConfigError for a file that cannot be used.
+    Raises:
+        ConfigError: A file cannot be used.
     """
     arrivals = list(arrivals_ns)
     if not arrivals:
@@ -483,7 +491,7 @@ def fates_of(
 
 
 def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
-    # No network delivers before it has received: what a wide jitter takes below zero stays at zero.
+    # No network delivers before it has received: a delay that a wide jitter takes below zero stays at zero.
     return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter())), _LONGEST_DELAY_NS)
 
 

@@ -26,9 +26,9 @@ from services.runtime.loop.node_state import FindInput
 STATUS_PERIOD_NS = 100_000_000
 # exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
 _CLOCK_WINDOW = 64
-# rows of ground truth that make a message worth sending
+# So many rows of ground truth make a message worth sending.
 _FATES_AT_ONCE = 32
-# rows that fit into a message with room to spare
+# So many rows fit into a message, with a margin.
 _MOST_FATES = 1000
 
 
@@ -76,7 +76,7 @@ class DelayNode(Node):
     inputs = ("session/control",)
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # the tick then is with the master's side
+    # After this the tick is at the master's side.
     idle_after = "teleop/backward"
     acts_on_health = True
     state_kind = DelayNodeState
@@ -94,8 +94,16 @@ class DelayNode(Node):
     ) -> None:
         """Start with the settings; the files that they name are sought in `folder`.
 
-        Parameters: spans_machines, the sites have clocks of their own and a network between them.
-        Raises ConfigError naming file and line, for a trace that cannot be used.
+        Args:
+            context: The context of the node.
+            settings: The settings of the link.
+            to_slave: The end at the slave's site.
+            to_master: The end at the master's site.
+            folder: The folder in which the files of the settings are sought.
+            spans_machines: Whether the sites have clocks of their own and a network between them.
+
+        Raises:
+            ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context)
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=True)
@@ -103,17 +111,17 @@ class DelayNode(Node):
         self._backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
         self._ways = (self._forward, self._backward)
         self._forwarded = {way.endpoint: 0 for way in self._ways}
-        # of each topic the newest message that was sent on
+        # The newest message that was sent on, by topic.
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
         self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
         self._between = ONE_MACHINE
         self._spans_machines = spans_machines
         self._unreported = 0
-        # what happened to the messages of each direction
+        # These tasks report what happened to the messages of each direction.
         self._fates: tuple[Task, ...] = tuple(partial(self._publish_fates, way) for way in self._ways)
-        # with the state of the link, its delays, which readers that came later need and which the clocks change, and
-        # the next exchange of time stamps
+        # The report has the state of the link as well, its delays, which late readers need and which the clocks change,
+        # and the next exchange of time stamps.
         self._report = (*self._fates, self._publish_status, self._declare_forward, self._declare_backward, self._ping)
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"

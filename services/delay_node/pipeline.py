@@ -123,7 +123,9 @@ class InFlight(NamedTuple):
 def read_files(settings: DirectionSettings, folder: Path, prefix: str) -> dict[str, Files]:
     """Read the files that the settings of a direction name, by topic pattern (empty: its own).
 
-    Raises: ConfigError naming the key, which begins with `prefix`, the file and the line.
+    Raises:
+        ConfigError: A file cannot be used; the message names the key, which begins with `prefix`, the file and the
+            line.
     """
     return {
         pattern: _read(settings.block(pattern), folder, f"{prefix}.topics.{pattern}." if pattern else f"{prefix}.")
@@ -201,7 +203,9 @@ class Pipeline:
     def restore(self, state: PipelineState, settings: LinkSettings, files: dict[str, Files]) -> None:
         """Go on from a state, with the topics open that were; those have to be opened again afterwards.
 
-        Raises: KeyError, ValueError or TypeError when it is not one of a pipeline with these settings and topics.
+        Raises:
+            KeyError: The state is not one of a pipeline with these settings and topics; ValueError and TypeError mean
+                the same.
         """
         for names, drawn in state.drawn:
             self._stream(*names).advance_to(drawn)
@@ -212,7 +216,7 @@ class Pipeline:
             else:
                 model.state = kept.like(model.state)
         self._progress.update(state.latest_release)
-        # what a block has of its models by value
+        # Blocks copy some values of their models, so they adopt the settings here.
         self._adopt(settings, files, 0)
 
     def _adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:

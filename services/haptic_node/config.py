@@ -302,7 +302,7 @@ class InteractiveConfig(Settings):
 if TYPE_CHECKING:
     OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig | InteractiveConfig, Field(discriminator="kind")]
 else:
-    # with those of installed packages
+    # The kinds include those of installed packages.
     _KINDS = (ForceProfileConfig, ImpedanceConfig, InteractiveConfig)
     _KINDS += tuple(model.config for model in OPERATOR_MODELS.found.values())
     _KINDS += tuple(unusable_config(name, problem) for name, problem in OPERATOR_MODELS.problems.items())
@@ -391,7 +391,7 @@ class _OwnSections(Settings):
 
 
 _OWN_DRIVERS = ("simulated", "serial")
-# keys of the section, and methods of its class
+# Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
 DRIVERS = drivers_of("haptic_node", TAKEN)
 

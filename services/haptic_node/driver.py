@@ -33,7 +33,7 @@ class Capabilities(NamedTuple):
     modes: tuple[int, ...]
     identity: str = ""
     force_source: Literal["sensor", "estimate", "none"] = "sensor"
-    # from a command to the tick that publishes its effect, in the mean, beyond that of the simulated device
+    # The mean time from a command to the tick that publishes its effect, beyond that of the simulated device [s].
     latency_s: float = 0.0
     # identity of the calibration in use
     calibration: str = ""
@@ -94,22 +94,32 @@ class HapticDevice(Protocol):
         """Return how the device was at the last reading; None if it is simulated."""
 
     def open(self) -> None:
-        """Connect and come up in the safe state. Raises DeviceError saying what is missing."""
+        """Connect and come up in the safe state.
+
+        Raises:
+            DeviceError: The device is not ready; the message says what is missing.
+        """
 
     def close(self) -> None:
         """Switch the drive off and disconnect; harmless when already closed."""
 
     def write(self, command: DriveCommand) -> None:
-        """Write the command of this period, without waiting. Raises DeviceError if not open or not a mode of its own.
+        """Write the command of this period, without waiting.
 
         A device that is lost raises nothing: its report says so.
+
+        Raises:
+            DeviceError: The device is not open, or the mode is none of its own.
         """
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Return the newest sample of the device, without waiting. Raises DeviceError if not open.
+        """Return the newest sample of the device, without waiting.
 
         session_time_s (negative: not started) and dt_s (since the previous reading, > 0) are for a device whose hand is
         simulated; one with a real hand does not need them.
+
+        Raises:
+            DeviceError: The device is not open.
         """
 
     def make_safe(self) -> None:

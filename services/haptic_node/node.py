@@ -28,10 +28,10 @@ from services.runtime.loop.replay_guard import ReplayGuard
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
 PERIOD_S = 1e-3
 _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
-# what acts on the way to the device without being a change of its mode
+# These reasons limit the command without changing the mode of the device.
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
-# a sample of a real device that is younger has nothing to be said about
+# A younger sample of a real device needs no remark.
 _FRESH_S = 2 * PERIOD_S
 
 
@@ -77,7 +77,7 @@ class HapticNode(Node):
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # the tick is then with the master's half, and soon with the slave's side
+    # After this the tick is in the master's half, and soon at the slave's side.
     idle_after = ""
     period_s = PERIOD_S
     state_kind = HapticNodeState
@@ -106,7 +106,7 @@ class HapticNode(Node):
         self._device_text = ""
         self._device_status: Status = "ok"
         self._report_device(device.report)
-        # compile before the grid starts, not in its first tick
+        # The steps are compiled before the grid starts, not in its first tick.
         self._guarded()
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
 
@@ -146,7 +146,7 @@ class HapticNode(Node):
     def on_deadline(self, now_ns: int) -> None:
         """Guard the command, drive and sample the device, publish what it did."""
         if self.begin_turn(now_ns):
-            # the command in force, and whatever came in with it
+            # The command in force is dropped, and the force of the operator with it.
             self._memory.command, self._memory.operator_force_n = None, 0.0
         periods = self._grid.advance(now_ns)
         self.freshness.turn_ns = self._grid.deadline_ns
@@ -207,7 +207,7 @@ class HapticNode(Node):
         """Let the simulated hand hold the newest force, or none where that is too old: its page may be gone."""
         if self._force_deadline_s is None or not isinstance(self.device, PushedDevice):
             return
-        # by its reception: the page and the rig may have been started with different clocks
+        # The age counts from the reception, because the page and the rig may have been started with different clocks.
         fresh = age_s(self.clock.now_ns(), self._memory.operator_force_ns) <= self._force_deadline_s
         force_n = self._memory.operator_force_n if fresh else 0.0
         if force_n != self._memory.pushed_n:
@@ -231,7 +231,7 @@ class HapticNode(Node):
             device_lost=self._device_status == "lost",
         )
         self._memory.estop_requested = self._memory.arm_requested = False
-        # one period of motion at most, however long the process was held up: no jump at the hand
+        # The step covers one period of motion, however long the process stalled, so that the hand feels no jump.
         self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, PERIOD_S)
         return applied
 

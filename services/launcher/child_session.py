@@ -16,8 +16,14 @@ def run_session(
 
     Ctrl-C and SIGTERM at this process end the session as Ctrl-C at its own terminal does: the devices are made safe and
     the recording is complete before the interruption goes on.
-    Parameters: most_s, how long it may take [s]; progress, called twice a second with the time so far [s].
-    Raises: TimeoutError when it takes longer, after it has ended.
+
+    Args:
+        command: The command and its arguments.
+        most_s: How long the session may take [s].
+        progress: Called twice a second with the time so far [s].
+
+    Raises:
+        TimeoutError: The session took longer; it has ended.
     """
     begun_s = time.monotonic()
     pipe = subprocess.PIPE

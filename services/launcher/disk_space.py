@@ -7,7 +7,7 @@ from services.launcher.plan import Plan
 from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import free_bytes
 
-# what a whole rig records a second, by compression; measured, with a fifth to spare
+# A whole rig records so much in a second, by compression; the figures are measured, with a margin of a fifth.
 _BYTES_PER_S = {"zstd": 600_000, "lz4": 1_200_000, "none": 3_500_000}
 
 

@@ -8,7 +8,7 @@ from recording.reader import Recording
 from services.runtime.loop.clock import Clock
 from services.runtime.loop.commands import Command
 
-# time for the recorder's first report once everything else is ready: it reports twice a second
+# The recorder's first report may take so long once everything else is ready; it reports twice a second.
 _RECORDER_WAIT_NS = 3_000_000_000
 
 

@@ -7,7 +7,8 @@ from services.runtime.loop.clock import Clock
 
 # node/health comes twice a second
 NODE_TIMEOUT_S = 3.0
-# shorter than that of a node, so that a pulled cable is reported as one silent site and not as one node after the other
+# The time is shorter than that of a node, so that a pulled cable is reported as one silent site and not as one node
+# after the other.
 SITE_TIMEOUT_S = 2.0
 # a site that is started again does not have all its nodes at once
 _RETURN_GRACE_S = 20.0
@@ -81,7 +82,7 @@ class LivenessMonitor:
             return [Change(self.site_name, self._nodes, False, 0, 0.0, first=True)]
         changes = self._check_one(self.site_name, self._nodes, max(self._last_seen_ns.values()), SITE_TIMEOUT_S)
         if changes and changes[0].silent:
-            # what was missing before is now part of the whole
+            # Nodes that were missing before are now part of the silent site.
             self._silent_ns = {self.site_name: self._silent_ns[self.site_name]}
         elif changes:
             self._returned_ns = max(self._last_seen_ns.values())

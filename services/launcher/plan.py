@@ -133,7 +133,7 @@ class Plan:
     attach: bool = False
     wait_s: float | None = None
     page: bool = False
-    # the file that was given; the effective scenario is written only where nodes are started from it
+    # The file that was given; the effective scenario is written only where nodes are started from it.
     given: Path = Path()
 
     @property
@@ -177,7 +177,8 @@ class Plan:
     def prepare_folder(self) -> None:
         """Create the folder, delete the files of an earlier session if `overwrite`, and write the scenario.
 
-        Raises: RigError when the folder cannot be written.
+        Raises:
+            RigError: The folder cannot be written.
         """
         try:
             self.out.mkdir(parents=True, exist_ok=True)

@@ -24,7 +24,7 @@ GRACE_S = 8.0
 LINGER_GRACE_S = LINGER_S + 2.0
 # a recorder on a machine that was too busy has to write what still waits for it
 RECORDER_GRACE_S = 30.0
-# how often a process that is waited for is looked at
+# A process that is waited for is polled at this interval.
 _WAIT_S = 0.02
 _TAIL_BYTES = 16_384
 _TAIL_LINES = 6

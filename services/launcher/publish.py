@@ -11,7 +11,7 @@ from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.participant import open_participant
 from services.runtime.settings.config import flag_overrides
 
-# until whoever is connected to the endpoint has noticed that it is there
+# Readers of the endpoint take about so long to notice that it is there.
 _CONNECT_S = 0.5
 _OWN = set(Message.model_fields)
 
@@ -19,9 +19,17 @@ _OWN = set(Message.model_fields)
 def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, count: int | None) -> int:
     """Publish a message again and again, until a number or Ctrl-C; return how many were sent.
 
-    Parameters: src, node@site, whose endpoint is taken; text, the fields as YAML; rate_hz [Hz].
-    Raises: ConfigError naming the field that is wrong or a publisher that would be right; EndpointError where the node
-    runs.
+    Args:
+        book: The addresses of the rig.
+        src: The publisher as node@site, whose endpoint is used.
+        topic: The topic.
+        text: The fields as YAML.
+        rate_hz: How often the message is sent [Hz].
+        count: How many messages are sent; None goes on until Ctrl-C.
+
+    Raises:
+        ConfigError: A field is wrong, or another publisher would be right; the message names it.
+        EndpointError: The node itself runs.
     """
     row = TOPICS[topic]
     if not any(src == name or name_of(src) == name for name in row.publishers):

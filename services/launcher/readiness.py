@@ -52,7 +52,7 @@ class ReadinessGate:
 
     def reset(self) -> None:
         self._begun_ns = self._clock.monotonic_ns()
-        # since when each own node has not been ready through no fault of another one
+        # Each own node has not been ready since this time, through no fault of another one.
         self._not_ready_since_ns = dict.fromkeys(self._own, self._begun_ns)
 
     def waiting(self, health: Mapping[str, NodeHealth]) -> dict[str, str]:

@@ -9,11 +9,12 @@ from services.runtime.loop.clock import Clock
 
 Report = Callable[[str], None]
 
-# more than a flush and a report of its health; a recorder that keeps up is behind by milliseconds
+# A recorder that keeps up is behind by milliseconds; this is more than a flush and a report of its health.
 BEHIND_S = 1.0
 _LIMIT_S = 20.0
 _REPORT_NS = 1_000_000_000
-# what the other site sends so long after the end of a session still belongs to it: the answers to the last samples
+# Messages that the other site sends so long after the end of a session still belong to it: the answers to the last
+# samples.
 _TAIL_NS = 500_000_000
 
 
@@ -27,8 +28,12 @@ class RecorderWait:
     def __init__(self, clock: Clock, recorder: str, publishes: Callable[[str], bool], report: Report) -> None:
         """Prepare to wait.
 
-        Parameters: publishes, whether a node is at work now: what another one sent last grows old without a fault of
-        the recorder; report, called with the lines of progress.
+        Args:
+            clock: The clock of the rig.
+            recorder: The recorder that is waited for.
+            publishes: Whether a node is at work now. The last message of any other node grows old without a fault of
+                the recorder.
+            report: Called with the lines of progress.
         """
         self.recorder = recorder
         self._publishes = publishes
@@ -52,7 +57,7 @@ class RecorderWait:
             return 0.0
         silence_s = (self._clock.monotonic_ns() - self._received_ns) * 1e-9
         if silence_s >= NODE_TIMEOUT_S:
-            # it writes nothing either
+            # The recorder writes nothing either.
             return silence_s
         return self._lag_s if self._lag_s >= BEHIND_S else 0.0
 
@@ -91,8 +96,12 @@ class LastMessages:
     ) -> None:
         """Prepare to wait.
 
-        Parameters: senders, nodes of the other site; alive, whether a node is at work now; report, called with the
-        lines of progress.
+        Args:
+            clock: The clock of the rig.
+            recorder: The recorder that is waited for.
+            senders: The nodes of the other site.
+            alive: Whether a node is at work now.
+            report: Called with the lines of progress.
         """
         self.recorder = recorder
         # sentences on what the recorder lacks, once the wait is over
@@ -103,8 +112,8 @@ class LastMessages:
         self._report = report
         self._end_ns: int | None = None
         self._until_ns = self._report_ns = 0
-        # by sender: the least time from sending to reception, across two clocks; its uptime; stamp of the first report
-        # after the session; stamp of the newest one that the recorder has
+        # For each sender: the least time from sending to reception, across two clocks; its uptime; the stamp of its
+        # first report after the session; the stamp of the newest report that the recorder has.
         self._least_lag_ns: dict[str, int] = {}
         self._uptime_s: dict[str, float] = {}
         self._due_ns: dict[str, int] = {}
@@ -149,7 +158,7 @@ class LastMessages:
     def _record_sender(self, health: NodeHealth) -> None:
         src, lag_ns = health.src, self._clock.now_ns() - health.t_ns
         if health.uptime_s < self._uptime_s.get(src, 0.0):
-            # started again, with a clock that may be another one
+            # The node was started again, with a clock that may be another one.
             self._least_lag_ns.pop(src, None)
         self._uptime_s[src] = health.uptime_s
         least_ns = self._least_lag_ns[src] = min(self._least_lag_ns.get(src, lag_ns), lag_ns)

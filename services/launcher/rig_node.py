@@ -20,7 +20,7 @@ Phase = Literal["starting", "arming", "running", "ending", "over"]
 
 TICK_S = 0.05
 _EVENTS_KEPT = 8
-# what the operator has to do when a device was lost and is back; {at} is the option for the site, where there are two
+# The operator has to do this when a lost device is back; {at} is the option for the site, where there are two.
 _RECOVERY_HINTS = {
     TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
     HAND: "a haptic device that was restarted stays off until `telenano session arm --target haptic_node{at}`, "
@@ -44,8 +44,12 @@ class RigNode(Node):
     ) -> None:
         """Prepare to supervise a rig.
 
-        Parameters: supervisor, of own nodes; liveness, of the nodes whose silence is reported; others, nodes that run
-        elsewhere; site, the one that this is, empty where both are one.
+        Args:
+            context: The context of the node.
+            supervisor: Supervises the nodes of this launcher.
+            liveness: Watches the nodes whose silence is reported.
+            others: The nodes that run elsewhere.
+            site: The site of this launcher; empty where one launcher runs both.
         """
         super().__init__(context)
         self.supervisor = supervisor

@@ -21,7 +21,8 @@ from services.runtime.bus.observer import RIG_HINT, Observer
 
 M = TypeVar("M", bound=Message)
 
-# what the law sends at 1 kHz is not needed here, and reading it would cost the rig processor time
+# The messages of the law at 1 kHz are left out: they are not needed, and reading them would cost the rig processor
+# time.
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
 _LINK = "delay_node@master"
 _HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
@@ -59,7 +60,9 @@ class RigStatus:
 def expected_nodes(nodes: Iterable[str], reachable: Collection[str]) -> list[str]:
     """Return the nodes of a site file that report their health while a rig runs, and can be received here.
 
-    Parameters: reachable, nodes that this machine can connect to; the link brings the health of the slave's site.
+    Args:
+        nodes: The nodes of the site file.
+        reachable: The nodes that this machine can connect to; the link brings the health of the slave's site.
     """
     reporting = [node for node in nodes if node in START_ORDER]
     return [node for node in reporting if node in reachable or (_LINK in reachable and site_of(node) == "slave")]

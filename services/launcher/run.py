@@ -62,13 +62,17 @@ def run_rig(
 ) -> Outcome:
     """Run a planned rig from the first process to the last; TelenanoError if it could not begin.
 
-    Parameters: beside, what further processes inherit, by node: they run with the rig, which goes on without them.
+    Args:
+        plan: The planned rig.
+        observe: Called with the node of the launcher whenever there may be something new to show.
+        show: Called with each line for the user.
+        beside: What further processes inherit, by node. They run with the rig, which goes on without them.
     """
     beside = beside or {}
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(open_participant(plan.launcher, plan.book, signals.descriptor))
-        # the endpoint first: whoever has it runs a rig already, whose files must not be touched
+        # The endpoint is bound first: if another process has it, a rig runs already, whose files must not be touched.
         bus = participant.bus(SiteNode.inputs if plan.site == "slave" else SessionNode.inputs)
         plan.prepare_folder()
         if warning := disk_warning(plan):
@@ -85,7 +89,7 @@ def run_rig(
         rig = make_rig(plan, participant.context(bus), supervisor)
         rig.observe = observe
         if plan.site != "slave":
-            # a session that a person starts is a new one; a site may be started again in the midst of another's session
+            # A session that a person starts is a new one; a site may be restarted in the middle of a running session.
             forget_stops(plan)
         stack.callback(forget_stops, plan)
         _run(rig, bus, signals)
@@ -181,7 +185,7 @@ def own_log(path: Path) -> Iterator[IO[str]]:
         try:
             yield log
         finally:
-            # what follows, such as the report, has no log: its result is printed
+            # Later steps, such as the report, have no log: their result is printed.
             logging.getLogger().handlers.clear()
     finally:
         # on a full disk the last lines cannot be written
@@ -194,8 +198,9 @@ def report_of(
 ) -> dict[str, Any] | None:
     """Make figure and summary of a session that ran; None where there is nothing to make them from.
 
-    Raises: RecordingError when a session that did not fail left a recording that cannot be reported, ReportError with
-    the summary when it cannot be written.
+    Raises:
+        RecordingError: A session that did not fail left a recording that cannot be reported.
+        ReportError: The report cannot be written; the error has the summary.
     """
     recordings = outcome.recordings
     if not outcome.ran or not recordings:
@@ -205,7 +210,7 @@ def report_of(
     try:
         return make_report(recordings, plan.out, outcome.missing, options)
     except RecordingError:
-        # the failure of the rig is the cause, and is what is reported
+        # The failure of the rig is the cause, and is reported.
         if outcome.failure:
             return None
         raise

@@ -14,19 +14,19 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.loop.node import NodeContext
 
-# how long a stopping rig waits for the answer to `stop`; the devices make themselves safe on SIGTERM in any case
+# A rig that stops waits so long for the answer to `stop`; the devices make themselves safe on SIGTERM in any case.
 _STOP_ANSWER_NS = 2_000_000_000
-# a refused command is tried anew for so long
+# A refused command is repeated for so long.
 _REFUSAL_RETRY_NS = 5_000_000_000
 
-# the AFM before the haptic device, so that the hand never moves a reference that nothing follows
+# The AFM is armed before the haptic device, so that the hand never moves a reference that nothing follows.
 BEGIN = (
     Command("arm", "afm_node", (TIP,)),
     Command("arm", "haptic_node", (HAND,)),
     Command("start", "*", (HAND,)),
 )
 END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
-# where the nodes keep running without a session the tip must not stay on the sample without an operator
+# Where the nodes keep running without a session, the tip must not stay on the sample without an operator.
 WITHDRAW_TIP = Command("stop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
 
 
@@ -47,10 +47,15 @@ class SessionNode(RigNode):
     ) -> None:
         """Prepare a session of `duration_s` [s].
 
-        Parameters: others, nodes that run elsewhere and that the session needs too; site, the one that this is, empty
-        where both are one; other_site, that of the others when all of them are beyond the link; wait_s, limit for them
-        to be ready [s], None for no limit; recording, that of a recorder which runs elsewhere, None where the own one
-        records.
+        Args:
+            context: The context of the node.
+            supervisor: Supervises the nodes of this launcher.
+            duration_s: The length of the session [s].
+            others: The nodes that run elsewhere and that the session needs too.
+            site: The site of this launcher; empty where one launcher runs both.
+            other_site: The site of the others if all of them are beyond the link.
+            wait_s: The longest time to wait until they are ready [s]; None is without a limit.
+            recording: The recording of a recorder that runs elsewhere; None where the own one records.
         """
         optional = (recording.recorder,) if recording is not None else ()
         seen = (*optional, *others)
@@ -65,13 +70,13 @@ class SessionNode(RigNode):
         self._commands: CommandClient | None = None
         # a person has asked for the session, and so for all that it arms, by starting this process
         self._wished_ns = context.clock.monotonic_ns()
-        # a device in emergency stop from before, and since when it is waited for
+        # The device whose earlier emergency stop is waited for, and since when.
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
         far = () if self.attached or not other_site else others
         self._last_messages = LastMessages(context.clock, RECORDER, far, self._publishes, self.reports.append)
-        # what is commanded to a recorder that runs elsewhere once it has caught up
+        # Commands for a remote recorder, sent once it has caught up.
         self._last_steps: list[Command] = []
 
     @property
@@ -140,7 +145,7 @@ class SessionNode(RigNode):
     def on_event(self, event: SessionEvent) -> None:
         if self.recording is not None:
             self.recording.on_event(event)
-        # what a device warns of while it is armed is for the person who starts the session
+        # Warnings of a device while it is armed are for the person who starts the session.
         if self.phase == "arming" and (event.kind, event.level) == ("fault", "warning"):
             self.reports.append(f"{event.src}: {event.text}")
         if self._commands is not None:
@@ -159,7 +164,7 @@ class SessionNode(RigNode):
             self._advance_end()
 
     def _fail(self, text: str) -> None:
-        # the first failure is the cause, what follows are its consequences
+        # The first failure is the cause; later ones are its consequences.
         self._failure = self._failure or text
 
     def _advance_start(self) -> None:
@@ -185,14 +190,14 @@ class SessionNode(RigNode):
             steps,
             retry_ns=_REFUSAL_RETRY_NS,
             issued_ns=self._wished_ns,
-            # it may have been started by a supervisor, and its nodes by somebody else
+            # A supervisor may have started this launcher, and another user its nodes.
             releases_stops=False,
         )
         self._advance_arming()
 
     def _advance_arming(self) -> None:
         if any(node not in self.health for node in self._others):
-            # a node was lost while the devices were armed: it is waited for as at the start
+            # A node was lost while the devices were armed, and is waited for as at the start.
             self.phase, self._commands = "starting", None
             self._readiness.reset()
         elif (commands := self._commands) is not None and not commands.advance():
@@ -238,7 +243,7 @@ class SessionNode(RigNode):
         if self.ran and not self.failure:
             end = [END] if set(END.expected) <= set(self._needed) else []
             split = list(self.recording.end_steps()) if self.recording is not None else []
-            # the file of the session is whole before anything else is commanded, but no tip waits for a recorder
+            # The file of the session is whole before any other command, but no tip waits for a recorder.
             steps = [*end, *split, *withdraw]
             if self.attached and self._wait.behind_s():
                 steps, self._last_steps = [*end, *withdraw], split

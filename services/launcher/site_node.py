@@ -44,7 +44,7 @@ class SiteNode(RigNode):
             self.liveness.record(received.message.src)
 
     def _hints(self, *nodes: str) -> str:
-        # whichever side was lost, the tip is here
+        # The tip is at this site, whichever side was lost.
         return super()._hints(TIP)
 
     def advance(self) -> None:

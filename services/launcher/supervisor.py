@@ -26,12 +26,16 @@ class Supervisor:
     ) -> None:
         """Supervise `nodes`, in the order of their start; none where all of them run elsewhere.
 
-        Parameters: watchdog, finds nodes that hang; without one only processes that end are started again; beside,
-        further processes, without which the rig goes on: the operator's page.
+        Args:
+            clock: The clock of the rig.
+            nodes: The nodes in the order of their start.
+            children: Starts and ends processes.
+            watchdog: Finds nodes that hang; without it only processes that end are started again.
+            beside: Further processes without which the rig goes on, such as the operator's page.
         """
         self.nodes = tuple(nodes)
         self.failure = ""
-        # whether that was a node which cannot start as it is configured
+        # It is true if the failure was that of a node which cannot start as it is configured.
         self.bad_start = False
         self._beside = tuple(beside)
         self._tracker = RestartTracker(clock, nodes, beside=beside)
@@ -105,7 +109,7 @@ class Supervisor:
         level = "error" if ended.given_up else "warning"
         report(level, text, about_node=ended.node, exit_code=ended.exit_code, life_s=ended.life_s)
         if ended.given_up and not self.failure and ended.node not in self._beside:
-            # the first failure is the cause, what follows are its consequences
+            # The first failure is the cause; later ones are its consequences.
             self.bad_start = ended.exit_code == EXIT_BAD_START
             self.failure = "\n".join([text, *self._history(ended), self.log_tail_of(ended.node)])
 

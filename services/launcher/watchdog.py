@@ -21,13 +21,13 @@ from services.runtime.loop.clock import Clock
 SILENCE_S = 2.0
 # A recorder writes a snapshot in one go, and that may be hundreds of megabytes.
 RECORDER_BUSY_S = 120.0
-# of the wall time, what a process has taken that hangs: below it something kept the processor from it
+# A hanging process uses at least this share of the wall time; below it something kept the processor from it.
 BUSY_SHARE = 0.8
-# how often a silent process is looked at: the kernel counts in hundredths of a second
+# A silent process is examined at this interval: the kernel counts in hundredths of a second.
 LOOK_S = 0.25
-# in states of proc(5): stopped by a signal, or by a debugger
+# These states of proc(5) mean that a signal or a debugger has stopped the process.
 _STOPPED = ("T", "t")
-# of /proc/PID/stat behind the name in parentheses
+# The fields have these places in /proc/PID/stat behind the name in parentheses.
 _STATE, _USER_TICKS, _SYSTEM_TICKS = 0, 11, 12
 
 Kind = Literal["hung", "stopped", "starved", "unknown", "paused", "back"]
@@ -84,12 +84,13 @@ class _Watched:
     def __init__(self, process_id: int) -> None:
         self.process_id = process_id
         self.reported: Kind | None = None
-        # None before the first report: what comes before it may take any time
+        # None before the first report: anything before it may take any time.
         self.last_ns: int | None = None
         self.looked_ns = 0
         self.sample: ProcessSample | None = None
         self.why_not = ""
-        # of the silence, what the launcher was awake for; and for how long the node has been taking a processor now
+        # The part of the silence during which the launcher was awake, and how long the node has been using a processor
+        # now [s].
         self.silence_s = self.busy_s = 0.0
 
 
@@ -114,7 +115,7 @@ class Watchdog:
         if watched is None or watched.process_id != process_id:
             return []
         now, last = self._clock.monotonic_ns(), watched.last_ns
-        # One that stops may take its time: it has said that it will say no more.
+        # A process that stops may take its time: it has sent its last message.
         self._watched[node] = anew = _Watched(process_id)
         anew.last_ns = None if is_stopping else now
         anew.looked_ns = now

@@ -20,9 +20,9 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from services.numerics.compiled import kept_digest
 
-# of each file: numba's own has no means to notice that a file was cut off or changed
+# Each file has a digest, because numba's own cache cannot notice that a file was cut off or changed.
 _DIGEST_BYTES = hashlib.sha256().digest_size
-# what is read is marked as used, once in a while
+# A file that is read is marked as used at this interval.
 _USED_S = 86_400.0
 
 
@@ -59,7 +59,7 @@ class CheckedCacheFile(IndexDataCacheFile):
             return None
         except OSError:
             return None
-        # unpickled here and not above: what is outdated may name classes that are no more
+        # The code is unpickled only here, because outdated code may name classes that no longer exist.
         return pickle.loads(compiled) if (digest, version) == (key.digest, self._version) else None
 
     def save(self, key: _Key, data: Any) -> None:
@@ -89,7 +89,7 @@ class CheckedCache(FunctionCache):
         described = repr(
             (sys.implementation.cache_tag, names, signature, codegen.magic_tuple(), vars(config)["BOUNDSCHECK"])
         )
-        # not the line of the function, which numba's names have: lines above it come and go
+        # The names leave out the line of the function, which numba's names have, because lines above it come and go.
         readable = re.sub(r"[^\w.]", "", names[0].rpartition("services.")[2])
         name = f"{readable}.{hashlib.sha256(described.encode()).hexdigest()[:24]}.nbc"
         return _Key(name, kept_digest({kind.__module__ for kind in kinds}))

@@ -31,7 +31,7 @@ from presets.plugins import modules as package_modules
 F = TypeVar("F", bound=Callable[..., object])
 
 _ROOT = Path(__file__).resolve().parents[2]
-# the folders and files that hold steps, and what the outcome of a study depends on besides
+# These folders and files hold the steps, and everything else that the outcome of a study depends on.
 SOURCES = (
     *("services/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
     *("studies/loops", "studies/instrument", "analysis/modes.py", "analysis/verdict.py"),
@@ -39,11 +39,11 @@ SOURCES = (
     *("proto/topics.py", "services/runtime/loop/freshness.py"),
 )
 _SHELLS = ("node.py", "__main__.py")
-# raised with every change of what `compile_cache` writes, or of the options of the compiler
+# Raise it with every change of what `compile_cache` writes, or of the options of the compiler.
 _CACHE_FORMAT = "4"
-# what other checkouts and signatures that are no more have left behind
+# Files of other checkouts and of obsolete signatures are removed after so many days.
 CACHE_DAYS = 14
-# in the folder of the cache: when it was last cleaned
+# This file in the folder of the cache tells when it was last cleaned.
 _CLEANED = "cleaned"
 
 # The attribute that marks a step. It holds the compiled form, None before it was needed.
@@ -222,7 +222,7 @@ def _register_choices() -> None:
 
 @cache
 def _compiler() -> Callable[[Callable[..., object]], object]:
-    # here and not above: a process that compiles nothing need not have numba, nor wait for its import
+    # The import is here because a process that compiles nothing need not have numba, nor wait for its import.
     import numba
     from numba.core import config, types
     from numba.core.typing.typeof import typeof_impl
@@ -238,7 +238,7 @@ def _compiler() -> Callable[[Callable[..., object]], object]:
     if "NUMBA_CACHE_DIR" not in os.environ:
         folder = cache_directory()
         vars(config)["CACHE_DIR"] = str(folder)
-        # where it cannot be made, numba says so when it wants to write
+        # If the folder cannot be made, numba says so when it wants to write.
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             os.utime(folder)

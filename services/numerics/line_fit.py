@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from proto.errors import TelenanoError
 
-# of the span of all points: beyond it a point does not lie on a line
+# A point does not lie on a line when it is off by more than this share of the span of all points.
 MOST_RESIDUAL = 0.02
 
 
@@ -25,9 +25,16 @@ class LineFit(NamedTuple):
 def fit_line(what: str, counts: Sequence[float], errors: Sequence[float], values: Sequence[float]) -> LineFit:
     """Return the straight line through measured points, by least squares.
 
-    Parameters: counts with their standard errors, and the values that they stand for, two or more of each. The standard
-    error of the scale is that of the counts or of the scatter about the line, whichever is greater.
-    Raises CalibrationError where the counts do not differ, or a point is further off the line than 2 % of the span.
+    The standard error of the scale is that of the counts or of the scatter about the line, whichever is greater.
+
+    Args:
+        what: What is measured, for the messages.
+        counts: The counts, two or more.
+        errors: The standard errors of the counts.
+        values: The values that the counts stand for.
+
+    Raises:
+        CalibrationError: The counts do not differ, or a point is further off the line than 2 % of the span.
     """
     number = len(counts)
     mean_value, mean_count = sum(values) / number, sum(counts) / number

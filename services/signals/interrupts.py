@@ -21,7 +21,7 @@ _CODE_OF_SIGNALS = 128
 _AGAIN_S = 0.01
 
 _SIGINT = int(signal.SIGINT)
-# that of `signal` looks for an enumeration first, which takes as long as four calls of compiled code
+# `signal.getsignal` looks for an enumeration first, which takes as long as four calls of compiled code.
 _handler_of: Callable[[int], Any] = import_module("_signal").getsignal
 
 _received = 0

@@ -40,7 +40,7 @@ ENVIRONMENTS = ("spring", "wall", "contact", "body")
 if TYPE_CHECKING:
     Environment = str
 else:
-    # with the samples of installed packages
+    # The environments include the samples of installed packages.
     Environment = Literal[(*ENVIRONMENTS, *SAMPLES.found)]
 # a hand of constant force, or one of the arms of `services.haptic_node.config.ARMS`
 Hand = Literal["force", "soft", "ordinary", "stiff"]
@@ -57,15 +57,16 @@ _LEVELS_N: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(DEFAULT_STIFFNESS, (1.0,)),
     "contact": (1.0, 2.0),
 }
-# wall and body only push, and are met from here [m]
+# Wall and body only push, and the tip meets them from here [m].
 WALL_DISTANCE_M = 3e-9
 # the cantilever that touches the body, of Table 2 [N/m]
 CANTILEVER_N_PER_M = 40.0
-# where a steady contact with the sample of Table 2 begins, and how far the base goes on for a newton at the hand [m]
+# A steady contact with the sample of Table 2 begins at this base, which goes so much further for a newton at the hand
+# [m].
 _CONTACT_M, _CONTACT_M_PER_N = 1.05e-8, 0.65e-9
 _QUIET_S = 0.2
 _RAMP_S = 0.4
-# every time of a cell grows with the round trip, so that a slow loop is given as many of its own periods
+# Every time of a cell grows with the round trip, so that a slow loop gets as many of its own periods.
 _APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
 _HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "contact": 12.0}
@@ -201,7 +202,7 @@ class Cell(Conditions):
         if not isinstance(instrument.plant, Plant):
             raise ConfigError(f"--disturb: {self.environment} has no instrument to disturb; give --environment contact")
         section = nested(dict(self.disturbances), "--disturb")
-        # one seed for link and instrument, unless it is given
+        # Link and instrument share one seed unless it is given.
         config = validate(DisturbanceConfig, merge({"seed": self.seed}, section), "--disturb", "disturbances")
         return instrument._replace(plant=noisy_params(config, instrument.plant, duration_s))
 
@@ -283,7 +284,11 @@ class Energies(NamedTuple):
 
 
 def run_cell(cell: Cell) -> CellResult:
-    """Run and judge a cell. Raises ConfigError for one that cannot be run."""
+    """Run and judge a cell.
+
+    Raises:
+        ConfigError: The cell cannot be run.
+    """
     return judged(cell, trajectory_of(cell))
 
 
@@ -300,7 +305,11 @@ def course_of(
 ) -> Trajectory:
     """Run a cell with another programme of the hand: corners (time [s], force [N]) of it, and its length [s].
 
-    Parameters: measured, settings of a link in the place of the cell's own, with the folder of their files.
+    Args:
+        cell: The cell.
+        hand_points: The corners of the hand's programme: time [s], force [N].
+        end_s: The length of the programme [s].
+        measured: The settings of a measured link instead of the cell's own, with the folder of their files.
     """
     rig = rig_of(cell, hand_points, settle_s(cell) + end_s)
     settle = settle_ticks(cell, rig.period_s)
@@ -344,7 +353,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     ended = int(np.argmax(lost)) if lost.any() else len(lost)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
-        # what a guard ended early is looked at from the beginning of the hold
+        # A run that a guard ended early is judged from the beginning of the hold.
         first = int(np.searchsorted(course.time_s, start_s))
     hold = slice(min(first, ended), ended)
     later = slice((hold.start + hold.stop) // 2, hold.stop)
@@ -450,9 +459,15 @@ def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
 
 
 def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: float = 0.0) -> Rig:
-    """Prepare the rig of a cell and its hand. Raises ConfigError for one that cannot be built.
+    """Prepare the rig of a cell and its hand.
 
-    Parameters: duration_s, length of the run [s], which disturbances are made for.
+    Args:
+        cell: The cell.
+        hand_points: The corners of the hand's programme: time [s], force [N].
+        duration_s: The length of the run [s], for which the disturbances are made.
+
+    Raises:
+        ConfigError: The rig cannot be built.
     """
     haptic = validate(HapticConfig, {"operator": cell.operator(hand_points)}, "--hand", "haptic_node")
     return build_rig(cell.controller(), haptic, cell.disturbed_instrument(duration_s))

@@ -46,15 +46,19 @@ class Schedule(NamedTuple):
 def direction_of(one_way_s: float, jitter_s: float, loss: float, burst: float | None = None) -> dict[str, object]:
     """Return the settings of one direction that differ from their defaults.
 
-    Parameters: one_way_s, its delay [s]; jitter_s, half-width of a uniform random part of it [s]; loss, share of the
-    messages lost, 0..1; burst, mean number of messages that are lost in a row (E. N. Gilbert, Bell System Technical
-    Journal 39, 1960), None where each is lost by itself.
+    Args:
+        one_way_s: The delay of the direction [s].
+        jitter_s: The half-width of its uniform random part [s].
+        loss: The share of the messages lost, 0..1.
+        burst: The mean number of messages that are lost in a row (E. N. Gilbert, Bell System Technical Journal 39,
+            1960); None if each is lost by itself.
     """
     direction: dict[str, object] = {"delay_s": one_way_s}
     if jitter_s != 0.0:
         direction["jitter"] = {"scale_s": jitter_s, "distribution": "uniform"}
     if burst is not None and 0.0 < loss < 1.0:
-        # in the bad state for the share `loss` of the time, and each stay in it is `burst` messages long on average
+        # The channel is in the bad state for the share `loss` of the time, and each stay there is `burst` messages long
+        # on average.
         direction["gilbert_elliott"] = {"p": min(loss / (1.0 - loss) / burst, 1.0), "r": 1.0 / burst}
     elif loss != 0.0:
         direction["loss"] = {"probability": loss}
@@ -66,7 +70,8 @@ def symmetric_link(
 ) -> LinkSettings:
     """Return a link whose two directions are alike, each with half of the round trip [s]; the rest as `direction_of`.
 
-    Raises: ConfigError naming the key, for a value out of range.
+    Raises:
+        ConfigError: A value is out of range; the message names its key.
     """
     direction = direction_of(0.5 * round_trip_s, jitter_s, loss, burst)
     return parse_settings({"seed": seed, "forward": direction, "backward": direction})
@@ -77,8 +82,12 @@ def schedule_of(
 ) -> Schedule:
     """Compute the arrivals of a run of `ticks` samples, one every period_s [s], over a link that starts with it.
 
-    Parameters: folder, where the files that the settings name are; play_out, each direction ends in a buffer that holds
-    what arrives to a delay that hardly varies.
+    Args:
+        settings: The settings of the link.
+        ticks: The number of samples.
+        period_s: The time between two samples [s].
+        folder: The folder of the files that the settings name.
+        play_out: Whether each direction ends in a buffer that keeps the delay nearly constant.
     """
     period_ns = round(period_s * 1e9)
     sent_ns = np.arange(ticks, dtype=np.int64) * period_ns

@@ -172,10 +172,14 @@ class Trajectory:
 def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
     """Run the rig over a link.
 
-    Parameters: schedule, the arrivals of `link.schedule_of`, whose number of ticks is the length of the run;
-    session_tick, the tick at which the operator's programme starts: before it the instrument is armed and comes to its
-    reference.
-    Raises: ValueError if no tick is left for the session.
+    Args:
+        rig: The rig.
+        schedule: The arrivals of `link.schedule_of`, whose number of ticks is the length of the run.
+        session_tick: The tick at which the operator's programme starts. The instrument is armed and comes to its
+            reference before it.
+
+    Raises:
+        ValueError: No tick is left for the session.
     """
     if not 0 <= session_tick < schedule.ticks:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
@@ -490,16 +494,16 @@ def _run(
     rows: Series,
 ) -> None:
     """Fill `rows` (ticks, columns) with the closed loop; the module's text gives the order."""
-    # taken out of the tuple once: every access costs a count of references to its arrays
+    # The fields are taken out of the tuple once, because every access costs a count of references to its arrays.
     forward_ns, forward_of = schedule.forward_ns, schedule.forward_of
     backward_ns, backward_of = schedule.backward_ns, schedule.backward_of
     dt, period_ns = halves.period_s, halves.master.period_ns
-    # what is in flight, by the number of the sample (forward) or of its arrival (backward), modulo the window
+    # The messages in flight, by the number of the sample (forward) or of its arrival (backward), modulo the window.
     window = schedule.window
     mask = window - 1
     forward = [NO_SIGNAL for _ in range(window)]
     backward = [NO_SIGNAL for _ in range(window)]
-    # what the dead band keeps back has a place in the schedule, and arrives nowhere
+    # A sample that the dead band keeps back has a place in the schedule, and arrives nowhere.
     sent_forward, sent_backward = np.zeros(window, np.bool_), np.zeros(window, np.bool_)
     answered = np.zeros(window, np.int64)
     slave_band = initial_deadband_state(NO_SIGNAL)

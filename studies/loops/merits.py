@@ -153,7 +153,8 @@ def run_merits(trial: Trial, sweep: Sweep) -> list[Merit]:
     found = []
     for key, some in zip(keys, cells, strict=True):
         runs = tuple(next(results) for _ in some)
-        # that of the first seed, as it is the law's and not the link's; an arm holds the hand where it is
+        # The drift is that of the first seed, because it depends on the law and not on the link; an arm holds the hand
+        # where it is.
         drift = drift_m(some[0]) if some[0].hand == "force" else None
         found.append(Merit(*key, runs, figures_of(runs, drift)))
     return found

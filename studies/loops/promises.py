@@ -60,7 +60,11 @@ def drawn_cells(laws: Sequence[str], seeds: int, burst: float | None = None) -> 
     """Return a link for every seed with a hand drawn for every sample on it; every law gets the same ones.
 
     What runs over one link comes together: to draw a random one takes longer than to run over it.
-    Parameters: burst, mean number of messages lost in a row, None where each is lost by itself.
+
+    Args:
+        laws: The laws.
+        seeds: The number of seeds.
+        burst: The mean number of messages that are lost in a row; None if each is lost by itself.
     """
     return [cell for seed in range(seeds) for cell in _drawn(laws, seed, burst)]
 

@@ -21,8 +21,14 @@ Times = npt.NDArray[np.int64]
 def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> Schedule:
     """Return the arrivals of the last session of a recording.
 
-    Parameters: settle, ticks of the hand before the session; ticks, of the whole run; period_s, of the hand [s].
-    Raises RecordingError naming the file and what it lacks.
+    Args:
+        path: The recording.
+        settle: The ticks of the hand before the session.
+        ticks: The ticks of the whole run.
+        period_s: The period of the hand [s].
+
+    Raises:
+        RecordingError: The file lacks something; the message names the file and what it lacks.
     """
     recording = Recording(path)
     period_ns = round(period_s * 1e9)
@@ -30,7 +36,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     running = last_programme(hand["session_s"], hand["t_ns"])
     if not running.size:
         raise RecordingError(f"{path}: the operator's programme never ran in it")
-    # each sample says how many periods it is after the one before: that is its tick, however late it was
+    # Each sample says how many periods it is after the one before, which gives its tick, however late it was.
     stamps, tick_of = hand["t_ns"], np.cumsum(np.round(hand["step_s"] / period_s)).astype(np.int64)
     first = running[0]
     tick_of += settle + round(hand["session_s"][first] / period_s) - tick_of[first]
@@ -40,7 +46,7 @@ def recorded_schedule(path: Path, settle: int, ticks: int, period_s: float) -> S
     forward_ns, forward_hand_ns = _crossed(recording, "forward", FORWARD_TOPIC)
     backward_ns, backward_hand_ns = _crossed(recording, "backward", BACKWARD_TOPIC)
     forward_ns, forward_of = _within(forward_ns - origin_ns, _ticks(forward_hand_ns, stamps, tick_of), ticks)
-    # nothing arrives before its tick
+    # No message arrives before its tick.
     forward_ns = np.maximum(forward_ns, forward_of * period_ns)
     # an answer is that to the forward message of the same sample
     answered_tick = _ticks(backward_hand_ns, stamps, tick_of)
@@ -80,7 +86,7 @@ def _crossed(recording: Recording, direction: str, topic: str) -> tuple[Times, T
     order = np.argsort(sent["seq"], kind="stable")
     seqs, hand_ns = sent["seq"][order], sent["hand_t_ns"][order]
     released = np.array(sorted(found), dtype=np.int64)
-    # what crossed before the recorder had connected, or after its last message, belongs to no session
+    # Messages that crossed before the recorder had connected, or after its last message, belong to no session.
     released = released[(released[:, 1] >= seqs[0]) & (released[:, 1] <= seqs[-1])]
     place = np.searchsorted(seqs, released[:, 1])
     if not (seqs[place] == released[:, 1]).all():

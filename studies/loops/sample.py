@@ -8,7 +8,7 @@ from studies.loops.cells import Cell, Environment, Hand
 from studies.loops.tuning import Settings, tuned
 
 _ROUND_TRIPS_MS = (0.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0)
-# what the bus can run
+# The bus can run these environments.
 _ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact")
 # share of the one-way delay, share of the messages: a good link as often as a random one
 _JITTER_SHARES, _LOSSES = (0.0, 0.0, 0.25), (0.0, 0.0, 0.05, 0.2)

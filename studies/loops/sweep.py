@@ -39,7 +39,11 @@ class Journal:
     """The results on disk, by key."""
 
     def __init__(self, path: Path) -> None:
-        """Read the journal if it exists. Raises ConfigError naming file and line, if it is not a journal of a study."""
+        """Read the journal if it exists.
+
+        Raises:
+            ConfigError: The file is not a journal of a study; the message names file and line.
+        """
         self.path = path
         self.results: dict[str, CellResult] = {}
         for number, line in enumerate(self._whole_lines(), start=1):
@@ -83,7 +87,7 @@ class Sweep:
         missing = [cell for cell, key in keys.items() if key not in self.journal.results]
         done = len(keys) - len(missing)
         self.progress(done, len(keys))
-        # closed here: an interruption must not wait for what workers are at
+        # The generator is closed here, because an interruption must not wait for the work of the workers.
         with contextlib.closing(self._computed(missing)) as found:
             for results in found:
                 self.journal.record(results)
@@ -94,7 +98,7 @@ class Sweep:
 
     def _computed(self, cells: list[Cell]) -> Generator[list[CellResult], None, None]:
         for cell in cells:
-            # before anything is started: a cell that cannot be run is the caller's mistake
+            # The check comes before anything is started: a cell that cannot be run is the caller's mistake.
             cell.controller()
             cell.hold_s()
         batches = [cells[i : i + _BATCH] for i in range(0, len(cells), _BATCH)]
@@ -108,7 +112,7 @@ class Sweep:
 
 def _on_processes(workers: int, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:
     """Run on processes of this machine, which end with what reads their results."""
-    # spawned, not forked: the parent has threads of its own by now
+    # The workers are spawned, not forked, because the parent has threads of its own by now.
     others = set(active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
@@ -117,7 +121,7 @@ def _on_processes(workers: int, batches: list[list[Cell]]) -> Iterator[list[Cell
         for future in as_completed(futures):
             yield future.result()
     except BaseException:
-        # what they are at is of no use any more, and may take seconds
+        # The work in progress is of no use any more, and may take seconds.
         pool.shutdown(wait=False, cancel_futures=True)
         for process in set(active_children()) - others:
             process.terminate()

@@ -30,7 +30,7 @@ from pydantic import BaseModel
 Complex = npt.NDArray[np.complex128]
 Series = npt.NDArray[np.float64]
 
-# where crossovers are looked for [rad/s], and on how many points a decade
+# Crossovers are sought between these frequencies [rad/s], on so many points a decade.
 _LOWEST_RAD_PER_S, _HIGHEST_RAD_PER_S, _GRID = 1e-4, 1e6, 40
 
 
@@ -158,7 +158,8 @@ def critical_link_delay_s(loop: LoopModel, period_s: float) -> float:
 def hybrid_of(law: str, parameters: BaseModel, round_trip_s: float, omega_rad_per_s: Series) -> Complex | None:
     """Return H of a law at its parameters over a constant round trip [s], half of it each way, at angular frequencies.
 
-    Returns: shape (n, 2, 2); None for a law that is not linear, or has no such form here.
+    Returns:
+        H, shape (n, 2, 2); None for a law that is not linear, or has no such form here.
     """
     values = parameters.model_dump()
     half_s = 0.5 * round_trip_s
@@ -182,8 +183,18 @@ def direct_hybrid(
     h21 = -e^(-s T1), h22 = 0. force_gain None is direct reflection: Z v = F_m - F_s e^(-s T2), h11 = Z and
     h12 = e^(-s T2).
 
-    Parameters: impedance, Z(j omega), shape (n,) [N s/m].
-    Raises: ValueError for K_f = 0, where the hand's force has no effect.
+    Args:
+        impedance: Z(j omega), shape (n,) [N s/m].
+        force_gain: The gain K_f; None is direct reflection.
+        forward_s: The delay to the slave, T1 [s].
+        backward_s: The delay to the master, T2 [s].
+        omega_rad_per_s: The frequencies, shape (n,) [rad/s].
+
+    Returns:
+        H, shape (n, 2, 2).
+
+    Raises:
+        ValueError: K_f is 0, so that the hand's force has no effect.
     """
     if force_gain == 0.0:
         raise ValueError("force_gain K_f = 0: the hand's force has no effect, so there is no two-port in hybrid form")
@@ -215,8 +226,11 @@ def _matrices(h11: Complex, h12: Complex, h21: Complex, h22: Complex) -> Complex
 def llewellyn(hybrid: Complex) -> Series:
     """Return the least of Llewellyn's three conditions at each frequency: absolutely stable where it is >= 0.
 
-    Parameters: hybrid, shape (n, 2, 2). The conditions are scaled to be pure numbers: Re h11 / |h11|, Re h22 / |h22|,
-    (2 Re h11 Re h22 - Re h12 h21) / |h12 h21| - 1; one without anything to divide by is 0, at its bound.
+    The conditions are scaled to be pure numbers: Re h11 / |h11|, Re h22 / |h22|, (2 Re h11 Re h22 - Re h12 h21) / |h12
+    h21| - 1; one without anything to divide by is 0, at its bound.
+
+    Args:
+        hybrid: The hybrid matrix H, shape (n, 2, 2).
     """
     h11, h12, h21, h22 = hybrid[:, 0, 0], hybrid[:, 0, 1], hybrid[:, 1, 0], hybrid[:, 1, 1]
     transfer = h12 * h21

@@ -33,11 +33,11 @@ from studies.loops.cells import Cell, course_of, run_cell, scales_of
 from studies.loops.lockstep import Trajectory
 
 FREQUENCY_HZ = 0.5
-# each has a period of whole milliseconds, so that whole periods are whole ticks
+# Each frequency has a period of whole milliseconds, so that whole periods are whole ticks.
 FREQUENCIES_HZ = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 STIFFEST_N_PER_M = 400.0
 _SOFTEST_N_PER_M = 0.5
-# of |Z|: less active than this is passive, what the sums of a run leave
+# Activity below this share of |Z| counts as passive, because the sums of a run leave so much.
 _PASSIVE_SHARE = 2e-3
 _HALVINGS = 7
 _MEAN_N, _AMPLITUDE_N = 1.0, 0.3
@@ -125,7 +125,11 @@ class _Tones(NamedTuple):
 
 
 def measure(cell: Cell) -> Transparency:
-    """Measure the law of a cell against its spring. Raises ConfigError for a cell that cannot be run."""
+    """Measure the law of a cell against its spring.
+
+    Raises:
+        ConfigError: The cell cannot be run.
+    """
     scales = scales_of(cell.controller())
     verdict = run_cell(cell).verdict
     pressed = _tones(cell, _MEAN_N, FREQUENCY_HZ) if verdict == "stable" else None
@@ -271,12 +275,17 @@ def hand_programme(
 ) -> tuple[list[tuple[float, float]], float]:
     """Return the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s].
 
-    Parameters: cycles, the number of periods that are measured; corners, of the sine in a period.
+    Args:
+        mean_n: The force at the end of the ramp [N].
+        settle_s: The time that the rig has to settle [s].
+        frequency_hz: The frequency of the sine [Hz].
+        cycles: The number of periods that are measured.
+        corners: The number of corners of the sine in a period.
     """
     begin = _RAMP_S + settle_s
     before = _settle_periods(frequency_hz)
     points = [(0.0, 0.0), (_RAMP_S, mean_n)]
-    # at least two ticks between corners
+    # Two corners are at least two ticks apart.
     each = min(corners, round(500.0 / frequency_hz))
     for n in range((before + cycles) * each + 1):
         time = n / (each * frequency_hz)

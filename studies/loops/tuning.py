@@ -23,7 +23,10 @@ Settings = tuple[tuple[str, float | int | str | bool], ...]
 def tuned(law: str, stiffness_n_per_m: float, longest_delay_s: float) -> Settings:
     """Return the dotted keys of the section `controller` that differ from their defaults.
 
-    Parameters: stiffness_n_per_m, K of the sample [N/m]; longest_delay_s, round trip of the link with its jitter [s].
+    Args:
+        law: The law.
+        stiffness_n_per_m: The stiffness of the sample, K [N/m].
+        longest_delay_s: The round trip of the link with its jitter [s].
     """
     config: Any = LAWS[law].config
     default = config()

@@ -56,9 +56,10 @@ RECORDING_NAME = "session.mcap"
 TOLERANCE_SHARE = 0.05
 # draws of a random link in lockstep
 SEEDS = 8
-# what the rig needs to come up and down around the session
+# The rig needs so long to come up and down around the session.
 _OVERHEAD_S = 120.0
-# of `telenano up`: the session ran, and something is missing in its recording; what that matters is judged by the hold
+# With this exit code of `telenano up` the session ran, and something is missing in its recording; the hold decides
+# whether that matters.
 _NOT_WHOLE = 3
 
 
@@ -124,7 +125,8 @@ class Bus(NamedTuple):
 def scenario_of(cell: Cell) -> dict[str, Any]:
     """Return the scenario that runs a cell on the bus.
 
-    Raises ConfigError for an environment that the AFM node cannot simulate.
+    Raises:
+        ConfigError: The AFM node cannot simulate the environment.
     """
     direction = direction_of(0.5e-3 * cell.round_trip_ms, cell.jitter_ms * 1e-3, cell.loss, cell.burst)
     return {
@@ -157,7 +159,11 @@ def _instrument_section(cell: Cell) -> dict[str, Any]:
 def validate_cells(
     cells: Sequence[Cell], bus: Bus, report: Callable[[str], None] = lambda text: None
 ) -> list[Agreement]:
-    """Run cells on the bus, one after the other, and compare. Raises StudyError for a rig that does not run."""
+    """Run cells on the bus, one after the other, and compare.
+
+    Raises:
+        StudyError: A rig does not run.
+    """
     agreements = []
     for number, cell in enumerate(cells, start=1):
         report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
@@ -209,7 +215,9 @@ _MODE_NUMBERS = {"retracted": 0, "follow": 1, "hold": 2, "retracting": 3, "estop
 def read_course(path: Path) -> Trajectory:
     """Read the last session of a recording as lockstep would give it, the tip's values at the hand's times.
 
-    Raises RecordingError naming the file and what it lacks; StudyError if the operator's programme never ran in it.
+    Raises:
+        RecordingError: The file lacks something; the message names the file and what it lacks.
+        StudyError: The operator's programme never ran in the recording.
     """
     recording = Recording(path)
     hand = columns(recording, "haptic/state", ("t_ns", "session_s", "operator_force_n.2", "position_m.2", "mode"))
@@ -221,7 +229,7 @@ def read_course(path: Path) -> Trajectory:
         recording, "afm/state", ("t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode")
     )
     command = columns(recording, "haptic/command", ("t_ns", "position_m.2", "force_n.2"))
-    # what stands at the end of the tick: the last message before the next one
+    # The value of a tick is the last message before the next one.
     timeline = Timeline(recording)
     tip["t_ns"] = timeline.times_ns("afm_node@slave", tip["t_ns"].astype(np.int64))
     ends_ns = np.append(hand["t_ns"][1:], hand["t_ns"][-1] + 1_000_000)
@@ -266,8 +274,12 @@ def compare(
 ) -> Agreement:
     """Compare verdicts and, where both are stable, the course of the tip's force.
 
-    Parameters: lockstep, the draws of the link: one, if it is constant; recorded, lockstep over the losses and delays
-    that the bus had, which then is what the bus is held against; lacking, what there is no data of on the bus.
+    Args:
+        cell: The cell.
+        lockstep: The runs in lockstep, one for each draw of the link; one if the link is constant.
+        bus: The run on the bus.
+        recorded: The run in lockstep over the losses and delays that the bus had, with which the bus then is compared.
+        lacking: What the recording of the bus has no data of.
     """
     drawn, found = [judged(cell, course) for course in lockstep], judged(cell, bus)
     if lacking and not found.guarded:
@@ -283,7 +295,7 @@ def compare(
     same = undecided or expected == (found.verdict == "stable")
     difference, tolerance = None, TOLERANCE_SHARE
     if not same and recorded is not None and 0 < len(stable_draws) < len(drawn):
-        # the draws differ too: the course of the recorded link decides, within the tolerance that the verdict has
+        # The draws differ too, so the course of the recorded link decides, within the tolerance of the verdict.
         difference = course_difference(cell, recorded, bus)
         same = difference <= tolerance
     elif undecided or (expected and found.verdict == "stable"):

@@ -28,9 +28,9 @@ _HAND_LOOKS = {
     "ordinary": ("#d55e00", "s"),
     "stiff": ("#009e73", "D"),
 }
-# what a law that holds everything would have; none where there is no such value
+# A law that holds everything would have these values; there is none for some columns.
 _IDEAL = {"force_ratio": 1.0, "apart_mm": 0.0, "drift_mm": 0.0, "lowest_energy_mj": 0.0, "guarded_percent": 0.0}
-# least range that is drawn, so that what is no more than rounding looks like nothing
+# The range that is drawn is at least this, so that rounding looks like nothing.
 _LEAST_RANGE = {
     "peak_n": 0.1,
     "force_ratio": 0.1,
@@ -93,7 +93,7 @@ def _dots(axis: "Axes", merits: Sequence[Merit], laws: Sequence[str], hands: Seq
         x = laws.index(merit.law) + 0.8 * ((place + 0.5) / places - 0.5)
         spread = merit.figures[name]
         if spread is None and merit.stable == len(merit.results):
-            # a figure that this hand does not have
+            # This hand does not have the figure.
             continue
         if merit.stable < len(merit.results) or spread is None:
             axis.plot([x], [0.06], "x", color=colour, markersize=4, transform=axis.get_xaxis_transform())
@@ -148,7 +148,7 @@ def hybrid_figure(spectra: Sequence[Spectrum]) -> "Figure":
         axis.set_title(title, loc="left", fontsize="small")
         axis.set_yscale("log")
         axis.tick_params(which="both", labelsize="small")
-    # below what the hand can feel the entries are what the sums of a run leave
+    # Below what the hand can feel, the entries are only the rest of the sums of a run.
     axes[1, 1].set_ylim(bottom=1e-6)
     _finish(figure, axes, spectra)
     return figure

@@ -49,8 +49,13 @@ class TactilePath(NamedTuple):
 def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = lambda n, of: None) -> Path:
     """Run a scenario of the project on real processes and return its recording.
 
-    Parameters: progress, called with the seconds so far and what the whole takes as a rule. Raises: RigError saying why
-    the rig did not run.
+    Args:
+        name: The name of the scenario.
+        out: The folder of the recording.
+        progress: Called with the seconds so far and those that the whole usually takes.
+
+    Raises:
+        RigError: The rig did not run; the message says why.
     """
     folder = (out / name).absolute()
     folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +69,7 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
         )
     except TimeoutError as error:
         raise RigError(f"{name}: {error}, see {folder}") from error
-    # 3: the recording lacks something, and says what; the figure shows it
+    # The exit code 3 means that the recording lacks something; the figure shows it.
     if done.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
         raise RigError(f"{name}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
     progress(usual, usual)
@@ -74,7 +79,8 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
 def tactile_path(recording_file: Path) -> TactilePath:
     """Return what the hand felt along the line, from the first touch to the end of the line.
 
-    Raises: RigError, if the tip never went along a line in contact.
+    Raises:
+        RigError: The tip never went along a line in contact.
     """
     recording = Recording(recording_file)
     loaded = load_scenario(SCENARIO_DIRECTORY / "fig10.yaml")
@@ -98,7 +104,7 @@ def tactile_path(recording_file: Path) -> TactilePath:
     ]
     time_ns = tip["t_ns"][felt].astype(np.int64)
     hand_m = np.interp(time_ns, hand["t_ns"].astype(np.int64), hand["position_m.2"].astype(float))
-    # where the surface is level at the beginning the hand is at its origin
+    # The hand is at its origin where the surface is level at the beginning.
     return TactilePath(
         way[felt],
         hand_m - hand_m[0],

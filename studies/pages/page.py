@@ -38,7 +38,7 @@ footer { margin-top: 3rem; border-top: 1px solid var(--line); font-size: .85rem;
 )
 _DPI = 140
 _TABLES = (".parquet", ".csv", ".json")
-# characters
+# The longest figure, in characters.
 _LONGEST_FIGURE = 32
 
 
@@ -117,7 +117,11 @@ def write_images(
 ) -> dict[str, bytes]:
     """Write figures into a folder in their formats; return each as PNG, by file name, for a page.
 
-    Parameters: command that makes them, which each file has in it with the version.
+    Args:
+        out: The folder.
+        figures: The figures by name.
+        command: The command that makes them, which each file contains together with the version.
+        options: The formats and the style of the figures.
     """
     found = versions()
     origin = f"{command}; telenano {found['package telenano']}, commit {found['commit']}"

@@ -27,7 +27,7 @@ from studies.pages.paper_equations import cantilever_rows, contact_rows, control
 
 FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
 Progress = Callable[[str, int, int], None]
-# what the paper says of each figure, and where this one differs
+# The statement of the paper for each figure, and where this one differs.
 _BESIDE_THE_PAPER = {
     "fig5": "The paper: on the way there the tip jumps into contact, on the way back it leaves later; the hysteresis"
     " is energy that is lost. The same here; the paper draws it over the distance h, this figure over the base.",
@@ -110,9 +110,13 @@ def _equation_number(where: str) -> int:
 def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress) -> dict[str, object]:
     """Write reproduce.html into a folder with the chosen figures; return their numbers.
 
-    Parameters: figures, of FIGURES; pixels of a line and lines of the image of Fig. 8; progress, called with the
-    figure, what is done of it and its whole. A figure whose rig did not run has the reason in its place, and under
-    `failed` in the numbers.
+    A figure whose rig did not run is replaced by the reason, which is also under `failed` in the numbers.
+
+    Args:
+        figures: The figures, of FIGURES.
+        out: The folder.
+        pixels: The pixels of a line, and the lines, of the image of Fig. 8.
+        progress: Called with the figure, how much of it is done, and its whole.
     """
     page = Page("The paper, made again")
     summary: dict[str, object] = {}

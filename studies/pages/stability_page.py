@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes
     from matplotlib.figure import Figure
 
-# of curves: those of the verdicts are for areas, and too light for lines
+# The colours of curves; those of the verdicts are for areas, and too light for lines.
 _CURVES = (("#0072b2", "-"), ("#d55e00", "--"), ("#000000", ":"))
 # growth rates are drawn on a scale that is linear near zero, where the edge is
 _LINEAR_PER_S = 0.5
@@ -120,7 +120,7 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
     """Draw delay against conditions, a panel a law: the verdict of each cell, the edge found, the edge of theory."""
     from matplotlib.colors import to_rgb
 
-    # one colour a verdict: shades of it would not be told apart
+    # Each verdict has one colour, because shades of it could not be told apart.
     laws = _by_law(results)
     figure, axes = _panels(len(laws), 1.0 + 0.42 * max(len(rows) for rows in laws.values()))
     for axis, (law, rows) in zip(axes, laws.items(), strict=True):

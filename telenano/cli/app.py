@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from telenano.cli import terminal
 
-# below the nodes, whose loops go on while the stop is on its way
+# The priority is below that of the nodes, whose loops go on while the stop is on its way.
 _URGENT = 1
 
 
@@ -24,7 +24,7 @@ def main() -> None:
         request = read_arguments(arguments)
         if request is not None:
             raise SystemExit(run_estop(request))
-    # not before: a stop needs none of it
+    # The import is this late because a stop needs none of it.
     from services.signals import interrupts
 
     interrupts.install()
@@ -37,7 +37,7 @@ def main() -> None:
     except SystemExit:
         raise
     except BaseException:
-        # whatever a library makes of an interruption, it is one
+        # It is an interruption, whatever a library makes of it.
         if not interrupts.received():
             raise
         raise SystemExit(_interrupted(arguments, interrupts.exit_code())) from None
@@ -68,7 +68,7 @@ def _without(error: ModuleNotFoundError) -> int:
 
 def _hurry() -> None:
     """Run ahead of ordinary processes where that is permitted: a busy machine may leave them a tenth of its time."""
-    # nothing here lives long enough to be collected
+    # No object here lives long enough to be collected.
     gc.disable()
     # other systems than Linux have no such priorities
     with contextlib.suppress(PermissionError, AttributeError):

@@ -75,7 +75,7 @@ def _print(line: str) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             sys.stderr.write(f"telenano: standard output cannot be written: {error.strerror}\n")
-        # or Python would fail to write it when it ends
+        # Otherwise Python would fail to write it when it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -106,7 +106,7 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
 
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
     """Send the command as any other: over a network, to nodes of an older version, to what is not a device."""
-    # with models and keys, which takes longer
+    # This import brings models and keys, which takes longer.
     from services.console.command_client import send_control
     from services.runtime.loop.commands import Command
 

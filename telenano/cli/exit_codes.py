@@ -2,8 +2,9 @@
 
 EXIT_FAILED = 1
 EXIT_BAD_CONFIGURATION = 2
-# done, but the recording lacks something
+# The command is done, but the recording lacks something.
 EXIT_INCOMPLETE = 3
-# ended by SIGINT (Ctrl-C) or SIGTERM, as shells have it; `services.signals.interrupts.exit_code` returns which
+# SIGINT (Ctrl-C) or SIGTERM ended the command, numbered as in shells; `services.signals.interrupts.exit_code` returns
+# which.
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143

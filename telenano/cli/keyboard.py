@@ -15,7 +15,7 @@ from services.runtime.settings.optional_modules import optional_module
 # Windows has neither: commands are then ended by Ctrl-C alone
 termios, tty = optional_module("termios"), optional_module("tty")
 
-# what a terminal sends for keys that are no character
+# A terminal sends these bytes for keys that are no character.
 _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B": "down", b" ": "space"}
 
 
@@ -28,7 +28,7 @@ class RawKeyboard:
     def __init__(self) -> None:
         self._input = sys.stdin.fileno() if termios is not None and sys.stdin.isatty() else None
         terminal = Console(stderr=True)
-        # without a thread of its own: `show` refreshes it
+        # It has no thread of its own: `show` refreshes it.
         self._line = Live(console=terminal, auto_refresh=False) if terminal.is_terminal else None
         self._open = contextlib.ExitStack()
 

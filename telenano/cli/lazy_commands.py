@@ -11,11 +11,11 @@ from typer.core import TyperCommand, TyperGroup
 
 from services.signals import interrupts
 
-# of the command line; typer has no other name for the base of all of them
+# typer has no other name for the base of all errors of the command line.
 _UsageError: Any = typer.BadParameter.__base__
 
 
-# what is missing of these is a fault of the installation, and no extra
+# A missing module of these is a fault of the installation, not a missing extra.
 _OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
 
 
@@ -116,7 +116,7 @@ def _plain(command: Any) -> Any:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
             parameter.metavar = "N"
     for child in getattr(command, "commands", {}).values():
-        # the whole sentence, which would be cut off after 45 letters
+        # The help is the whole sentence, which would be cut off after 45 letters.
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
         _plain(child)
     return command
@@ -204,7 +204,7 @@ def _report(error: Any, *, as_json: bool) -> int:
         return EXIT_FAILED
     code: int = error.exit_code
     if error.format_message().startswith("Usage:"):
-        # a group without a command: its help
+        # A group without a command shows its help.
         error.show()
     else:
         print_error(usage_text(error), as_json=as_json)

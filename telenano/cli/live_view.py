@@ -16,7 +16,7 @@ from services.launcher.session import SessionNode
 from telenano.cli.tables import LEVEL_STYLES, health_cells
 
 _REFRESH_TICKS = 5
-# how often a line repeats what is still waited for
+# A line repeats at this interval what is still waited for.
 _REMIND_NS = 5_000_000_000
 _REPORTS_SHOWN = 6
 _COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB")
@@ -64,7 +64,7 @@ class LiveView(AbstractContextManager["LiveView"]):
     """The table of nodes, the progress of the session and the last events, in place."""
 
     def __init__(self, console: Console) -> None:
-        # without a thread of its own: the launcher's loop refreshes it
+        # It has no thread of its own: the launcher's loop refreshes it.
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._ticks = 0
         self._last: Group | None = None
@@ -89,7 +89,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._update(Group(*([self._last] if self._last else []), Text(text)))
 
     def _update(self, picture: Group) -> None:
-        # a terminal may be gone: the session goes on
+        # The terminal may be gone, but the session goes on.
         with contextlib.suppress(OSError):
             self._live.update(picture, refresh=True)
 

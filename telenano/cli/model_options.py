@@ -27,7 +27,7 @@ from telenano.cli.completion import law_names, node_names, scenario_names
 F = TypeVar("F", bound=Callable[..., Any])
 M = TypeVar("M", bound=BaseModel)
 
-# the parameter of a command that the options take the place of, and what it is given: values by field
+# The options replace this parameter of a command, which gets the values by field.
 GIVEN = "given"
 Given = dict[str, Any]
 
@@ -40,7 +40,7 @@ class Unit(NamedTuple):
     scale: float
 
 
-# by the end of a field's name, the longest first
+# Units are found by the end of a field's name, the longest first.
 _UNITS = {
     "_m_per_s": Unit("nm/s", "m/s", 1e-9),
     "_n_per_m": Unit("N/m", "N/m", 1.0),
@@ -51,7 +51,7 @@ _UNITS = {
     "_s": Unit("ms", "s", 1e-3),
     "_bytes": Unit("bytes", "bytes", 1.0),
 }
-# of sessions and recordings, which last longer than a pixel
+# Sessions and recordings use seconds, because they last longer than a pixel.
 SECONDS = {"_s": Unit("s", "s", 1.0)}
 _NO_UNIT = Unit("", "", 1.0)
 _PLAIN = (bool, int, float, str, Path)

@@ -21,7 +21,7 @@ KINDS = tuple(_TRY_IT)
 
 
 def _taken(kind: str) -> Collection[str]:
-    # here and not above: the models are needed for no other command of this module
+    # The import is here because no other command of this module needs the models.
     if kind == "law":
         from services.controller.config import TAKEN as TAKEN_LAWS
 
@@ -39,7 +39,8 @@ def _taken(kind: str) -> Collection[str]:
 def new_package(kind: str, name: str, folder: Path) -> list[Path]:
     """Write a package with a law, device, operator, sample or program, and a test of it; return its files.
 
-    Raises: ConfigError for a name that cannot be that of a package, or a folder that exists.
+    Raises:
+        ConfigError: The name cannot be that of a package, or the folder exists.
     """
     if kind not in KINDS:
         raise ConfigError(f"{kind}: is nothing that can be made; these are {', '.join(KINDS)}")

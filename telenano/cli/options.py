@@ -9,7 +9,7 @@ import typer
 from presets import site_file_named
 from telenano.cli.completion import node_names, topic_names
 
-# as ros2 and docker have it
+# ros2 and docker have the same names.
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 
 
@@ -84,7 +84,7 @@ StyleOption = Annotated[
     str,
     typer.Option("--style", metavar="screen|paper", help="paper: one column of a journal, letters of 8 pt, no title."),
 ]
-# of what serves browsers
+# Commands that serve browsers share this option.
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; others need TLS.")]
 CertificateOption = Annotated[
     Path | None, typer.Option("--certificate", metavar="FILE", help="Certificate of this server (PEM).")

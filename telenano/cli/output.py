@@ -28,7 +28,9 @@ _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
     """Report a TelenanoError, what the system refuses, Ctrl-C or SIGTERM as a sentence and an exit code.
 
-    Parameters: interrupted, the text for Ctrl-C and SIGTERM.
+    Args:
+        as_json: Whether the error is printed as JSON.
+        interrupted: The text for Ctrl-C and SIGTERM.
     """
     try:
         yield
@@ -59,7 +61,7 @@ def print_error(text: str, *, as_json: bool, **facts: Any) -> None:
             print_json({"error": text, **facts})
         sys.stdout.flush()
     except OSError:
-        # what was printed before could not be written either
+        # Output that was printed before could not be written either.
         _discard_output()
 
 
@@ -68,7 +70,7 @@ def system_error_text(error: OSError) -> str:
     reason = error.strerror or str(error)
     if error.filename is not None:
         return f"{error.filename}: {reason}"
-    # those who write files report errors with the name of the file
+    # Code that writes files reports errors with the name of the file.
     return f"standard output cannot be written: {reason}" if error.errno in _WRITE_ERRORS else reason
 
 
@@ -136,7 +138,8 @@ def print_summary(summary: dict[str, Any], title: str, *, as_json: bool) -> None
 def clock_warning(summary: Mapping[str, Any]) -> str:
     """Return in words that the sites of a session have different clocks, or may have; empty if there is nothing to say.
 
-    Parameters: summary, of `analysis.report`.
+    Args:
+        summary: The summary of `analysis.report`.
     """
     clocks = summary.get("clocks")
     if clocks is None:

@@ -10,7 +10,7 @@ from services.afm_node.node import INPUTS as AFM_INPUTS
 from services.controller.node import MASTER_INPUTS, SLAVE_INPUTS
 from services.haptic_node.node import INPUTS as HAPTIC_INPUTS
 
-# those that everybody sends and only people and the launcher read would hide the loop
+# Every node sends these topics, and only people and the launcher read them; they would hide the loop.
 _EVERYBODY = ("node/health", "session/event", "node/journal", "session/control")
 _INPUTS = {
     "haptic_node@master": HAPTIC_INPUTS,

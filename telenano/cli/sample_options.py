@@ -65,7 +65,8 @@ def require(*modules: str) -> None:
 def results_in(out: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
 
-    Raises: ConfigError when it cannot be made.
+    Raises:
+        ConfigError: The folder cannot be made.
     """
     with contextlib.ExitStack() as results:
         try:

@@ -65,7 +65,8 @@ def _option(key: str, value: str) -> tuple[str, str]:
 def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show: Callable[[str], None]) -> list[Path]:
     """Run the sessions one after the other, each by a `telenano up` of its own; return their folders.
 
-    Raises: RigError naming a session that failed, with what it said.
+    Raises:
+        RigError: A session failed; the message names it and what it said.
     """
     folders = []
     for number, point in enumerate(points, start=1):
@@ -73,7 +74,7 @@ def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show
         folder = out / point.name
         command = [sys.executable, "-m", "telenano", "up", *arguments, *point.options, "--out", str(folder), "--json"]
         done = run_session(command)
-        # what is missing in a recording is in its summary, and a hold without data in the table
+        # The summary says what is missing in a recording, and the table shows a hold without data.
         if done.returncode not in (0, EXIT_INCOMPLETE):
             raise RigError(f"the session {point.name} failed: {done.stderr.strip() or done.stdout.strip()}")
         folders.append(folder)

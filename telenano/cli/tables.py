@@ -10,7 +10,7 @@ from rich.text import Text
 from proto.messages import SUPERSEDED
 from services.runtime.untrusted.printable import printable
 
-# what is a loss where it is anything at all
+# A value other than zero in these columns is a loss.
 _ALARMING = ("missing", "lost", "damage", "skipped_bytes")
 _SENTENCES = ("missing", "damage")
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "red"}
@@ -73,7 +73,7 @@ def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, S
 
 def rows_table(rows: Sequence[Mapping[str, Any]], title: str | None = None) -> Table:
     """Draw rows that have the same keys."""
-    # as text: the units in brackets would be taken for markup
+    # Cells are plain text, because the units in brackets would be taken for markup.
     table = Table(
         *(Column(Text(printable(name))) for name in rows[0]), title=None if title is None else Text(printable(title))
     )
@@ -90,7 +90,7 @@ def _values_table(values: Mapping[str, Any], title: str) -> Table:
     for column in table.columns:
         column.overflow = "fold"
     for key, value in _leaves("", values):
-        # sentences, each on a line of its own
+        # Each sentence is on a line of its own.
         text = (
             Text(printable("\n".join(value))) if value and key.rpartition(".")[2] in _SENTENCES else _value_text(value)
         )

@@ -37,7 +37,7 @@ def install() -> None:
     """Make what this process prints from now on printable."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        # a process without a terminal or a pipe has none
+        # A process without a terminal or a pipe has no such stream.
         if stream is not None and not isinstance(stream, PrintableStream):
             if codecs.lookup(stream.encoding or "utf-8").name == "ascii":
                 stream.reconfigure(errors="backslashreplace")

@@ -30,7 +30,7 @@ _LEAST_DISK_BYTES = 10**9
 # sun_path holds 108 bytes with its closing zero; the longest name of a socket in the folder is delay_node@master.lock
 _LONGEST_FOLDER = 107 - len("/haptic_node@master.lock")
 _SLOW_CLOCKS = ("hpet", "acpi_pm", "pit", "jiffies", "refined-jiffies")
-# extras for those who work on the project itself, and the sum of all others
+# These extras are for developers of the project itself, or the sum of all others.
 _NOT_LISTED = ("dev", "rig")
 _ENDPOINT_ADVICE: dict[str, tuple[Level, str]] = {
     "in use": (
@@ -81,7 +81,9 @@ def check_python(version: Sequence[int]) -> Finding:
 def check_packages(requires: Iterable[str], installed: Callable[[str], str | None]) -> list[Finding]:
     """Compare the installed packages with the metadata of the project; a missing extra is no problem.
 
-    Parameters: requires, lines such as `numba>=0.61; extra == 'afm'`; installed, returns a version, None if missing.
+    Args:
+        requires: Lines such as `numba>=0.61; extra == 'afm'`.
+        installed: Returns the version of a package, None if it is missing.
     """
     try:
         from packaging.requirements import Requirement
@@ -90,7 +92,7 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
     wanted = [(_extra_of(requirement.marker), requirement) for requirement in map(Requirement, requires)]
     wanted = [(extra, requirement) for extra, requirement in wanted if extra not in _NOT_LISTED]
     versions = {requirement.name: installed(requirement.name) for _, requirement in wanted}
-    # several extras may ask for the same
+    # Several extras may require the same package.
     demands = {requirement.name: requirement.specifier for _, requirement in wanted}
     wrong = [
         Finding(name, "problem", f"{version} is installed", f'run `pip install "{name}{demands[name]}"`')
@@ -141,7 +143,9 @@ def check_processors(permitted: int, quota: float | None) -> Finding:
 def cpu_quota(groups: Path, membership: Path) -> float | None:
     """Return the least quota [processors] among the control groups of a process and those above, None for no limit.
 
-    Parameters: groups, where control groups are mounted; membership, /proc/PID/cgroup.
+    Args:
+        groups: The folder in which control groups are mounted.
+        membership: The file /proc/PID/cgroup.
     """
     quotas = []
     for line in (_text(membership) or "").splitlines():
@@ -198,7 +202,7 @@ def attempt_fifo() -> str:
 
 def attempt_memory_lock() -> str:
     """Try to lock memory in a process of its own that reserves as much as a node; return why it was refused."""
-    # without privilege the kernel compares all that is reserved, touched or not, with the limit
+    # Without privilege the kernel compares all reserved memory, touched or not, with the limit.
     return _attempt(
         "import ctypes, mmap, os\n"
         "reserved = mmap.mmap(-1, 2**30)\n"
@@ -414,7 +418,7 @@ def _probe_tcp(host: str, port: int) -> Endpoint:
     except OSError as error:
         return Endpoint("unusable", f"{host} cannot be resolved ({error.strerror})")
     with socket.socket(family, kind, protocol) as attempt:
-        # as ZeroMQ does: a closed connection does not block the port
+        # ZeroMQ sets this option too: a closed connection does not block the port.
         attempt.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             attempt.bind(address)

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
 
 _NAME = "datagrams"
-# of linux/in.h and linux/in6.h: the largest packet on the way to a connected address, as far as the kernel knows
+# Options of linux/in.h and linux/in6.h: the largest packet on the way to a connected address, as far as the kernel
+# knows.
 _IP_MTU, _IPV6_MTU = 14, 24
 # a datagram of the link with the headers of IPv6 and UDP
 _LARGEST_PACKET_BYTES = 1200 + 48

@@ -79,7 +79,7 @@ def _latency(ports: Sequence[Path], usb: Path) -> Iterator[Finding]:
         try:
             found_ms = int(timer.read_text())
         except (OSError, ValueError):
-            # only FTDI's driver has one
+            # Only FTDI's driver has this file.
             continue
         found = f"{port}: {found_ms} ms"
         if found_ms <= _GOOD_LATENCY_MS:

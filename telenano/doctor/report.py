@@ -58,7 +58,7 @@ def examine(site_file: Path) -> list[Finding]:
     try:
         return [*findings, *rig(site_file)]
     except ImportError as error:
-        # what every process needs is missing: there is nothing to read a site file with
+        # The packages that every process needs are missing, so no site file can be read.
         return [*findings, Finding("site file", "problem", str(error), "install what is missing first, see above")]
 
 

@@ -22,9 +22,9 @@ _MS = 1_000_000
 STALE_CYCLES = 3
 LOST_NS = 50 * _MS
 RETRY_NS = 500 * _MS
-# of a step of the handshake: a setting that goes to flash takes long
+# A step of the handshake may take so long, because a setting that goes to flash is slow.
 STEP_NS = 1000 * _MS
-# what a name server may take; the system gives up after ten seconds, with the usual settings
+# A name server may take so long; with the usual settings the system gives up after ten seconds.
 NAME_NS = 15_000 * _MS
 _PERIOD_S = 1e-3
 _CLOSE_S, _RECONNECT_S = 0.1, 0.3
@@ -43,9 +43,16 @@ class _Phase(Enum):
 class ModbusAfm:
     """An `AfmDriver` on a Modbus instrument.
 
-    Parameters: calibration, of this very device; registers, its map; limits of the node's guard; connect and now_ns
-    (monotonic), which a test replaces; sleep, for `open`, `retract` and `close` alone.
-    Raises DeviceError if calibration, limits and map do not fit together.
+    Args:
+        calibration: The calibration of this very device.
+        registers: The map of its registers.
+        limits: The limits of the node's guard.
+        connect: Connects to the device; a test replaces it.
+        now_ns: The monotonic clock [ns]; a test replaces it.
+        sleep: Waits in `open`, `retract` and `close`, and nowhere else.
+
+    Raises:
+        DeviceError: Calibration, limits and map do not fit together.
     """
 
     state = None
@@ -90,7 +97,8 @@ class ModbusAfm:
         self._identity = registers.model
         self._readings = calibration.readings(stage.retract_v, deflection.zero_v)
         self._heart = heartbeat_of(calibration, registers)
-        # after less than its limit this process takes it that the device has retracted: the beat travels as well
+        # The process assumes after less than its limit that the device has retracted, because the heartbeat needs time
+        # as well.
         self._pause_ns = round(_PAUSE_SHARE * calibration.heartbeat_s * 1e9)
         self._beat = 0
         self._output_v = stage.retract_v
@@ -158,7 +166,11 @@ class ModbusAfm:
         return (3 * periods - 1) / 2 * _PERIOD_S
 
     def open(self) -> None:
-        """Connect, identify, set up, retract and take a first sample. Raises DeviceError with what was found."""
+        """Connect, identify, set up, retract and take a first sample.
+
+        Raises:
+            DeviceError: The device is absent or another one; the message says what was found.
+        """
         self._opened = True
         self._begin(self._now_ns())
         while self._phase is not _Phase.READY or not self.exchanges:
@@ -201,7 +213,7 @@ class ModbusAfm:
         until_ns, exchanges = self._now_ns() + round(wait_s * 1e9), self.exchanges
         while self._line is connected is not None and self._now_ns() < until_ns:
             self._poll(self._now_ns())
-            # the one that was out when this began says nothing of the retraction
+            # The exchange that was under way at the beginning says nothing of the retraction.
             if self.exchanges >= exchanges + 2 and is_retracted(self._calibration, self._map, self._output_v):
                 return True
             self._sleep(_PERIOD_S)
@@ -322,7 +334,7 @@ class ModbusAfm:
     def _take(self, answer: Answer, now_ns: int) -> None:
         """Take the words of an answer; with those of the last request of a cycle there is a sample."""
         if answer.exception:
-            # busy: the cycle begins anew, and only the age decides
+            # The device is busy: the cycle begins anew, and only the age decides.
             self._requests.clear()
             self._words = ()
             return
@@ -373,7 +385,8 @@ class ModbusAfm:
         reads = [Operation(part.address, part.count) for part in (self._input, self._readback)]
         if self._map.exchange == "feedback":
             if self._heart is not None:
-                # where the guard keeps it retracted nobody drives: a pause, as before the loop, costs nothing there
+                # While the guard keeps the base retracted, nobody drives it, and a pause of this process costs nothing
+                # there, as before the loop.
                 is_driven = self._sent_v > self._calibration.voltage_v(self._limits.retract_position_m)
                 self._beat = self._beat % _MOST_BEATS + 1 if is_driven else 0
                 beat = self._heart.beat.encode(float(self._beat), self._map.word_order)

@@ -18,7 +18,7 @@ from pymodbus.pdu.register_message import (
 
 _FRAME = struct.Struct(">BHB")
 _HEADER = 8
-# of the function of an answer: what was asked for was not done
+# This bit in the function of an answer means that the device did not do what was requested.
 _EXCEPTION = 0x80
 _LONGEST = 260
 _READ, _WRITE = 0, 1
@@ -133,8 +133,11 @@ class Conversation:
     def answer(self, received: bytes) -> Answer | None:
         """Take bytes, and return the answer to the newest request once it is complete.
 
-        Raises FramingError for what is not Modbus TCP. An answer to an older request is skipped and counted, and so is
-        one of another unit or to another function: behind a gateway several devices share a connection.
+        An answer to an older request is skipped and counted, and so is one of another unit or to another function:
+        behind a gateway several devices share a connection.
+
+        Raises:
+            FramingError: The bytes are not Modbus TCP.
         """
         self._received += received
         while len(self._received) >= _HEADER:

@@ -31,8 +31,11 @@ Steps = Generator[bytes, Answer, None]
 class Handshake:
     """The requests of a handshake, one at a time; DeviceError says what is wrong with the device.
 
-    Parameters: calibration of this very device; registers, its map; conversation, which frames the requests; now_ns
-    (monotonic).
+    Args:
+        calibration: The calibration of this very device.
+        registers: The map of its registers.
+        conversation: Frames the requests.
+        now_ns: The monotonic clock [ns].
     """
 
     def __init__(
@@ -64,7 +67,7 @@ class Handshake:
         if self._map.firmware is not None:
             firmware = yield from self._read(self._map.firmware)
             self.identity += f", firmware {firmware:.4f}"
-        # first of all: whatever the output was at, it leaves the sample
+        # The output leaves the sample first of all, whatever it was at.
         yield from self._write(self._output, self._calibration.stage.retract_v)
         for setting in self._map.settings:
             channel = self._calibration.deflection.channel

@@ -102,6 +102,6 @@ class TcpConnector:
         if place is None:
             place = self._places[host, port] = HostAddress(host, port)
         else:
-            # by the next time the device may have another one
+            # The device may have another address by the next attempt.
             place.renew()
         return TcpLine(place)

@@ -11,12 +11,12 @@ from pydantic import Field, model_validator
 from services.runtime.settings.config import Settings, read_yaml, validate
 
 MAPS = Path(__file__).parent / "maps"
-# of a request for neighbouring registers
+# A request can ask for so many neighbouring registers.
 MOST_REGISTERS = 125
 
 RegisterType = Literal["float32", "int16", "uint16", "int32", "uint32"]
 _FORMS: dict[str, str] = {"float32": ">f", "int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I"}
-# relative: a float32 that was written comes back rounded
+# The tolerance is relative, because a float32 comes back rounded.
 _SAME = 1e-6
 
 
@@ -63,7 +63,7 @@ class Register(Settings):
         return float(raw) * self.scale + self.offset
 
 
-# of the calibration file: what a setting may be besides a number
+# Instead of a number, a setting may name one of these values of the calibration file.
 SettingName = Literal["range_v", "negative", "resolution_index", "retract_v", "watchdog_s"]
 
 

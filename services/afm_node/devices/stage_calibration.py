@@ -14,10 +14,10 @@ from services.afm_node.devices.converter_calibration import InstrumentCalibratio
 from services.afm_node.driver import AfmDriver, DeviceError
 from services.numerics.line_fit import CalibrationError, LineFit, fit_line, mean_of
 
-# of the noise of the free cantilever: beyond it the tip touches
+# The tip touches when the deflection departs by more than so many times the noise of the free cantilever.
 _DEPARTURE = 8.0
 _FREE_POINTS = 8
-# snap-in and adhesion come first, and are no line
+# Snap-in and adhesion come first, and are no line.
 _USED_SHARE = 0.6
 _LEAST_POINTS = 6
 _MOST_INPUT = 0.9
@@ -36,7 +36,11 @@ class Pressed(NamedTuple):
 class Mover:
     """Moves an instrument step by step and takes means; `wait` passes a period of the loop, as a node does.
 
-    Parameters: driver, open; calibration, provisional: its scales are what is looked for; samples, for a point.
+    Args:
+        driver: The driver of the instrument, open.
+        calibration: A provisional calibration, whose scales are being determined.
+        wait: Lets a period of the loop pass.
+        samples: The number of samples for each point.
     """
 
     def __init__(
@@ -49,7 +53,11 @@ class Mover:
         self._driver, self._calibration, self._wait, self._samples = driver, calibration, wait, samples
 
     def settle(self, output_v: float) -> None:
-        """Go to a voltage of the output [V] and wait until it is there. Raises DeviceError if the device is lost."""
+        """Go to a voltage of the output [V] and wait until it is there.
+
+        Raises:
+            DeviceError: The device is lost.
+        """
         step_s = abs(output_v - self.output_v) / self._calibration.stage.slew_v_per_s
         for _ in range(_SETTLE_TICKS + math.ceil(step_s * 1e3)):
             self.hold(output_v)
@@ -91,8 +99,14 @@ def fit_travel(outputs_v: Sequence[float], gauges_m: Sequence[float], output_ste
 def press(mover: Mover, calibration: InstrumentCalibration, step_v: float, press_m: float) -> Pressed:
     """Press the tip onto a hard sample and return the sensitivity of the deflection; the tip is retracted afterwards.
 
-    Parameters: calibration, with the travel of the stage; step_v, between points [V]; press_m, how far beyond the first
-    touch [m]. Raises CalibrationError where there is no sample within the travel, or no line.
+    Args:
+        mover: Moves the instrument.
+        calibration: The calibration that has the travel of the stage.
+        step_v: The step between two points [V].
+        press_m: How far the base goes beyond the first touch [m].
+
+    Raises:
+        CalibrationError: There is no sample within the travel, or the points are on no line.
     """
     stage = calibration.stage
     # a driver that was opened stays retracted until it is told to

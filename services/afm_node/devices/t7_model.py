@@ -78,7 +78,9 @@ class Bridged(Protocol):
 class BridgedSpring:
     """The spring of the theory of delay, seen by the bridge of a cantilever: zeta = F / k.
 
-    Parameters: spring, opened; volts_per_n, of the bridge for a force on the tip [V/N].
+    Args:
+        spring: The spring, opened.
+        volts_per_n: The voltage of the bridge for a force on the tip [V/N].
     """
 
     def __init__(self, spring: AfmDriver, volts_per_n: float) -> None:
@@ -90,7 +92,11 @@ class BridgedSpring:
 
 
 def instrument_of(config: AfmConfig) -> Bridged:
-    """Return the simulated instrument of a configuration, opened. Raises ConfigError for one without a bridge."""
+    """Return the simulated instrument of a configuration, opened.
+
+    Raises:
+        ConfigError: The instrument has no bridge.
+    """
     plant = config.to_params().plant
     if config.environment == "tip_sample":
         afm = simulated_afm(config.to_params())
@@ -108,9 +114,13 @@ def instrument_of(config: AfmConfig) -> Bridged:
 class T7Model:
     """The device.
 
-    Parameters: afm, opened, whose base the output moves and whose bridge voltage the input reads; noise_v, standard
-    deviation of a reading [V]; seed of that noise; word_swapped, for a device that is not what it should be;
-    output_step_v, of a converter of 12 bits unless it is another's [V]; m_per_v, travel of the stage for a volt [m/V].
+    Args:
+        afm: The instrument, opened, whose base the output moves and whose bridge voltage the input reads.
+        noise_v: The standard deviation of a reading [V].
+        seed: The seed of that noise.
+        word_swapped: Whether the device swaps the words of a number, as a wrong device would.
+        output_step_v: The step of the output [V], by default that of a converter of 12 bits.
+        m_per_v: The travel of the stage for a volt [m/V].
     """
 
     def __init__(
@@ -158,7 +168,11 @@ class T7Model:
                 self._move(self.value(_WATCHDOG_DAC0))
 
     def read(self, address: int, count: int, now_ns: int) -> list[int]:
-        """Return registers. Raises RegisterError for one that there is not."""
+        """Return registers.
+
+        Raises:
+            RegisterError: There is no such register.
+        """
         self._hear(now_ns)
         if address <= _AIN0 + 1:
             self._sample()
@@ -169,7 +183,11 @@ class T7Model:
         return found[::-1] if self._word_swapped and count == 2 else found
 
     def write(self, address: int, words: Sequence[int], now_ns: int) -> None:
-        """Write one quantity. Raises RegisterError for a register that there is not, or a value that it refuses."""
+        """Write one quantity.
+
+        Raises:
+            RegisterError: There is no such register, or it refuses the value.
+        """
         self._hear(now_ns)
         if address == _LUA_SOURCE:
             self.script.load(struct.pack(f">{len(words)}H", *words))

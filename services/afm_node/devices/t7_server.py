@@ -48,9 +48,17 @@ def respond(model: T7Model, request: ModbusPDU, now_ns: int) -> ModbusPDU:
 async def serve_t7(
     model: T7Model, host: str, port: int, latency_s: float, on_ready: Callable[[], None] = lambda: None
 ) -> None:
-    """Serve the model until the task is cancelled. Raises OSError if the address cannot be bound.
+    """Serve the model until the task is cancelled.
 
-    Parameters: latency_s, time that the device takes for a request, as a T7 on Ethernet does.
+    Args:
+        model: The device that is served.
+        host: The address to listen at.
+        port: The TCP port to listen at.
+        latency_s: The time that the device takes for a request [s], as a T7 on Ethernet does.
+        on_ready: Called once the port is bound.
+
+    Raises:
+        OSError: The address cannot be bound.
     """
 
     def serve(request: ModbusPDU) -> ModbusPDU:

@@ -17,7 +17,8 @@ from services.afm_node.physics.part import AfmSample, Part, PlantInputs, registe
 from services.numerics.compiled import compiled
 
 FASTEST_HZ = 150.0
-# of the fixed point for the step that makes or breaks contact: each pass takes a quarter of the error at most
+# The fixed point of a step that makes or breaks contact takes at most so many passes; each leaves a quarter of the
+# error at most.
 _PASSES = 30
 
 
@@ -46,7 +47,11 @@ def body_params(
     cantilever_n_per_m: float,
     rest_distance_m: float,
 ) -> BodyParams:
-    """Return the constants of the environment. Raises ValueError naming value and unit."""
+    """Return the constants of the environment.
+
+    Raises:
+        ValueError: A value is impossible; the message names it and its unit.
+    """
     stiffness = stiffness_n_per_m + cantilever_n_per_m
     least_kg = stiffness / (2.0 * math.pi * FASTEST_HZ) ** 2
     if not mass_kg >= least_kg:
@@ -70,7 +75,7 @@ def pushed(
     inertia = 2.0 * params.mass_kg / dt
     alone = inertia + damping + 0.5 * stiffness * dt
     driven = inertia * v_m_per_s - stiffness * y_m
-    # either in contact throughout, or never
+    # The body is in contact throughout, or never.
     mean = (driven + k * middle) / (alone + 0.5 * k * dt) if before > 0.0 else driven / alone
     after = base_m[1] - params.rest_distance_m - y_m - dt * mean
     if (after > 0.0) != (before > 0.0):

@@ -78,7 +78,10 @@ class PlantState(NamedTuple):
 def volts_per_m(bridge_supply_v: float, amplifier_gain: float, sensitivity_per_m: float) -> float:
     """Read-out gain V0 Gc Sc / 4 [V/m] (Eq. 3).
 
-    Parameters: bridge_supply_v, V0 [V]; amplifier_gain, Gc; sensitivity_per_m, Sc [1/m].
+    Args:
+        bridge_supply_v: The supply voltage of the bridge, V0 [V].
+        amplifier_gain: The gain of the amplifier, Gc.
+        sensitivity_per_m: The sensitivity of the cantilever, Sc [1/m].
 
     >>> round(volts_per_m(2.5, 1e4, 1e3) * 1e-9 * 1e3, 9)  # mV per nm, with Sc = 1e-6 per nm
     6.25
@@ -104,7 +107,9 @@ def equilibrium(plant: Plant, state: PlantState, base_m: float) -> PlantState:
     """Stable equilibrium that the tip reaches from `state` when the base goes to x_s = base_m [m].
 
     Follows the branch, jumps at folds and passes between branches as the module describes.
-    Raises: ValueError, if base or distance are not finite.
+
+    Raises:
+        ValueError: Base or distance is not finite.
     """
     h = state.distance_m
     if not (math.isfinite(base_m) and math.isfinite(h)):
@@ -270,8 +275,14 @@ register(Plant, Part(_start, step))
 def build_plant(tip: TipSample, stiffness_n_per_m: float, rest_distance_m: float, volts_per_m: float) -> Plant:
     """Find the monotonic intervals of every branch.
 
-    Parameters: tip; stiffness_n_per_m, k [N/m], > 0; rest_distance_m, L [m], > 0; volts_per_m, Eq. 3.
-    Raises: ValueError naming value and unit, if k, L or the gain is not finite, or k or L not positive.
+    Args:
+        tip: The force between tip and sample.
+        stiffness_n_per_m: The stiffness of the cantilever, k [N/m], > 0.
+        rest_distance_m: The distance at rest, L [m], > 0.
+        volts_per_m: The gain of the read-out, Eq. 3 [V/m].
+
+    Raises:
+        ValueError: k, L or the gain is not finite, or k or L is not positive; the message names value and unit.
     """
     k, L = stiffness_n_per_m, rest_distance_m
     for name, value, unit in (("cantilever stiffness k", k, "N/m"), ("rest distance L", L, "m")):

@@ -214,7 +214,7 @@ def noisy_params(config: DisturbanceConfig, cantilever: Plant, duration_s: float
 def _noisy_step(params: NoisyParams, state: NoisyState, inputs: PlantInputs, dt: float) -> tuple[NoisyState, AfmSample]:
     time_s, rows = state.time_s + dt, params.noise
     row = rows[min(max(int(time_s / _NOISE_STEP_S + 0.5) - 1, 0), len(rows) - 1)]
-    # at the start nothing was drawn yet
+    # Nothing was drawn yet at the start.
     drawn = 1.0 if time_s > 0.0 else 0.0
     noise = Noise(drawn * row[0], drawn * row[1], drawn * row[2], drawn * row[3], drawn * row[4], drawn * row[5])
     instrument, sample = disturbed_step(params.instrument, state.instrument, inputs, noise, dt)

@@ -251,7 +251,7 @@ def advance(
             h_far = rest + z_far - moved_base - moved_surface - drive_m * drive[q, 2]
             falling = w - towards - drive_m * drive[p, 4] < 0.0
             rising = v_far - towards - drive_m * drive[q, 4] > 0.0
-            # what turns on the way may have come nearer than both ends
+            # A tip that turns on the way may have come nearer than at both ends.
             if h_far > far_m and not (falling and rising):
                 in_phase += far[p, 2] * z + far[p, 3] * w + far[p, 4] * drive_m
                 quadrature += far[p, 5] * z + far[p, 6] * w + far[p, 7] * drive_m
@@ -419,9 +419,9 @@ def _corrected(
 ) -> tuple[float, float, float]:
     """Return what a jump of the force, or of its gradient, inside a step needs: impulse, shift, work [J].
 
-    The half impulses count the jump for half of the step; it acted from the crossing on. Parameters: start_m, way of a
-    step at the speed of its start, which with both ends gives the time of the crossing to second order. Impulse and
-    shift are in units of step and squared step over the mass.
+    The half impulses count the jump for half of the step; it acted from the crossing on. start_m, the way of a step at
+    the speed of its start, gives with both ends the time of the crossing to second order. Impulse and shift are in
+    units of step and squared step over the mass.
     """
     way = after_m - before_m
     if way == 0.0:
@@ -463,11 +463,19 @@ def build_dynamic(
 ) -> DynamicPlant:
     """Prepare the exact motion of the driven spring over one step.
 
-    Parameters: plant, the cantilever with its tip; resonance_hz, f; quality, Q, above 1/2 (it must oscillate);
-    drive_hz; damping; steps_per_period, of the drive, a multiple of 8; temperature_k, of thermal noise, where normal
-    numbers are given; like, one of the same cantilever, tip and sample, whose grid of the force is taken; finest,
-    the most steps of a period where a step is divided because the tip meets the sample.
-    Raises: ValueError naming value and unit of what cannot be.
+    Args:
+        plant: The cantilever with its tip.
+        resonance_hz: The frequency of the resonance, f [Hz].
+        quality: The quality factor Q, above 1/2, because the spring has to oscillate.
+        drive_hz: The frequency of the drive [Hz].
+        damping: The damping between tip and sample.
+        steps_per_period: The steps in a period of the drive, a multiple of 8.
+        temperature_k: The temperature of thermal noise [K], which acts where normal numbers are given.
+        like: A dynamic cantilever with the same spring, tip and sample, whose grid of the force is reused.
+        finest: The most steps of a period where a step is divided because the tip meets the sample.
+
+    Raises:
+        ValueError: A value is impossible; the message names it and its unit.
     """
     checks = (("resonance f", resonance_hz, 0.0, "Hz"), ("drive frequency", drive_hz, 0.0, "Hz"),
               ("quality factor Q", quality, 0.5, ""))  # fmt: skip

@@ -35,9 +35,9 @@ _MOST_S = 2e-3
 _LEAST_PERIODS = 8
 # a tip that is not driven has no phase to be met: it comes to rest at any step
 _RESTING_STEPS = 32
-# of the contact's own motion [rad]: the impulses are unstable beyond 2
+# The angle of the contact's own motion in a step [rad]; the impulses are unstable beyond 2.
 _MOST_ANGLE_A_STEP = 1.5
-# of the counters of Philox: the other numbers of the seed have 0 and 1
+# This counter of Philox is free: the other numbers of the seed use 0 and 1.
 _KICKS = 2
 
 
@@ -159,7 +159,7 @@ def _tuned(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tup
     """Return the cantilever that these inputs make, and the state at the beginning of a period where it is another."""
     is_driven = inputs.amplitude_m > 0.0
     if is_driven != state.is_driven:
-        # the steps are others, so it begins a period
+        # The steps have changed, so it begins a period.
         state = state._replace(is_driven=is_driven, motion=state.motion._replace(phase_step=0))
     plant = params.driven if is_driven else params.resting
     if inputs.voltage_v != 0.0:
@@ -217,7 +217,7 @@ def _settle(params: DynamicParams, state: DynamicTip, inputs: PlantInputs) -> tu
         due_s = state.due_s - periods * period_s
         way = _Way(state.motion.base_m, state.motion.surface_m, Exchange(0, periods * n), periods)
         state = _gone_on(params, plant, state, inputs, way)[0]._replace(due_s=due_s)
-    # a small rest is as well gone through with the next command
+    # A small rest is left for the next command.
     return state, ahead_s - periods * period_s > 0.5 * slice_s
 
 
@@ -226,7 +226,7 @@ def _step(params: DynamicParams, state: DynamicTip, inputs: PlantInputs, dt: flo
     base, height, due_s, period_s = inputs.base_m, inputs.height_m, state.due_s + dt, 1.0 / plant.drive_hz
     most = max(int(_MOST_S / period_s), _LEAST_PERIODS)
     periods = min(max(int(due_s / period_s), _LEAST_PERIODS), most)
-    # neither a debt that grows nor a lead
+    # Neither a debt that grows nor a lead is kept.
     due_s = min(max(due_s - periods * period_s, -_MOST_S), period_s)
     n, moving = int(plant.drive.shape[0]), periods // 2
     way = _Way(base, height, Exchange(moving * n, (periods - moving) * n), periods)
@@ -236,7 +236,8 @@ def _step(params: DynamicParams, state: DynamicTip, inputs: PlantInputs, dt: flo
         due_s=due_s,
         in_phase_m=reading.in_phase_m,
         quadrature_m=reading.quadrature_m,
-        # of all periods since the last step: a meniscus may form and break in each second or third of them only
+        # The mean is over all periods since the last step, because a meniscus may form and break in each second or
+        # third of them only.
         dissipated_j=state.taken_j / state.periods,
         taken_j=0.0,
         periods=0,

@@ -22,7 +22,7 @@ from services.afm_node.physics.part import (
 from services.afm_node.physics.sample.surface import Surface, height_at
 from services.numerics.compiled import compiled
 
-# slopes alone
+# Only the slopes matter here.
 _SMOOTH = FrictionParams(0.0, 0.0, 1.0, 1.0)
 _PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
 

@@ -120,5 +120,5 @@ def motion_of(params: Any) -> Motion | None:
     return None if motion is None else motion(params)
 
 
-# of the part whose parameters these are, in plain Python and in compiled code
+# The parameters choose the step of their part, in plain Python and in compiled code.
 part_step = chosen_step(lambda kind: _PARTS[kind].step)

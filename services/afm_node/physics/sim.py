@@ -51,8 +51,11 @@ class InstrumentState(NamedTuple):
 class SimulatedInstrument:
     """An `AfmDriver` whose device is a part.
 
-    Parameters: params, whose plant is simulated and whose retract position is the safe state; relief, what is known of
-    the heights, None for nothing; cantilever, of an instrument that can be disturbed; disturbances of it.
+    Args:
+        params: The parameters, whose plant is simulated and whose retract position is the safe state.
+        relief: What is known of the heights; None for nothing.
+        cantilever: The cantilever of an instrument that can be disturbed.
+        disturbances: The disturbances of the instrument.
     """
 
     def __init__(
@@ -115,7 +118,8 @@ class SimulatedInstrument:
     def vibrate(self, amplitude_m: float) -> None:
         """Drive the base so that the amplitude without a sample becomes amplitude_m [m]; 0 lets the tip come to rest.
 
-        Raises: ValueError, if that is negative or not finite.
+        Raises:
+            ValueError: The amplitude is negative or not finite.
         """
         if not (math.isfinite(amplitude_m) and amplitude_m >= 0.0):
             raise ValueError(f"amplitude = {amplitude_m} m must be finite and >= 0 m")
@@ -136,7 +140,7 @@ class SimulatedInstrument:
         """Take other disturbances from now on; those that go on keep their state."""
         state = self.state
         if not state.disturbances.any_enabled:
-            # what creeps and lags behind is at rest where the base is when it is switched on
+            # Creep and hysteresis begin at rest, where the base is when they are switched on.
             state = state._replace(piezo=None, elapsed_s=0.0)
         inputs = _thermal(state.inputs, config, moves=self._motion is not None)
         self.state = state._replace(disturbances=config, inputs=inputs)
@@ -160,7 +164,8 @@ class SimulatedInstrument:
     def open(self) -> None:
         """Start at rest in the safe position.
 
-        Raises: RuntimeError, if it is already open.
+        Raises:
+            RuntimeError: The device is already open.
         """
         state = self.state
         if state.part is not None:
@@ -223,9 +228,12 @@ def simulated_afm(
 ) -> SimulatedInstrument:
     """Return the simulated AFM.
 
-    Parameters: params, of the quasi-static cantilever; surface, as the tip sees it, None for a plane at height 0;
-    friction, None for none; disturbances, which may be switched on while it runs; tip, a dynamic cantilever in the
-    place of the quasi-static one.
+    Args:
+        params: The parameters of the quasi-static cantilever.
+        surface: The surface as the tip sees it; None is a plane at height 0.
+        friction: The parameters of friction; None is without friction.
+        disturbances: The disturbances, which may be switched on while it runs.
+        tip: A dynamic cantilever instead of the quasi-static one.
     """
     part = over_surface(params.plant if tip is None else tip, surface, friction)
     return SimulatedInstrument(params._replace(plant=part), Relief(surface), params.plant, disturbances)

@@ -27,8 +27,13 @@ class SpringState(NamedTuple):
 def spring_params(stiffness_n_per_m: float, rest_distance_m: float, bilateral: bool) -> SpringParams:
     """Return the constants of the environment.
 
-    Parameters: stiffness_n_per_m, K [N/m], > 0; rest_distance_m, L [m]; bilateral.
-    Raises: ValueError naming value and unit.
+    Args:
+        stiffness_n_per_m: The stiffness K [N/m], > 0.
+        rest_distance_m: The distance at rest, L [m].
+        bilateral: Whether the spring also pulls, beyond the point of contact.
+
+    Raises:
+        ValueError: A value is impossible; the message names it and its unit.
     """
     if not (math.isfinite(stiffness_n_per_m) and stiffness_n_per_m > 0.0):
         raise ValueError(f"stiffness of the environment K = {stiffness_n_per_m} N/m must be finite and > 0 N/m")

@@ -74,7 +74,8 @@ def command_wait_ns(period_ns: int) -> int:
 def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -> tuple[AfmStepState, AfmOutputs]:
     """Advance the guard and what is behind it by dt [s]; a simulated device is never lost.
 
-    Raises: ValueError, if dt is not positive and finite.
+    Raises:
+        ValueError: dt is not positive and finite.
     """
     asked = SafetyInputs(
         reference_m=inputs.reference_m,

@@ -39,7 +39,7 @@ import math
 
 from services.numerics.compiled import compiled
 
-# what gains are multiplied with before they are held against the limit
+# Gains are multiplied by these before they are compared with the limit.
 CONTACT_MARGIN, TAPPING_MARGIN = 1.0, 1.5
 # a step that comes late takes the integral no further than this share of the stable limit
 _CONTACT_SHARE, _TAPPING_SHARE = 0.45, 0.5
@@ -51,8 +51,14 @@ def feedback_step(
 ) -> tuple[float, float]:
     """Return where the base is to go [m], and the proportional part in that [m].
 
-    Parameters: proportional_m, that part in the base as it is; integral_share, Ki T. Without a proportional gain the
-    part is 0, and the sum the same number as without it.
+    Without a proportional gain that part is 0, and the base is the same number as without it.
+
+    Args:
+        base_m: The base as it is [m].
+        proportional_m: The proportional part in it [m].
+        error_m: The error of the regulated height [m].
+        integral_share: The integral gain in a period, Ki T.
+        proportional: The proportional gain.
     """
     part_m = proportional * error_m
     return base_m + error_m * integral_share + (part_m - proportional_m), part_m
@@ -69,7 +75,9 @@ def carried_out(proportional_m: float, missing_m: float) -> float:
 def most_integral_share(proportional: float, lag: float | None) -> float:
     """Return Ki T at which the loop becomes unstable, 0 or less where it is at any.
 
-    Parameters: lag, None in contact; in tapping mode r, what is left of a change of the amplitude after a period.
+    Args:
+        proportional: The proportional gain.
+        lag: None in contact; in tapping mode r, the share of a change of the amplitude that is left after a period.
     """
     if lag is None:
         return 2.0 * (1.0 - proportional)
@@ -86,8 +94,11 @@ def integral_share(gain_per_s: float, proportional: float, period_s: float, lag:
 def number_fault(gain_per_s: float, proportional: float, names: tuple[str, str]) -> str:
     """Return which of two gains is impossible anywhere, and what would be right; empty for none.
 
-    Parameters: names of the integral and the proportional gain, as whoever gave them knows them; the second one empty
-    where there is none.
+    Args:
+        gain_per_s: The integral gain [1/s].
+        proportional: The proportional gain.
+        names: The names of the integral and of the proportional gain, as the user knows them; the second is empty where
+            there is none.
     """
     if not (math.isfinite(gain_per_s) and gain_per_s > 0.0):
         return f"{names[0]} = {gain_per_s:g} must be positive and finite [1/s]"
@@ -101,7 +112,12 @@ def gain_fault(
 ) -> str:
     """Return which gain is impossible in a loop, and what would be right; empty for none.
 
-    Parameters: period_s, of the feedback [s]; lag, as `most_integral_share`; names, as `number_fault`.
+    Args:
+        gain_per_s: The integral gain [1/s].
+        proportional: The proportional gain.
+        period_s: The period of the feedback [s].
+        lag: The lag, as in `most_integral_share`.
+        names: The names of the gains, as in `number_fault`.
     """
     if fault := number_fault(gain_per_s, proportional, names):
         return fault

@@ -84,10 +84,23 @@ def tapping_line(
 ) -> tuple[DynamicState, float, float]:
     """Scan pixels of a line in tapping mode, the feedback acting once in each period of the drive.
 
-    Parameters: proportional_m, the part of the feedback in the base, and error_m, so far; height_m and its steps, the
-    map as the tip sees it; drive_m, amplitude of the base's vibration; normals, for thermal noise, sixteen for each
-    period, or none; out (pixels, CHANNELS), filled with as many pixels as it has rows, of the line from `first` on.
-    Returns: state, proportional part, error.
+    Args:
+        plant: The dynamic cantilever.
+        state: Its state at the first of the pixels.
+        proportional_m: The proportional part of the feedback in the base so far [m].
+        error_m: The error so far [m].
+        feedback: The constants of the feedback.
+        line: The line that is scanned.
+        height_m: The height map as the tip sees it [m], shape (rows, columns).
+        step_x_m: The distance of its columns [m].
+        step_y_m: The distance of its rows [m].
+        drive_m: The amplitude of the base's vibration [m].
+        normals: Normal numbers of thermal noise, sixteen for each period, or none.
+        first: The first pixel that is scanned.
+        out: Filled with as many pixels as it has rows, from `first` on, shape (pixels, CHANNELS).
+
+    Returns:
+        The state, the proportional part [m] and the error [m] after the last pixel.
     """
     steps = plant.drive.shape[0]
     dt = steps * plant.step_s
@@ -140,8 +153,28 @@ def contact_line(
     """Scan pixels of a line in contact at a constant force, with the quasi-static cantilever; fill `out` from `first`.
 
     A surface that rises by s is to the tip what a base is that comes nearer by s. LATERAL is the force along the line's
-    axis x, of slope and friction. Parameters: as `tapping_line`; dt [s], period of the feedback; held, the tip that
-    friction holds back. Returns: state, base, proportional part, error, held.
+    axis x, of slope and friction.
+
+    Args:
+        plant: The quasi-static cantilever.
+        state: Its state at the first of the pixels.
+        base_m: The base so far [m].
+        proportional_m: The proportional part of the feedback in the base so far [m].
+        error_m: The error so far [m].
+        feedback: The constants of the feedback.
+        line: The line that is scanned.
+        height_m: The height map as the tip sees it [m], shape (rows, columns).
+        step_x_m: The distance of its columns [m].
+        step_y_m: The distance of its rows [m].
+        dt: The period of the feedback [s].
+        friction: The parameters of friction.
+        held: The state of the tip that friction holds back.
+        first: The first pixel that is scanned.
+        out: Filled with as many pixels as it has rows, from `first` on, shape (pixels, CHANNELS).
+
+    Returns:
+        The state, the base [m], the proportional part [m], the error [m] and the state of friction after the last
+        pixel.
     """
     require_rows(line, first, out)
     total = line.pixels * line.periods

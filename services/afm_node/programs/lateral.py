@@ -27,7 +27,8 @@ class Place(NamedTuple):
 def moved(params: LateralParams, place: Place, wanted: Place, dt: float) -> tuple[Place, int]:
     """Return where the stage is after dt [s] on its way to `wanted`, in a straight line, and what limited it.
 
-    Raises: ValueError, if dt is not positive and finite, or the target is no number.
+    Raises:
+        ValueError: dt is not positive and finite, or the target is no number.
     """
     if not (dt > 0.0 and math.isfinite(dt)):
         raise ValueError("dt in s must be finite and > 0")

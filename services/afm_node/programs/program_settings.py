@@ -18,7 +18,7 @@ Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
 Force = Annotated[float, Field(gt=-1e-3, le=1e-3)]
 
 _SIMULATED = "in_simulated_time"
-# between what a description says and the defaults that it ends with
+# This text separates a description from the defaults at its end.
 _DEFAULT = " Default: "
 
 
@@ -47,13 +47,14 @@ class ProgramSettings(Settings):
     def in_simulated_time(cls, **given: Any) -> Self:
         """Return settings in which the keys that are not given have their defaults in simulated time.
 
-        Raises: ConfigError naming the key whose value is impossible, and what would be right.
+        Raises:
+            ConfigError: A value is impossible; the message names its key and what would be right.
         """
         values = {name: stated(field)[1] for name, field in cls.model_fields.items()}
         mode = given.get("mode", values.get("mode"))
         for name, value in values.items():
             if isinstance(value, Mapping):
-                # an unknown mode is refused by the model itself
+                # The model itself refuses an unknown mode.
                 values[name] = value.get(mode, cls.model_fields[name].default)
         return validate(cls, {**values, **given}, "in simulated time")
 

@@ -13,7 +13,7 @@ from services.afm_node.physics.sample.surface import Surface
 from services.afm_node.programs.lateral import Place
 from services.afm_node.safety import SafetyParams
 
-# beyond the time that the whole way of the base takes: for a base that is still taking up its speed after a hold
+# The base needs this time besides that of its whole way, because it may still be taking up its speed after a hold.
 _SPARE_S = 1.0
 _RETRACT_FURTHER = (
     "Start the rig with afm_node.safety.retract_position_m={base:g} or less, and afm_node.safety.base_min_m no higher"
@@ -51,7 +51,7 @@ class Reach(NamedTuple):
             return Span(0.0, 0.0)
         s, (rows, columns) = self.surface, self.surface.height_m.shape
         way = math.hypot((end.x_m - begin.x_m) / s.step_x_m, (end.y_m - begin.y_m) / s.step_y_m)
-        # beyond the map it goes on level: more points than twice its diagonal see nothing new
+        # The surface goes on level beyond the map, so more points than twice its diagonal see nothing new.
         shares = np.linspace(0.0, 1.0, min(math.ceil(2.0 * way), 4 * (rows + columns)) + 2)
         x = (begin.x_m + shares * (end.x_m - begin.x_m) + 0.5 * s.width_m) / s.step_x_m - 0.5
         y = (begin.y_m + shares * (end.y_m - begin.y_m) + 0.5 * s.depth_m) / s.step_y_m - 0.5
@@ -77,8 +77,11 @@ class Reach(NamedTuple):
     def clearance_fault(self, span: Span, base_m: float, remedy: str, lift_m: float = 0.0) -> str:
         """Return why a tip with its base at base_m [m] hits the highest point; empty if it is clear of it.
 
-        Parameters: remedy, a sentence with the base {base:g} [m] that is clear; lift_m, how far the tip swings below
-        its mean [m].
+        Args:
+            span: The region that the tip goes over.
+            base_m: The base [m].
+            remedy: A sentence with the base {base:g} [m] that is clear.
+            lift_m: How far the tip swings below its mean [m].
         """
         needed = self.rest_m - span.high_m - lift_m
         if base_m <= needed:

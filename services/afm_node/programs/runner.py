@@ -11,7 +11,7 @@ from services.afm_node.programs.table import PROGRAMS, AnyProgram
 from services.runtime.loop.node_state import Part, part
 
 RunState = Literal["running", "paused", "finished", "ended"]
-# of the guard, where a program may not begin, and why
+# A program may not begin in these modes of the guard, for these reasons.
 _NOT_READY = {
     safety.MODE_RETRACTING: "the tip is still retracting",
     safety.MODE_ESTOP: "the emergency stop is latched: arm the AFM first",
@@ -76,7 +76,11 @@ class ProgramRunner:
     def request(self, request: InstrumentRequest, mode: int, place: Place, *, device_lost: bool) -> str:
         """Begin a program, or change the one that runs; return a sentence. RefusedError says why not.
 
-        Parameters: place, where the tip is.
+        Args:
+            request: The request.
+            mode: The mode of the guard.
+            place: Where the tip is.
+            device_lost: Whether the device is lost.
         """
         wanted = request.program
         if wanted in PROGRAMS:

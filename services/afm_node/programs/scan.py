@@ -38,7 +38,7 @@ Array = npt.NDArray[np.float64]
 
 # the phases after the way to the surface
 SETTLE, LINES, DONE = range(ARRIVED, ARRIVED + 3)
-# names of the gains, for whoever gave them by `set`, in a scenario, or on the command line
+# The names of the gains as the user knows them, by `set`, in a scenario, or on the command line.
 GAIN_NAMES = ("scan.gain_per_s (--gain)", "scan.proportional (--proportional)")
 
 
@@ -192,7 +192,9 @@ def scan_step(
     """Take what was measured at the last step, and return where base [m] and stage are to go in the next dt [s].
 
     While it is paused, the stage stands and the force, or the amplitude, is held.
-    Returns: state, base reference x_s [m], lateral target, and a line where one was finished.
+
+    Returns:
+        The state, the base reference x_s [m], the lateral target, and a line if one was finished.
     """
     s, phase, elapsed = plan.settings, state.phase, state.elapsed_s + dt
     base_m, place, first = inputs.base_m, inputs.place, begin_of(plan)

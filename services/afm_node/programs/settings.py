@@ -59,7 +59,9 @@ class InstrumentRequest(_Programs):
 def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | None = None) -> InstrumentRequest:
     """Return what parameters by dotted key ask for; RefusedError says what is wrong with them, or that there are none.
 
-    Parameters: others, keys of the same command that are for somebody else.
+    Args:
+        parameters: The parameters by dotted key.
+        others: Keys of the same command that are for something else.
     """
     refuse_unusable(parameters.get("program"))
     try:

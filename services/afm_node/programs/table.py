@@ -13,9 +13,9 @@ from services.runtime.settings.config import Settings
 AnyProgram = Program[Any, Any, Any]
 
 OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile()}
-# `program=...` with one of these changes the program that runs
+# With one of these `program=...` changes the program that runs.
 CHANGES = ("pause", "resume", "abort")
-# the other keys that `set` takes at the instrument
+# `set` takes these other keys at the instrument.
 OTHER_KEYS = ("program", "lateral", "disturbances")
 
 

@@ -33,7 +33,7 @@ from services.afm_node.programs.scan_speed import felt_speed_m_per_s
 
 # the phases after the way to the surface
 FEEL, DONE = ARRIVED, ARRIVED + 1
-# of the gains, for whoever gave them
+# The names of the gains as the user knows them.
 _GAINS = ("tactile.gain_per_s", "")
 
 

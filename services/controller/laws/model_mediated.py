@@ -248,7 +248,7 @@ def updated(
     the model stays.
     """
     p, k, span, x = params.mass, params.fit.cantilever, params.fit.range_nm, reference_m / NANO
-    # nN nm at the tip to J at the hand
+    # The factor takes nN nm at the tip to J at the hand.
     joules = NANO * NANO * p.force_scale / p.position_scale
     force, stored = force_nn(model, k, span, x), potential(model, k, span, x)
     share = params.follow
@@ -275,7 +275,7 @@ def master_receive(
     if not (coupled and hand.following):
         mass = let_go(p, mass, hand, signal)
         if fit.known and is_retracted(p, signal):
-            # what is armed anew may meet another surface
+            # After arming anew the tip may meet another surface.
             fit = unknown(params.fit)
         state = MasterState(
             mass=mass,
@@ -289,10 +289,10 @@ def master_receive(
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     if fit.known and not rendered:
         here = tip_reference(p, mass) / NANO
-        # where the hand is already beyond it, the surface begins under the hand, without force
+        # If the hand is already beyond the surface, the surface begins under the hand, without force.
         out = max(fit.surface.contact_nm, here + q.range_nm)
         if abs(here - signal.position_m / NANO) <= q.bin_nm:
-            # hand and tip are at one place: the force of the tip is the one to begin with
+            # Hand and tip are at one place, so the force of the tip is the first one.
             out = fit.surface.contact_nm
         model, rendered = Surface(out, fit.surface.kappa, fit.surface.adhesion_nn), True
     store, injected, dissipated, force = state.store_j, state.injected_j, state.dissipated_j, 0.0
@@ -304,7 +304,7 @@ def master_receive(
             force = force_nn(model, q.cantilever, q.range_nm, tip_reference(p, mass) / NANO) * NANO * p.force_scale
         before = mass.position_m
         mass = moved(p, mass, hand.force_n - force)
-        # the mean velocity never overstates what the damper took
+        # The mean velocity never overstates the energy that the damper dissipated.
         moved_m = mass.position_m - before
         taken = params.damping_n_s_per_m * moved_m * moved_m / p.period_s
         store = min(store + taken, params.cap_j)

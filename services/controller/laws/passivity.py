@@ -107,9 +107,10 @@ from services.controller.ranges import (
 )
 from services.numerics.compiled import compiled
 
-# the clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for moments
+# The clamp's time constant for a hand that no longer presses [s]: an arm that swings on a soft sample pulls for
+# moments.
 _LET_GO_S = 0.2
-# the level of a store that begins empty [J]
+# A store that begins empty has this level [J].
 _LEAST_LEVEL_J = 1e-9
 
 
@@ -392,7 +393,7 @@ def master_receive(
     if not mass.coupled:
         account = granted(account, 0.5 * force * force / params.coupling_n_per_m)
     if not hand.following:
-        # a device that is off for a moment stands: what its reference was ahead is taken back, and paid like a motion
+        # A device that is off for a moment stands still: the lead of its reference is undone, and paid like a motion.
         account = shared_out(charged_or_granted(account, force * (hand.position_m - mass.position_m)), params.shared)
         mass = placed(mass, hand.position_m, 0.0)
         return MasterState(mass, account, stood), MasterReference(hand.position_m, 0.0, force, True)
@@ -459,10 +460,11 @@ def slave_receive(
     force = p.force_scale * tip.force_n
     account = credited(state.account, signal.energy_j, params.cap_j)
     if not state.coupled:
-        # the base may have come a long way since it was measured last, and none of that is the coupling's
+        # The base may have come a long way since its last measurement, and the coupling did none of that.
         state = _standing(params, state.position_m, tip, account)
         account = granted(account, 0.5 * k * state.stretch_m * state.stretch_m)
-    # what the coupling gave when the base moved and the sample did not get is what the damper of the base took
+    # The damper of the base dissipated the energy that the coupling gave when the base moved and that the sample did
+    # not get.
     slid = (tip.base_position_m - state.last_m) / p.position_scale
     stretch = state.stretch_m - slid
     spring_n, tip_n = 0.5 * k * (state.stretch_m + stretch), 0.5 * (force + state.last_n)
@@ -477,10 +479,10 @@ def slave_receive(
     refused = k * wanted * (stretch + 0.5 * wanted) + work
     account = shared_out(charged(account, work, refused if motion != wanted else 0.0), params.shared)
     stretch += motion
-    # from where the base is, to where the coupling balances the force that was measured there
+    # The way goes from the base to where the coupling balances the force that was measured there.
     way = params.relaxed * (k * stretch - force) / k
     if account.remaining_j < 0.0:
-        # it has given more than it had: it presses no further, and gives way by small steps
+        # The coupling has given more than it had: it presses no further, and gives way by small steps.
         way = 0.0 if way * force > 0.0 else 0.25 * way
     base = followed(p, state.position_m, tip.base_position_m) + p.position_scale * way
     state = SlaveState(

@@ -38,7 +38,8 @@ from services.controller.laws.virtual_impedance import ImpedanceConfig, VirtualI
 from services.controller.ranges import LengthM, StiffnessNPerM, StiffnessOrNoneNPerM, StiffnessRateNPerMS, TimeS
 from services.numerics.compiled import compiled
 
-# references kept, one a period: older ones are taken for the oldest, so longer delays are bridged in part
+# So many references are kept, one a period. The oldest stands for still older ones, so longer delays are bridged in
+# part.
 HISTORY = 1024
 
 
@@ -191,7 +192,7 @@ def master_receive(
     then = reference_then(state, signal.round_trip_s, p.period_s)
     estimate = estimated(params, state.estimate, then, signal)
     if is_retracted(p, signal):
-        # what is armed anew may meet another sample
+        # After arming anew the tip may meet another sample.
         estimate = _without_memory(params.stiffness_n_per_m)
     wanted = estimate.stiffness_n_per_m if signal.in_contact and coupled else 0.0
     reach = params.rate_n_per_m * periods_in(dt, p.period_s)

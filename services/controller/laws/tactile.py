@@ -33,7 +33,7 @@ from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfi
 from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
 from services.numerics.compiled import compiled
 
-# newtons: what the wire can carry
+# The wire can carry so much [N].
 _MOST_N = 1e6
 
 
@@ -144,7 +144,7 @@ def master_receive(
         return _untouched(hand), MasterReference(hand.position_m, 0.0, 0.0, coupled)
     zeta = signal.force_n / params.stiffness_n_per_m
     if params.by_impedance:
-        # the newest signal may be the one of the tick before, and then nothing has moved
+        # The newest signal may be that of the tick before, and then nothing has moved.
         speed = (zeta - state.zeta_m) / dt
         shown = params.inertia_kg * (speed - state.speed_m_per_s) / dt
         shown += params.damping_n_s_per_m * speed + params.spring_n_per_m * zeta

@@ -297,7 +297,7 @@ def master_receive(
             stood_s=stood,
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
-    # what was sent before the tip was felt is no wave: start to count here
+    # Signals that were sent before the tip was felt are no waves, so counting starts here.
     inbox = state.inbox if state.up else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
     bias = state.bias_n if state.up else (0.0 if state.begun else p.force_scale * signal.force_n)
@@ -366,13 +366,13 @@ def slave_receive(
             begun=state.begun,
         )
         return state, SlaveReference(base, True)
-    # a reference of the master's own that came before is no wave: start to count here
+    # An earlier reference of the master's own is no wave, so counting starts here.
     inbox = state.inbox if state.coupled else emptied(position, signal.energy_j)
     inbox = received(inbox, position, signal.energy_j)
     anchor = state.anchor_m if state.coupled else state.position_m
     last_n = state.last_n if state.coupled else p.force_scale * tip.force_n
     bias = state.bias_n if state.coupled else (0.0 if state.begun else last_n)
-    # as many periods of waves as the hand has sent, so that none are left over: the way of those is the hand's lead
+    # Consume exactly one period of waves for each sample of the hand; a surplus would let the hand run ahead.
     periods = round(dt / p.period_s)
     total, came_j = 0.0, 0.0
     for _ in range(periods):
@@ -381,10 +381,10 @@ def slave_receive(
         came_j += 0.5 * wave * wave * p.period_s
     way = (math.sqrt(2.0 * b) * (total / max(periods, 1)) - (last_n - bias)) / b * dt
     if signal.silence_s > params.bridge_s:
-        # all waves have died out, and to give way to the force would let the tip off: it stands
+        # All waves have died out; giving way to the force would let the tip off, so it stands.
         way = 0.0
     elif params.clamped:
-        # the wave that goes back is made of the motion that there was, so what the clamp refuses is reflected
+        # The returned wave is made of the motion that there was, so the part that the clamp refuses is reflected.
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j

@@ -49,7 +49,7 @@ class GilbertElliottChain:
         self._settings = settings
         self._step = step
         self._decide = decide
-        # whether the channel is bad
+        # It is true while the channel is bad.
         self.state = False
 
     def __call__(self) -> bool:

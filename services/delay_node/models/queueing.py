@@ -43,7 +43,7 @@ class RateServer:
     def __init__(self, rate_bytes_per_s: float, overhead_bytes: int) -> None:
         self._ns_per_byte = 1e9 / rate_bytes_per_s
         self._overhead_bytes = overhead_bytes
-        # when it has sent everything [ns]
+        # It has sent everything at this time [ns].
         self.state = 0
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
@@ -271,7 +271,8 @@ class SlotGate:
     def slot_ns(self, now_ns: int, release_ns: int, size_bytes: int) -> int:
         """Reserve a place in a slot; no later message may ask for a time before now_ns.
 
-        Returns: the time of the slot, >= release_ns.
+        Returns:
+            The time of the slot [ns], >= release_ns.
         """
         if len(self.state.times_ns) > 512 and self.state.times_ns[256] < now_ns:
             self._forget(now_ns)

@@ -33,14 +33,15 @@ class LossCourse(NamedTuple):
 def read_text(path: Path) -> str:
     """Return the text of a trace.
 
-    Raises: ConfigError naming the file, if it is not a file, too large, or not UTF-8 text.
+    Raises:
+        ConfigError: It is not a file, too large, or not UTF-8 text; the message names the file.
     """
     try:
         # A device or a pipe would never end, and the link would stand still while it reads.
         if not path.is_file():
             raise ConfigError(f"{path}: is not a file")
         size = path.stat().st_size
-        # What the kernel makes up while it is read has no size, and may have no end.
+        # A file that the kernel makes up while it is read has no size, and may have no end.
         if size == 0:
             raise ConfigError(f"{path}: is empty")
         if size > LARGEST_FILE_BYTES:
@@ -55,7 +56,8 @@ def read_text(path: Path) -> str:
 def parse_delay_trace(text: str, name: str) -> DelayCourse:
     """Return the course of a delay trace: lines `time_s delay_s`, times from 0 on, strictly increasing.
 
-    Raises: ConfigError naming file and line.
+    Raises:
+        ConfigError: A line is wrong; the message names file and line.
     """
     times_ns: list[int] = []
     delays_ns: list[int] = []
@@ -77,7 +79,8 @@ def parse_delay_trace(text: str, name: str) -> DelayCourse:
 def parse_loss_trace(text: str, name: str) -> LossCourse:
     """Return the course of a loss trace: lines `time_s lost`, times from 0 on, strictly increasing, lost 0 or 1.
 
-    Raises: ConfigError naming file and line.
+    Raises:
+        ConfigError: A line is wrong; the message names file and line.
     """
     times_ns: list[int] = []
     lost: list[bool] = []
@@ -101,7 +104,8 @@ def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]
     A repeated time is one more opportunity at that time. The last time is the period of the trace, so it must
     be greater than 0.
 
-    Raises: ConfigError naming file and line.
+    Raises:
+        ConfigError: A line is wrong; the message names file and line.
     """
     times_ns: list[int] = []
     for number, words in _lines(text):
@@ -120,7 +124,8 @@ def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]
 def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
     """Return the samples of a jitter table: finite numbers separated by white space.
 
-    Raises: ConfigError naming file and line.
+    Raises:
+        ConfigError: A line is wrong; the message names file and line.
     """
     samples = tuple(
         _number(word, f"{name}, line {number}", -_LARGEST_SAMPLE, _LARGEST_SAMPLE)
@@ -143,7 +148,7 @@ def _number(word: str, place: str, low: float, high: float) -> float:
     try:
         value = float(word)
     except ValueError:
-        # without its cause, which holds the word
+        # The cause is left out because it holds the word itself.
         raise ConfigError(f"{place}: is not a number") from None
     if not low <= value <= high:
         raise ConfigError(f"{place}: is not a number from {low:g} to {high:g}")

@@ -23,13 +23,13 @@ DEVICE_ID = 0x0102030405060708
 # a turn of the sensor is read in so many steps
 SENSOR_STEPS = 1024
 SENSOR_MV = 5000
-# of the arm, for a turn of the sensor
+# The arm moves this far for a turn of the sensor [m].
 M_PER_TURN = 10e-3
 M_PER_COUNT = M_PER_TURN / SENSOR_STEPS
-# where the sensor stands at x = 0
+# The sensor stands at this count when x = 0.
 _ZERO_COUNTS = 512
 FULL_DUTY = 255
-# of the strong motor of the plant a hundredth, so that a handle of 25 N comes out
+# The drive is a hundredth of the strong motor of the plant, which makes a handle of 25 N.
 _FULL_V = 0.1
 _SOURCE_V_PER_M = 1.0
 _TICK_S = 1e-3
@@ -39,7 +39,8 @@ _ROOM = 8192
 class AvrBoard:
     """The processor with its image: bytes, sensor and switch in, bytes and duty out.
 
-    Raises FirmwareError where simavr or a compiler is missing, or the image cannot be read.
+    Raises:
+        FirmwareError: simavr or a compiler is missing, or the image cannot be read.
     """
 
     def __init__(self, device_id: int = DEVICE_ID, image: Path = IMAGE) -> None:
@@ -67,7 +68,11 @@ class AvrBoard:
         return int(self._functions.board_drive(self._board))
 
     def run(self, cycles: int) -> None:
-        """Run the processor. Raises FirmwareError when it has crashed."""
+        """Run the processor.
+
+        Raises:
+            FirmwareError: The processor has crashed.
+        """
         if not self._functions.board_run(self._board, cycles):
             raise FirmwareError(f"the processor has stopped after {self.cycles} cycles")
 
@@ -129,7 +134,7 @@ def calibration_of(config: HapticConfig, device_id: int = DEVICE_ID) -> dict[str
     """Return the content of a calibration file that fits the emulated board; its force is what the drive holds."""
     from datetime import UTC, datetime
 
-    # the drive of a duty count, from that of a millivolt
+    # The force of a duty count follows from that of a millivolt.
     force_n = drive_n_per_count(config.device.to_params()) * 1e3 * _FULL_V / FULL_DUTY
     return {
         "schema": 1,

@@ -40,7 +40,10 @@ def drive_n_per_count(motor: MotorParams) -> float:
 class EmulatedHandle:
     """A handle in virtual time: `advance` takes the device from one millisecond to the next.
 
-    Parameters: config, whose device and operator are emulated; session, number of this boot; device_id.
+    Args:
+        config: The configuration whose device and operator are emulated.
+        session: The number of this boot of the device.
+        device_id: The identity of the device.
     """
 
     def __init__(self, config: HapticConfig, session: int, device_id: int = DEVICE_ID) -> None:

@@ -64,8 +64,16 @@ def compiled(
 ) -> Path:
     """Return a shared library in the user's cache, compiled unless that was done before with the same sources.
 
-    Parameters: parts, every file that it is made of; arguments of the compiler; purpose, the beginning of the sentence
-    without a compiler; extra, further packages that it needs. Raises FirmwareError.
+    Args:
+        name: The name of the library.
+        parts: Every file that the library is made of.
+        arguments: The arguments of the compiler.
+        purpose: The beginning of the message if there is no compiler.
+        folder: The folder of the library; None takes the user's cache.
+        extra: Further packages that the compilation needs.
+
+    Raises:
+        FirmwareError: A source or the compiler is missing, or the compiler fails.
     """
     try:
         digest = hashlib.sha256(b"".join(part.read_bytes() for part in parts)).hexdigest()[:16]
@@ -79,7 +87,7 @@ def compiled(
     if compiler is None:
         raise FirmwareError(f"{purpose} a C compiler: apt install gcc libc6-dev{extra}")
     cache.mkdir(parents=True, exist_ok=True)
-    # put in place whole: another process may compile the same now
+    # The library is renamed into place whole, because another process may compile the same now.
     with tempfile.TemporaryDirectory(dir=cache) as work:
         made = Path(work) / library.name
         done = subprocess.run([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)

@@ -35,7 +35,8 @@ def sample_raw(
 ) -> tuple[wire.Hello, RawPoint]:
     """Return who a handle is, and its means over a time [s], from what it sends by itself, without a command.
 
-    Raises DeviceError if nobody answers, or if the device sends too few samples.
+    Raises:
+        DeviceError: No device answers, or it sends too few samples.
     """
     port, reader = open_port(path, baud), wire.FrameReader()
     hello: wire.Hello | None = None

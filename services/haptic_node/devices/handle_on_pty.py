@@ -15,9 +15,9 @@ from services.haptic_node.devices.emulated_handle import TICK_US
 
 _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096
-# a process that was held up longer goes on from now: a board has no time to make up for
+# A process that stalled for longer goes on from now, because a board does not make up for lost time.
 _LONGEST_NS = 50 * _TICK_NS
-# a host sends a thousand commands a second
+# The host is gone after so long, because it sends a thousand commands a second.
 _ABANDONED_NS = 200 * _TICK_NS
 
 
@@ -39,7 +39,8 @@ class EmulatedBoard(Protocol):
 class HandleOnPty:
     """A handle whose port is `link`, a symbolic link as those of /dev/serial/by-id.
 
-    Raises OSError if the link cannot be made.
+    Raises:
+        OSError: The link cannot be made.
     """
 
     def __init__(self, handle: EmulatedBoard, link: Path) -> None:
@@ -109,6 +110,6 @@ class HandleOnPty:
     def _send(self) -> None:
         sent = self._handle.sent()
         if sent and self.plugged:
-            # nobody reads: as on a line that nobody listens to, it is gone
+            # Without a reader the bytes are lost, as on a line without a listener.
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, sent)

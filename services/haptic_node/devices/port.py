@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from services.haptic_node.driver import DeviceError
 
-# far above what a device sends in 50 ms at 1 Mbaud
+# A device sends far less than this in 50 ms at 1 Mbaud.
 _READ_BYTES = 8192
 _NOTHING = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 # termios.error is no OSError, and pyserial's SerialException is one
@@ -42,7 +42,11 @@ class SerialPort:
     """A serial port, opened for this process alone."""
 
     def __init__(self, path: str, baud: int) -> None:
-        """Open a port. Raises DeviceError with the reason, and the process that holds it."""
+        """Open a port.
+
+        Raises:
+            DeviceError: The port cannot be opened; the message has the reason, and the process that holds it.
+        """
         try:
             import serial
         except ImportError as error:
@@ -61,7 +65,7 @@ class SerialPort:
             raise DeviceError(f"{path}: cannot be prepared: {error}") from error
 
     def _prepare(self) -> None:
-        # against programs that do not ask for the lock, such as ModemManager
+        # This keeps out programs that do not ask for the lock, such as ModemManager.
         with contextlib.suppress(OSError):
             fcntl.ioctl(self._descriptor, termios.TIOCEXCL)
         # a board must not reset when the port is closed
@@ -101,7 +105,7 @@ class SerialPort:
 
     def close(self) -> None:
         """Let the port go at once: as long as it is held the kernel gives a device that returns another name."""
-        # the mark outlives this process where another has the port open as well, and would keep everybody out
+        # The mark outlives this process where another has the port open as well, and would keep every program out.
         with contextlib.suppress(*PORT_ERRORS):
             fcntl.ioctl(self._serial.fileno(), termios.TIOCNXCL)
         with contextlib.suppress(*PORT_ERRORS):

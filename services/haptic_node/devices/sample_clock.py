@@ -32,7 +32,9 @@ class SampleClock:
     def host_ns(self, device_us: int, received_ns: int) -> int:
         """Return when a sample was taken [ns], plus the shortest way to the host; never after its reception.
 
-        Parameters: device_us, modulo 2^32, as the device sends it; received_ns, on the clock of this process.
+        Args:
+            device_us: The time of the device [us], modulo 2^32, as the device sends it.
+            received_ns: When the sample was received, on the clock of this process [ns].
         """
         step_us = 0 if self._last_us is None else (device_us - self._last_us) % _WRAP_US
         self._last_us = device_us

@@ -51,8 +51,14 @@ class _Phase(Enum):
 class SerialHandle:
     """A `HapticDevice` on a serial port.
 
-    Parameters: path and baud of the port; calibration, of this very device; limits, which the device enforces as well;
-    open_port and now_ns (monotonic), which a test replaces; sleep, for `open` alone.
+    Args:
+        path: The path of the port.
+        baud: The rate of the port [baud].
+        calibration: The calibration of this very device.
+        limits: The limits, which the device enforces as well.
+        open_port: Opens the port; a test replaces it.
+        now_ns: The monotonic clock [ns]; a test replaces it.
+        sleep: Waits in `open`, and nowhere else.
     """
 
     def __init__(
@@ -68,10 +74,10 @@ class SerialHandle:
     ) -> None:
         self.path = path
         self.hello: wire.Hello | None = None
-        # number of the last session that was ready: it is another after each boot of the device
+        # The number of the last session that was ready; it changes with each boot of the device.
         self._session: int | None = None
         self.state: wire.State | None = None
-        # of frames: sent and not taken by the port, missing by seq
+        # Frame counters: dropped because the port was full, and missing from the sequence.
         self.dropped = 0
         self.missed = 0
         self.reader = wire.FrameReader()
@@ -84,7 +90,7 @@ class SerialHandle:
         self._phase = _Phase.CLOSED
         self._clock = SampleClock()
         self._round_trips = RecentMinimum()
-        # of the least one a half is the way of a sample to the host, which one-way stamps cannot tell
+        # Half of the least round trip is the way of a sample to the host, which one-way stamps cannot tell.
         self._round_trip_ns = 0
         self._sent_at_ns = [0] * _SENT_KEPT
         self._seq = 0
@@ -98,7 +104,7 @@ class SerialHandle:
         self._errors_noticed = 0
         self._text = ""
         self._report = DeviceReport("lost", 0.0, False, "the handle is not open")
-        # where the arm is has never been measured; it is not used before a sample is there
+        # The position of the arm has not been measured yet; it is not used before a sample is there.
         self._reading = DeviceReading(
             position_m=0.0,
             velocity_m_per_s=0.0,
@@ -150,7 +156,11 @@ class SerialHandle:
         return self._report
 
     def open(self) -> None:
-        """Connect and wait for the first sample, 3 s at most. Raises DeviceError with what was found and expected."""
+        """Connect and wait for the first sample, 3 s at most.
+
+        Raises:
+            DeviceError: The device is absent or another one; the message says what was found and expected.
+        """
         self._connect(self._now_ns())
         while self._phase is not _Phase.READY:
             self._sleep(_PERIOD_S)
@@ -160,7 +170,11 @@ class SerialHandle:
         self._judge(self._now_ns())
 
     def identify(self) -> wire.Hello:
-        """Connect and return who the device is, without configuring it. Raises DeviceError if nobody answers."""
+        """Connect and return who the device is, without configuring it.
+
+        Raises:
+            DeviceError: No device answers.
+        """
         self._connect(self._now_ns())
         while self.hello is None:
             self._sleep(_PERIOD_S)
@@ -180,7 +194,7 @@ class SerialHandle:
             try:
                 self._port.write(wire.encode_stop(self._next_seq(), self.hello.session))
             except DeviceError:
-                # a cable that is out: the watchdog has switched the drive off
+                # The cable is out: the watchdog has switched the drive off.
                 return
 
     def write(self, command: DriveCommand) -> None:
@@ -294,7 +308,7 @@ class SerialHandle:
         if self.hello is None:
             return
         if state.session != self.hello.session:
-            # reported with this loss, and not once more when it is ready
+            # The reboot is reported with this loss, and not once more when the device is ready.
             self._session = state.session
             self._lose(now_ns, f"{self.path}: {reset_text(self.hello.session, state.session)}")
             return
@@ -343,7 +357,7 @@ class SerialHandle:
         elif self._slow_since_ns == 0:
             self._slow_since_ns = now_ns
         elif self._slow_since_ns > 0 and now_ns - self._slow_since_ns > _NOTICE_NS:
-            # until the samples are fresh again it was said
+            # The delay is not reported again until the samples are fresh again.
             self._slow_since_ns = -1
             self._text = (
                 f"{self.path}: the samples of the handle have been {age_s * 1e3:.1f} ms old for a second: "

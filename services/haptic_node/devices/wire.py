@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 MAJOR = 1
 MINOR = 0
-# with the CRC below 254, where COBS adds exactly one byte
+# With the CRC a frame stays below 254 bytes, where COBS adds exactly one byte.
 MAX_PAYLOAD = 60
 _CRC_START = 0xFFFF
 _CRC_BYTES = 2

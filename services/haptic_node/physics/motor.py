@@ -300,8 +300,12 @@ def step(params: MotorParams, state: MotorState, inputs: MotorInputs, dt: float)
     voltage or torque limit is seen at the next fine sub-step (at most 0.25 ms), an error of second order in it. An end
     stop takes the speed.
 
-    Parameters: dt [s], > 0. inputs.mode other than position means drive voltage zero (the safe state): the shorted
-    motor brakes and the screw stands.
+    Args:
+        params: The parameters of the device.
+        state: The state before the step.
+        inputs: The inputs. Any mode other than position means a drive voltage of zero (the safe state): the shorted
+            motor brakes and the screw stands.
+        dt: The time of the step [s], > 0.
     """
     servo = _coefficients(params, inputs)
     count = max(1, math.ceil(dt / SUBSTEP_S - 1e-9))

@@ -62,7 +62,12 @@ class OperatorOutputs(NamedTuple):
 def interpolate(times_s: NDArray[np.float64], values: NDArray[np.float64], time_s: float, before: float) -> float:
     """Return the piecewise-linear value at time_s: `before` ahead of the first point, the last value after the last.
 
-    Parameters: times_s, values: shape (n,), n >= 1, times strictly increasing (checked where they are configured).
+    Args:
+        times_s: The times of the points [s], strictly increasing (checked where they are configured), shape (n,), n >=
+            1.
+        values: The values at the points, shape (n,).
+        time_s: The time at which the value is wanted [s].
+        before: The value ahead of the first point.
     """
     if time_s < times_s[0]:
         return before

@@ -80,7 +80,12 @@ class SimulatedHaptic:
         self.state.command = command
 
     def read(self, session_time_s: float, dt_s: float) -> DeviceReading:
-        """Advance by dt_s under the last command and sample. Raises DeviceError if closed, ValueError if dt_s <= 0."""
+        """Advance by dt_s under the last command and sample.
+
+        Raises:
+            DeviceError: The device is closed.
+            ValueError: dt_s is not above 0.
+        """
         self._require_open()
         if not dt_s > 0.0:
             raise ValueError(f"dt_s of a reading must be a positive time in s, not {dt_s!r}")

@@ -102,7 +102,11 @@ def plant_step(
 def step(
     params: HapticParams, state: HapticStepState, inputs: HapticInputs, dt: float
 ) -> tuple[HapticStepState, HapticOutputs]:
-    """Advance the haptic site by dt [s]. Raises ValueError if dt is not a positive time."""
+    """Advance the haptic site by dt [s].
+
+    Raises:
+        ValueError: dt is not a positive time.
+    """
     if not dt > 0.0:
         raise ValueError("dt of the haptic step must be a positive time in s")
     guard_inputs = safety.SafetyInputs(

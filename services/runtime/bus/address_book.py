@@ -188,7 +188,9 @@ class AddressBook(Settings):
     def endpoint(self, node: str, reader: str | None = None) -> str:
         """Return the endpoint at which a reader reaches `node`; KeyError names the nodes that the book has.
 
-        Parameters: reader, machine that the reader runs on; None for that of the node.
+        Args:
+            node: The node.
+            reader: The machine on which the reader runs; None is the machine of the node.
         """
         local, network = self.local_endpoint(node), self.network_endpoint(node)
         if local is not None and (network is None or reader in (None, self.machine_of(node))):
@@ -226,8 +228,12 @@ class AddressBook(Settings):
     def sources(self, reader: str, topics: Sequence[str]) -> dict[str, list[str]]:
         """Return which nodes a reader connects to and which topics it subscribes to at each.
 
-        Parameters: reader, node@site; topics, names from the topic table.
-        Returns: publisher -> topics, only where the publisher is in the book.
+        Args:
+            reader: The reader as node@site.
+            topics: Topics of the topic table.
+
+        Returns:
+            The topics by publisher, for those publishers only that are in the book.
         """
         plan: dict[str, list[str]] = {}
         for name in topics:

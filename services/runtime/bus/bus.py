@@ -23,23 +23,23 @@ from services.runtime.loop.clock import NEVER_NS, Clock
 # Beyond that the newest are lost, which the reader counts.
 QUEUE_S = 10
 RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
-# a reader of the newest has no use for more than it takes at once; what is older than ten seconds is dropped for it
-# by the publisher, together with the connection, so that it begins with the newest when it goes on
+# A reader of the newest messages needs no more than it reads at once. Its publisher drops what is older than ten
+# seconds, together with the connection, so that the reader begins with the newest when it goes on.
 _NEWEST_HIGH_WATER_MARK = 256
 _PING_MS = 1000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
-# messages taken before a node looks at its deadline again, so that a flood cannot hold a loop
+# A node looks at its deadline again after so many messages, so that a flood cannot hold a loop.
 _BATCH = 256
-# messages after which a reader expects more of them
+# A reader expects more messages after so many.
 _FEW = 3
-# as plain numbers: the enumerations of the binding cost half as much again as the question itself
+# Plain numbers are used, because the enumerations of the binding make the call half as expensive again.
 _EVENTS, _READABLE, _DONTWAIT = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.DONTWAIT)
 # sources that one node keeps sequence statistics of; a peer that makes up names must not fill the memory
 _MOST_TRACKERS = 1024
-# of those, the ones that a connection tells of twice a second: each is worked on by the sender and by every reader, and
-# a thousand would cost a loop of 1 kHz tens of ticks
+# A connection reports at most so many sources twice a second. The sender and every reader handle each of them, and a
+# thousand would cost a loop of 1 kHz tens of ticks.
 MOST_REPORTED = 64
 
 
@@ -77,7 +77,7 @@ class ConnectionEvent(NamedTuple):
 class Subscriber:
     """SUB connections of a node: decodes, counts what is refused or lost, and drops what was overtaken."""
 
-    # it gives what has arrived, and nothing else
+    # A subscriber is never due by itself: it gives only what has arrived.
     due_ns = NEVER_NS
 
     def __init__(
@@ -93,18 +93,24 @@ class Subscriber:
     ) -> None:
         """Connect to endpoints (keys) for topics (values).
 
-        Parameters: connect, false when somebody else connects the socket later; permit, called with topic and source
-        of each message, raises WireError for what the peers of this socket may not publish; newest_only, of what waits
-        together on a `latest` topic return the newest of each source; queue_s, the most that waits after a stall [s].
+        Args:
+            context: The context of ZeroMQ.
+            clock: The clock that stamps the reception.
+            connections: The topics by endpoint.
+            connect: False if the socket is connected later.
+            permit: Called with topic and source of each message; raises WireError for what the peers of this socket may
+                not publish.
+            newest_only: Whether only the newest waiting message of each source is returned on a `latest` topic.
+            queue_s: How much may wait after a stall [s].
         """
         self._clock = clock
         self.permit = permit
         self.trackers: dict[tuple[str, str], SequenceTracker] = {}
         self.rejected: dict[str, int] = {}
         self.last_error = ""
-        # everything has been taken; until it has, ZeroMQ's descriptor may be silent although messages wait
+        # It is true once everything was read; before that, ZeroMQ's descriptor may be silent although messages wait.
         self.drained = True
-        # somebody else calls the socket as well, which may take the signal of its descriptor
+        # Other code calls the socket as well, which may consume the signal of its descriptor.
         self.shared = not connect
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.AFFINITY, FIRST_THREAD)
@@ -131,18 +137,20 @@ class Subscriber:
     def receive_raw(self, *, signalled: bool = False) -> list[tuple[list[bytes], int]]:
         """Return the frames of what has arrived, a bounded number, and the time [ns] at which each was taken.
 
-        Parameters: signalled, the descriptor has become readable, so that as a rule something has.
+        Args:
+            signalled: Whether the descriptor has become readable, so that a message has probably arrived.
         """
         receive, pending, now_ns = self.socket.recv, self.pending, self._clock.now_ns
         waiting: list[tuple[list[bytes], int]] = []
         self.drained = False
         for taken in range(_BATCH):
-            # asked first, because learning it from an exception costs as much as taking a message; not where many come
+            # The socket is asked first, because an exception costs as much as reading a message; where many come it is
+            # not asked.
             if taken < _FEW and not (signalled and taken == 0) and not pending():
                 self.drained = True
                 break
             try:
-                # as an object that knows whether more follow: to ask the socket costs more than to take a frame
+                # A frame object knows whether more follow; asking the socket costs more than receiving a frame.
                 frame = receive(_DONTWAIT, False)
             except zmq.Again:
                 self.drained = True
@@ -161,7 +169,7 @@ class Subscriber:
     def take(self, waiting: Sequence[Taken]) -> list[Received]:
         """Decode, validate and track what waited together, each message with the time of reception [ns]."""
         if self._conflated and len(waiting) > 1:
-            # commands, and what tells how a delay changed, before what they apply to
+            # Commands, and reports of a changed delay, come before the messages that they apply to.
             left = without_superseded(waiting, self._conflated, self._header)
             waiting = sorted(left, key=lambda taken: taken[0][0] in self._conflated)
         taken = [self.decode_and_track(frames, received_ns) for frames, received_ns in waiting]
@@ -200,7 +208,7 @@ class Subscriber:
             self._aside[topic](message)
             return None
         overtaken = arrival is Arrival.LATE and TOPICS[topic].delivery == "latest"
-        # a repeated command is known by its id; its number depends on the clock of who sent commands before
+        # A repeated command is known by its id; its number depends on the clock of an earlier sender of commands.
         if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
             return None
         return Received(topic, message, payload, received_ns, arrival)
@@ -212,7 +220,7 @@ class Subscriber:
 
     def pending(self) -> bool:
         """Return whether a message has arrived."""
-        # not Socket.poll, which makes a poller first
+        # `Socket.poll` is avoided because it first makes a poller.
         return bool(cast(int, self.socket.get(_EVENTS)) & _READABLE)
 
     def input_health(self) -> tuple[InputHealth, ...]:
@@ -254,7 +262,7 @@ class ZmqBus:
     ) -> None:
         self.subscribers = list(subscribers)
         self._batches = batches
-        # at most one holds messages back until their time: the end of the link's datagrams
+        # At most one reader holds messages back until their time: the end of the link's datagrams.
         self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
         self._clock = clock
         self._network = network if network is not None and network.descriptors else None
@@ -270,7 +278,7 @@ class ZmqBus:
             self._counters.append(self._network)
         self._counted = [0] * len(self._counters)
         self._last_error = ""
-        # what the last wait found readable; none where every socket has to be asked
+        # The readers that the last wait found readable; it is empty where every socket has to be asked.
         self._readable: Sequence[int] = ()
 
     def receive(self) -> Iterable[Received]:

@@ -8,7 +8,7 @@ from typing import IO
 from proto.errors import EndpointError
 from services.runtime.settings.optional_modules import optional_module
 
-# Windows has none, and no ipc endpoint either; recordings and studies need neither
+# Windows has neither this module nor ipc endpoints; recordings and studies need neither.
 fcntl = optional_module("fcntl")
 
 
@@ -25,7 +25,7 @@ class EndpointLock:
         """Remove socket and lock file, and let the endpoint go."""
         if self._file is None or self._socket is None:
             return
-        # while it is locked: nobody else has bound the endpoint
+        # The lock guarantees that no other process has bound the endpoint.
         for path in (self._socket, self._path):
             with contextlib.suppress(OSError):
                 path.unlink()
@@ -50,7 +50,7 @@ class EndpointLock:
                 lock.write(str(os.getpid()))
                 lock.flush()
                 return lock
-            # whoever held it removed it between our opening and our locking it: it locks nothing any more
+            # The holder removed the file between our opening and our locking it, so it locks nothing any more.
             lock.close()
 
     def _open(self, endpoint: str) -> IO[str]:

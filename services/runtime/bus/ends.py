@@ -18,7 +18,10 @@ class _Numbered(Protocol):
 def publish_end(publisher: _Numbered, node: str, forwarded: Mapping[tuple[str, str], int] | None = None) -> None:
     """Publish how many messages were sent on each topic, as the last of all.
 
-    Parameters: node, the name of the publisher; forwarded, see `end_data`.
+    Args:
+        publisher: Sends the event and counts the messages.
+        node: The name of the publisher.
+        forwarded: The messages that were sent on, see `end_data`.
     """
     sent = publisher.sequence_numbers()
     sent[END_TOPIC] = sent.get(END_TOPIC, 0) + 1

@@ -18,7 +18,11 @@ def without_superseded(
 
     Those are tracked by their header, and counted as superseded. The rest stays in its order and is judged as ever:
     what is late or repeated, has no good header, or is the first from its source.
-    Parameters: latest, the topics concerned; header_of, returns None for a message that is to be left alone.
+
+    Args:
+        waiting: The messages that wait, in their order.
+        latest: The topics concerned.
+        header_of: Returns the header, or None for a message that is left alone.
     """
     topics = [frames[0] for frames, _ in waiting]
     if len(set(topics)) == len(topics):

@@ -20,7 +20,7 @@ from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.bus.local_endpoint import local_endpoint
 from services.runtime.loop.participant import OBSERVER, open_participant
 
-# what to check when nothing is received
+# Users see this hint when nothing is received.
 RIG_HINT = "is `telenano up` running with this site file?"
 
 _WAIT_MS = 100
@@ -50,7 +50,8 @@ class Observer:
     def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
         """Connect for some topics, or for all, as the machine that this process runs on.
 
-        Raises ConfigError when this machine lacks a key that the rig demands.
+        Raises:
+            ConfigError: This machine lacks a key that the rig demands.
         """
         self.notices: list[ConnectionEvent] = []
         self._open = contextlib.ExitStack()

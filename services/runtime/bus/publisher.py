@@ -14,20 +14,20 @@ from services.runtime.bus.endpoint_lock import EndpointLock
 from services.runtime.bus.outgoing_batch import OutgoingBatch
 from services.runtime.loop.clock import Clock
 
-# messages that wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest publisher,
-# a half of the controller with 2100 a second
+# So many messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
+# publisher, a half of the controller with 2100 a second.
 SEND_HIGH_WATER_MARK = 22_000
 # a subscriber sends nothing but names of topics
 _LARGEST_SUBSCRIPTION = 4096
-# as a plain number: the enumeration of the binding costs half as much again as the question itself
+# A plain number is used, because the enumeration of the binding makes the call half as expensive again.
 _SNDMORE = int(zmq.SNDMORE)
-# of a context's threads, the one that moves the messages of a node; what strangers can reach is left to another one
+# This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
 FIRST_THREAD = 1
-# of topics whose messages have one version whatever keys they have
+# Messages of these topics have one version, whatever keys they have.
 _VERSIONS = {name: row.model.version for name, row in TOPICS.items() if not row.model.additions}
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
-# how long a node that ends goes on sending what a reader that is behind has not yet taken, its recorder above all;
-# within the grace that a supervisor gives
+# A node that ends goes on sending for so long to a reader that is behind, its recorder above all. It stays within the
+# grace that a supervisor gives.
 LINGER_S = 20.0
 
 
@@ -53,6 +53,10 @@ class _NumberingPublisher(ABC):
         """Send a message on a topic; the header is filled in, and what is beyond its range is sent as the nearer end.
 
         Raises pydantic.ValidationError when the fields do not make a valid message, WireError when it is too large.
+
+        Raises:
+            pydantic.ValidationError: The fields do not make a valid message.
+            WireError: The message is too large.
         """
         seq = self._sequence.get(topic, 0)
         version = _VERSIONS.get(topic) or TOPICS[topic].model.version_of(fields)
@@ -98,11 +102,12 @@ class ZmqPublisher(_NumberingPublisher):
         self.socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
         self.socket.set(zmq.LINGER, round(LINGER_S * 1e3))
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
-        # of the base class: the method of the class looks first at what only other kinds of sockets know
+        # Call the C base class directly: the method of the subclass first checks options that a PUB socket does not
+        # have.
         self._send = super(zmq.Socket, self.socket).send
-        # called with topic and bytes of each message first: the other way on which some cross to another machine
+        # It is called first with topic and bytes of each message: some cross to another machine on this other way.
         self.carry: Callable[[str, bytes], None] | None = None
-        # of a node of the loop, copies for a recorder on this machine
+        # A node of the loop keeps copies here for a recorder on this machine.
         self._batch: OutgoingBatch | None = None
         prepare(self.socket)
         try:

@@ -15,9 +15,9 @@ class Reader(Protocol):
 
     descriptor: int
     drained: bool
-    # asked at each turn, whether or not its descriptor is readable
+    # It is called in each turn, whether or not its descriptor is readable.
     shared: bool
-    # when it has something to give without anything becoming readable, on the monotonic clock [ns]
+    # It returns messages at this time without a readable descriptor, on the monotonic clock [ns].
     due_ns: int
     trackers: dict[tuple[str, str], SequenceTracker]
     rejected: dict[str, int]

@@ -33,14 +33,14 @@ _READER_SILENCE_MS = 5000
 _HEARTBEATS = 4
 # four round trips of a satellite link
 _HANDSHAKE_MS = 5000
-# connections that the system accepts ahead of this process, and that a limit on them comes too late for
+# The system accepts so many connections ahead of this process, for which a limit comes too late.
 _BACKLOG = 16
-# left to the system, the next attempt to connect may come minutes after the cable is back
+# Without this limit the next attempt to connect may come minutes after the cable is back.
 _CONNECT_MS = 2000
 _RECONNECT_MS, _RECONNECT_MOST_MS = 100, 1000
-# of the context: accepts connections, fails handshakes, and sends to those that succeeded
+# This thread of the context accepts connections, fails handshakes, and sends to those that succeeded.
 _SECOND_THREAD, _SECOND_THREAD_NAME = 2, "ZMQbg/IO/1"
-# below the half second after which a loop calls at the latest, so that each such call checks
+# It is below the half second after which a loop calls at the latest, so that each such call checks.
 _CHECK_NS = 400_000_000
 
 
@@ -82,8 +82,9 @@ class Transport:
     ) -> None:
         """Read the keys of a machine if the rig requires any.
 
-        Raises ConfigError when the machine has no key, or one that other users can read, and when other users can reach
-        the folder of sockets.
+        Raises:
+            ConfigError: The machine has no key, or one that other users can read, or other users can reach the folder
+                of sockets.
         """
         if book.uses_runtime_directory:
             check_runtime_directory()
@@ -137,7 +138,7 @@ class Transport:
             if local is None:
                 publisher = ZmqPublisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
             else:
-                # what a socket has bound keeps the options of that moment, so ipc stays plain
+                # A bound endpoint keeps the options that the socket had at that moment, so ipc stays plain.
                 publisher = ZmqPublisher(self._context, self._clock, key, local, kind=kind)
                 prepare(publisher.socket)
                 publisher.also_bind(network)
@@ -152,8 +153,10 @@ class Transport:
     ) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): one socket for this machine, one for each other machine.
 
-        Parameters: apart, one socket for each node, in order, so that the endpoint a message came from is known;
-        newest_only, for a reader that acts on the newest message of each `latest` topic.
+        Args:
+            sources: The topics by node.
+            apart: Whether each node gets a socket of its own, in order, so that the endpoint of a message is known.
+            newest_only: True for a reader that acts on the newest message of each `latest` topic.
         """
         if apart:
             return [self._reader({node: topics}, _READER_SILENCE_MS) for node, topics in sources.items()]
@@ -181,7 +184,7 @@ class Transport:
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process authentication requests and connection events, and reload the list of keys if it has changed."""
-        # every handler, and none left out because another one has more to do
+        # Every handler runs, and none is left out because another one has more to do.
         self.has_pending = any([handler.process_events() for handler in self._handlers])
         events = self._check()
         for handler in self._handlers:
@@ -212,7 +215,7 @@ class Transport:
             return []
         self._next_check_ns = now + _CHECK_NS
         if not self._lowered:
-            # not before: the thread gives itself its name
+            # The thread gives itself its name, so it cannot be found earlier.
             self._lowered = True
             lower_thread(_SECOND_THREAD_NAME)
         events = []

@@ -19,7 +19,7 @@ class Agreement:
         self.is_master = is_master
         self.sealer: Sealer | None = None
         self.openers: dict[bytes, Opener] = {}
-        # of the newest keys
+        # It opens datagrams under the newest keys.
         self.opener: Opener | None = None
         self.peer_public = b""
         self._pair = KeyPair()
@@ -41,12 +41,13 @@ class Agreement:
     def hear(self, public: bytes, answers: bytes, now_ns: int) -> bool:
         """Take the public key of the other end and which one of this end it `answers`; return whether keys are new.
 
-        Raises ValueError for a public key that gives no secret.
+        Raises:
+            ValueError: The public key gives no secret.
         """
         if public == self.peer_public:
             return False
         if self.is_master and answers != self.public:
-            # made for the offer of a process before, or not yet an answer: the offer is repeated until it is one
+            # The answer is for the offer of an earlier process, or is not one yet: the offer is repeated until it is.
             return False
         if public in self._used or (not self.is_master and self.peer_public):
             self._renew(now_ns)
@@ -73,7 +74,9 @@ class Agreement:
     def maintain(self, now_ns: int, *, silent: bool) -> bool:
         """Retire old keys, and offer new ones when it is time; return whether the tags or the offer have changed.
 
-        Parameters: silent, nothing comes under the keys before: the other end may be a new process without them.
+        Args:
+            now_ns: The time now [ns].
+            silent: Whether nothing comes under the keys so far: the other end may be a new process without them.
         """
         changed = False
         if silent and self._waiting is not None:

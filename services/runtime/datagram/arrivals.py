@@ -47,10 +47,11 @@ class ArrivalRecord:
         self._base = 0
         self._window = ReplayWindow()
         self._settled = 0
-        # the first that arrived with the present keys: those before it were sent when this end did not have them yet
+        # The first datagram that arrived with the present keys; earlier ones were sent when this end did not have them
+        # yet.
         self._first = 0
         self._arrived_of_keys = 0
-        # of those that arrived, the ones whose numbers are not settled yet
+        # The number of arrivals whose sequence numbers are not settled yet.
         self._unsettled = 0
         self._newest_at: deque[tuple[int, int]] = deque()
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from proto import TOPICS
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, RejectedError
 
-# in the order of their numbers on the wire: new ones are added at the end
+# The order is that of their numbers on the wire, so new topics are added at the end.
 DATAGRAM_TOPICS = ("teleop/forward", "teleop/backward", "law/status")
 DATAGRAMS_OF = {
     way: tuple(topic for topic in DATAGRAM_TOPICS if TOPICS[topic].bridged == way) for way in ("forward", "backward")
@@ -18,7 +18,7 @@ REPORT = struct.Struct("!QQQQQ")
 SAMPLE = struct.Struct("!BH")
 # Times [ns] and counts below this (the year 2116) leave room in 64 bits for the difference of any two of them.
 BOUND = 2**62
-# what a datagram has for samples
+# A datagram has so much room for samples.
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
 
 
@@ -45,8 +45,9 @@ def packed(topic: str, payload: bytes) -> bytes:
 def parse(body: bytes) -> tuple[Report, Sequence[tuple[bytes, bytes]]]:
     """Return report and samples (topic, payload) of a body.
 
-    Raises RejectedError: `malformed` for what is no body, `time` and `count` for a report with a time or a count that
-    no sender can have. An authentic sender may be wrong as well, and its figures are summed up here.
+    Raises:
+        RejectedError: It is no body (`malformed`), or its report has a time (`time`) or a count (`count`) that no
+            sender can have. An authentic sender may be wrong as well, and its figures are summed up here.
     """
     if len(body) < REPORT.size:
         raise RejectedError("malformed")

@@ -31,22 +31,23 @@ from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BY
 from services.runtime.loop.clock import NEVER_NS, Clock
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 
-# datagrams taken before the node looks at its deadline again, so that a flood cannot hold a loop
+# The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64
 _MAINTAIN_NS = 50_000_000
 _REPORT_NS = 500_000_000
-# how long what is due waits for a turn in which nothing has arrived; a node that is asked in every turn has many
+# Due work waits for so long for a turn in which nothing has arrived; a node that is asked in every turn has many of
+# those.
 _PUT_OFF_NS = 20_000_000
-# silence after which the other way is taken, and time that datagrams have to come before they are relied upon
+# After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
-# how long datagrams are waited for at first, from the first word of the other machine or the last change of keys
+# The first datagrams may take so long from the first word of the other machine, or from the last change of keys.
 FIRST_NS = 3_000_000_000
-# without an acknowledgement for so long only a few datagrams are sent, to find out when they arrive again
+# After so long without an acknowledgement only a few datagrams are sent, to find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
 _UNOFFERED_NS = 5_000_000_000
-# how often the key is offered while none is agreed or nothing comes under it, and once datagrams flow: an end that is
-# started anew falls silent first
+# The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
+# datagrams flow. An end that is started anew falls silent first.
 _OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
 # exchanges of time stamps in view, the best of each tenth of a second: the clocks drift by microseconds in this time
 _CLOCK_WINDOW = 64
@@ -87,7 +88,7 @@ class Place(NamedTuple):
 class DatagramEnd:
     """The datagrams of one process; the other end runs on `machine`."""
 
-    # asked at each turn, for what is due here
+    # It is called in each turn, for the work that is due here.
     shared = True
     topics: Sequence[str] = ()
 
@@ -105,8 +106,18 @@ class DatagramEnd:
     ) -> None:
         """Open the socket; OSError where it cannot be bound.
 
-        Parameters: subscriber, receives the same topics over TCP, and the public keys of the other end; is_allowed,
-        whether the key of the other machine is still in the list.
+        Args:
+            clock: The clock of the node.
+            place: The addresses of both ends.
+            settings: The settings of the transport.
+            subscriber: Receives the same topics over TCP, and the public keys of the other end.
+            outlets: Publish what arrives.
+            machine: The name of the other machine.
+            is_master: Whether this is the end at the master's site.
+            is_allowed: Whether the key of the other machine is still in the list.
+
+        Raises:
+            OSError: The socket cannot be bound.
         """
         now = clock.monotonic_ns()
         self.machine = machine
@@ -127,9 +138,10 @@ class DatagramEnd:
         self.sent_bytes = 0
         self.unsent = 0
         self.receiving: Way = "stream"
-        # whether the topics are subscribed over TCP, as they are when a subscriber is made
+        # It is true while the topics are subscribed over TCP, as they are when a subscriber is made.
         self._streaming = True
-        # from when on they are, if no datagram has come by then; None while nothing was received of the other machine
+        # The topics are subscribed over TCP at this time if no datagram has come by then; None until something of the
+        # other machine was received.
         self._stream_at_ns: int | None = None
         self._clock = clock
         self._place = place
@@ -148,7 +160,7 @@ class DatagramEnd:
         self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
         self._recent: list[bytes] = [b""] * _REMEMBERED
         self._recent_place = 0
-        # of the newest datagram that arrived: its own time of sending, and when it came
+        # The newest datagram that arrived: its own time of sending, and when it came.
         self._heard = (0, 0)
         self._arrived_ns = self._sent_ns = now
         self._acknowledged_ns = now - 2 * _UNHEARD_NS
@@ -187,7 +199,7 @@ class DatagramEnd:
             return
         now = self._clock.monotonic_ns()
         if now - self._acknowledged_ns > _UNHEARD_NS:
-            # nobody acknowledges: the signs of life that `maintain` sends will tell when that changes
+            # No acknowledgement comes: the signs of life that `maintain` sends will tell when that changes.
             return
         sample = packed(topic, payload)
         left = self._budget.left_bytes(now)
@@ -208,7 +220,7 @@ class DatagramEnd:
             self.unsent += 1
             return
         except OSError as error:
-            # no route, an interface that is down: the same as a network that loses everything
+            # No route, or an interface that is down, is the same as a network that loses everything.
             self.last_error = f"no datagram can be sent to {peer[0]}: {errno.errorcode.get(error.errno or 0, error)}"
             return
         self._sent_ns = now_ns
@@ -227,7 +239,7 @@ class DatagramEnd:
                 found = self.subscriber.take(waiting)
         if now >= self.due_ns:
             found = self.subscriber.take(self._released(now))
-        # what has arrived comes first: a report takes half a millisecond
+        # Arrived messages come first, because a report takes half a millisecond.
         if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
             self._maintain_ns = now + _MAINTAIN_NS
             self.maintain(now)
@@ -252,7 +264,7 @@ class DatagramEnd:
                 self.drained = True
                 break
             except OSError:
-                # an ICMP error of what was sent before: nothing has arrived with it
+                # An ICMP error answers an earlier datagram; nothing has arrived with it.
                 continue
             now = self._clock.now_ns()
             try:
@@ -373,7 +385,7 @@ class DatagramEnd:
             self._outlets.keys.publish("link/key", public_key=agreement.public.hex(), answers=answers.hex())
 
     def _hear_offer(self, message: Message) -> None:
-        # one at a time is enough: it is repeated
+        # One offer at a time is enough, because offers are repeated.
         self._offers = [cast(LinkKey, message)]
 
     def _refuse_key(self, reason: str) -> None:
@@ -381,7 +393,7 @@ class DatagramEnd:
         self.last_error = f"link/key of {self.machine} is refused: {reason}"
 
     def _admit(self) -> None:
-        # where the kernel refuses a filter, what strangers send is refused here
+        # Where the kernel refuses a filter, messages of strangers are rejected here.
         with contextlib.suppress(OSError):
             flood_filter.admit(self.socket, self._agreement.tags)
 
@@ -413,7 +425,7 @@ class DatagramEnd:
             self.receiving = "stream"
             self._subscribe(streaming=True)
             self._warn(now_ns, f"no datagram has come from {self.machine} for {silence_ns * 1e-9:.1f} s")
-        # before TCP is taken in their place nothing is wrong yet
+        # Nothing is wrong yet before TCP replaces the datagrams.
         elif self.receiving == "stream" and now_ns >= self._next_reminder_ns and self._streaming == self._falls_back:
             offered = bool(self._agreement.peer_public)
             what = "is blocked on the way" if offered else "may be in use by no link there: it has offered no key"

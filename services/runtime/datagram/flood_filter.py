@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from services.runtime.security.accept_limiter import Instruction
 
 _SO_ATTACH_FILTER, _SO_MEMINFO = 26, 55
-# of struct sk_meminfo: datagrams that the socket's filter or its full buffer dropped
+# This field of struct sk_meminfo counts the datagrams that the socket's filter or its full buffer dropped.
 _DROPS_PLACE, _MEMINFO_WORDS = 8, 9
 _LOAD_WORD, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
 # the filter of a UDP socket begins at the UDP header

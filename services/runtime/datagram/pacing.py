@@ -8,13 +8,13 @@ from services.runtime.datagram.sealing import OVERHEAD_BYTES
 MOST_REPEATS = 4
 # a sample is repeated until fewer than this share of them are expected to be lost with all their copies
 _ACCEPTED_LOSS = 1e-3
-# of UDP and IPv6, the longer of the two
+# The headers of UDP and IPv6 are this long; IPv4 has a shorter one.
 NETWORK_BYTES = 48
-# of the budget, what repetitions leave for the newest of every topic: two datagrams without any
+# Repetitions leave so much of the budget to the newest message of every topic: two datagrams without any repetition.
 RESERVE_BYTES = 1500
 # reports of losses that count: some two seconds at two a second
 _REPORTS = 4
-# how long the whole budget may be saved up
+# The whole budget may be saved up for so long.
 _BURST_S = 0.02
 
 

@@ -10,7 +10,7 @@ slowest take longer. The node and the studies use this very code.
 """
 
 _STEP_NS = 50_000
-# by which the least delay may rise with each sample: clocks drift by less, and routes change
+# The least delay may rise by so much with each sample: clocks drift by less, and routes change.
 _RECOVERY_NS = 1_000
 
 
@@ -20,8 +20,13 @@ class PlayOut:
     def __init__(self, late_share: float = 0.01, most_s: float = 0.04) -> None:
         """Begin without a target; ValueError for a share that is not between 0 and 1.
 
-        Parameters: late_share, of the samples that come too late for the target; most_s, the most that is held back
-        beyond the least delay [s]: readers reject what is older than their deadline.
+        Args:
+            late_share: The share of the samples that may come too late for the target, 0..1.
+            most_s: How long a sample may be held back beyond the least delay [s]; readers reject what is older than
+                their deadline.
+
+        Raises:
+            ValueError: The share is not between 0 and 1.
         """
         if not 0.0 < late_share < 1.0:
             raise ValueError(f"late_share is {late_share}, must be between 0 and 1")

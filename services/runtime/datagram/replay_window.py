@@ -2,7 +2,8 @@
 
 _WORD_BITS = 64
 _WORDS = 64
-# two seconds of a thousand datagrams a second, twice over: what is overtaken by more has no reader left
+# The window has two seconds of a thousand datagrams a second, twice over: a datagram that was overtaken by more has no
+# reader left.
 WINDOW = _WORD_BITS * (_WORDS - 1)
 
 

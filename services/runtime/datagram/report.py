@@ -16,7 +16,7 @@ def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]
     """Return the fields of link/network for the direction that an end receives."""
     offset = end.offset.estimate()
     fates = end.arrivals.take_fates()
-    # what the other clock is ahead was added to the time of sending
+    # The sender added the lead of the other clock to the time of sending.
     ahead_ns = 0 if offset is None else round(offset.offset_s * 1e9)
     lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")
     raw_ns = np.array(fates.raw_ns, dtype="i8")

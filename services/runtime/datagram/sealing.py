@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
 
 HEADER = struct.Struct("!4sQ")
-# what a sealed datagram is longer than its body
+# A sealed datagram is longer than its body by so much.
 OVERHEAD_BYTES = HEADER.size + 16
 # below what any network carries in one piece, the headers of a tunnel included
 MOST_BYTES = 1200

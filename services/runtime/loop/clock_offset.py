@@ -16,7 +16,7 @@ is the one to believe (minimum filter).
 from collections import deque
 from typing import NamedTuple
 
-# beyond what two clocks drift apart between two exchanges, and far below what anybody sets a clock by
+# Two clocks drift apart by less between two exchanges, and clocks are set by far more.
 STEP_NS = 10_000_000
 
 

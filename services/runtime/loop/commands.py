@@ -34,19 +34,19 @@ RESEND_NS = 200_000_000
 DEADLINE_NS = 5_000_000_000
 _RETRY_PERIOD_NS = 300_000_000
 _RELEASE_PERIOD_NS = 1_000_000_000
-# every node that is alive has reported by then, twice
+# Every node that is alive has reported twice by then.
 _DISCOVERY_NS = 1_200_000_000
-# quiet after the last answer to a pattern: whoever knows the command has answered
+# After so long a silence since the last answer to a pattern, every node that knows the command has answered.
 _QUIET_NS = 500_000_000
 _REMEMBERED_ANSWERS = 256
 
 DEFAULT_VALIDITY_S = 1.0
 _LONGEST_VALIDITY_S = 60.0
-# it takes a device to its safe side, or ends a motion
+# These commands take a device to its safe side, or end a motion.
 _OBEYED_AT_ANY_AGE = ("estop", "stop")
-# from further ahead than two clocks that agree ever are: the age cannot be told
+# A stamp that is further ahead than two clocks that agree ever differ has no age.
 _CLOCKS_AGREE_S = 0.1
-# after a node stalled for as long as a command is valid, what it finds in its queues may have waited as long
+# After a stall as long as a command is valid, the messages in the queues may have waited as long.
 STALL_NS = round(DEFAULT_VALIDITY_S * 1e9)
 
 
@@ -96,10 +96,15 @@ class CommandClient:
     ) -> None:
         """Prepare to send `commands`.
 
-        Parameters: retry_ns, for how long a refused one that is required is tried anew [ns]; issued_ns, when they were
-        wished for on the monotonic clock [ns], now if None: an emergency stop since then makes them void;
-        releases_stops, false where no person stands behind them who knows of the stops before: a node in emergency
-        stop is then waited for.
+        Args:
+            clock: The clock of the sender.
+            publish: Publishes a session/control.
+            commands: The commands, in their order.
+            retry_ns: How long a required command is tried again after a refusal [ns].
+            issued_ns: When the commands were issued, on the monotonic clock [ns], now if None. A later emergency stop
+                makes them void.
+            releases_stops: False if no person who knows of earlier stops stands behind the commands; a node in
+                emergency stop is then waited for.
         """
         self.failure = ""
         self.void = False
@@ -305,9 +310,13 @@ class CommandHandler:
     ) -> None:
         """Take commands for `node` (node@site).
 
-        Parameters: known, commands that it answers when a pattern matches it; execute, returns a sentence for the
-        answer or raises RefusedError; event, publishes a session/event; is_latched, tells whether the node is in
-        emergency stop; kept, where the newest emergency stop is kept until the node is armed.
+        Args:
+            node: The node as node@site.
+            known: The commands that the node answers when a pattern matches it.
+            execute: Returns a sentence for the answer, or raises RefusedError.
+            event: Publishes a session/event.
+            is_latched: Whether the node is in emergency stop.
+            kept: The file in which the newest emergency stop is kept until the node is armed.
         """
         self.latch = EstopLatch(kept)
         self._node = node
@@ -334,15 +343,19 @@ class CommandHandler:
     def handle(self, control: SessionControl, now_ns: int) -> bool:
         """Execute a command if it concerns this node, and answer with a session/event of the same id.
 
-        Parameters: control; now_ns, on the clock that stamps the node's messages [ns].
-        Returns: whether the node executed it now, rather than repeated its answer or refused it unheard.
+        Args:
+            control: The command.
+            now_ns: The time on the clock that stamps the node's messages [ns].
+
+        Returns:
+            Whether the node executed the command now; false if it repeated its answer or refused the command unheard.
         """
         if not is_meant(self._node, control.target):
             return False
         if is_pattern(control.target) and control.command not in self._known:
             return False
         if is_estop(control.src) and control.command != "estop":
-            # whoever could connect to the node may stop it, and no more
+            # A client that could connect to the node may stop it, and no more.
             return False
         is_new = control.id not in self._answers or control.command == "estop"
         if is_new:
@@ -373,7 +386,8 @@ class CommandHandler:
         facts: dict[str, Scalar] = {}
         if begins_motion(control.command, control.parameters):
             facts = {**self.latch.facts(now_ns), "latched": self._is_latched()}
-            # before the age: an older client sends what has expired once more, and gives up at any other refusal
+            # This comes before the age, because an older client sends an expired command once more, and gives up at any
+            # other refusal.
             if reason := self.latch.reason_against((control.node_latch or {}).get(self._node), now_ns):
                 return f"{control.command} is refused: {reason}", facts
         if expiry := self._expiry(control, now_ns):

@@ -69,7 +69,8 @@ class PeriodicDeadline:
     def advance(self, now_ns: int) -> int:
         """Advance past the deadline that is due, and past those missed by a period or more.
 
-        Returns: periods since the last step, 1 unless deadlines were missed.
+        Returns:
+            The periods since the last step, 1 unless deadlines were missed.
         """
         missed = max(0, now_ns - self.deadline_ns) // self.period_ns
         self.overruns += missed

@@ -6,11 +6,11 @@ from typing import NamedTuple
 from services.runtime.loop.clock import NEVER_NS, Clock
 
 Task = Callable[[], object]
-# a task is run anyway when it has waited for so long
+# A task that has waited for so long is run anyway.
 PATIENCE_NS = 20_000_000
-# without an event for so long nothing is known of the next one, and every task is due at once
+# After so long without an event nothing is known of the next one, and every task is due at once.
 _IDLE_NS = 5_000_000
-# the share of what is measured by which a mean follows it
+# A mean follows its measurements by this share.
 _MEAN_SHARE = 8
 
 
@@ -46,8 +46,8 @@ class DeferredTasks:
         # mean time that each task takes, and mean length of a gap [ns]
         self._takes_ns: dict[Task, int] = {}
         self._gap_ns: int | None = None
-        # whether the last event has begun a gap, when it was dealt with, and when the next one came if a task did not
-        # let it in
+        # Whether the last event has begun a gap, when it was handled, and when the next one came if a task did not let
+        # it in.
         self._in_gap = False
         self._begin_ns, self._met_ns = -NEVER_NS, NEVER_NS
         # the rest of the middle half of the gap, its middle, the next deadline, and whether it has taken its task

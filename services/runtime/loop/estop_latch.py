@@ -26,7 +26,7 @@ class EstopLatch:
         """Begin a run without a stop; `path` is where the newest is kept, None where it is not."""
         self.path = path
         self.count = 0
-        # of the newest that was recorded; the copies of one stop have the same
+        # The id of the newest stop that was recorded; the copies of one stop share it.
         self.newest_id = ""
         self._run = os.urandom(6).hex()
         self._newest_ns = 0
@@ -38,7 +38,10 @@ class EstopLatch:
     def record(self, identifier: str, payload: bytes, now_ns: int) -> str:
         """Record a stop that the node has carried out; return why it cannot be kept, empty where it is.
 
-        Parameters: identifier, its id; payload, the message as it is sent; now_ns, when [ns].
+        Args:
+            identifier: The id of the stop.
+            payload: The message as it was sent.
+            now_ns: When the node carried it out [ns].
         """
         self.count += 1
         self._newest_ns = now_ns

@@ -21,9 +21,9 @@ _SIGNALS = ("teleop/forward", "teleop/backward")
 DEADLINES_S = {topic: deadline_of(topic) for topic in ("haptic/state", "afm/state", *_SIGNALS)}
 # the link reports its delay in steps of this, rounded down: an age may come out too great by less than one step
 DELAY_STEP_NS = 1_000_000
-# a sample this much older than its reader was never sent to it: it is played from a recording
+# A sample this much older than its reader was never sent to it, and so is played from a recording.
 _OLDER_THAN_READER_NS = 1_000_000_000
-# changes of the delay in flight: a round trip of four seconds with a change at every sample
+# The buffer holds the changes of the delay in flight: a round trip of four seconds with a change at every sample.
 _MOST_CHANGES = 4096
 
 
@@ -83,9 +83,9 @@ class Freshness:
 
     def __init__(self, node: str, now_ns: int) -> None:
         """Begin without a turn; `node` is node@site, `now_ns` the time on the clock of the stamps."""
-        # what is played from a recording has the age of its reception
+        # A message that is played from a recording has the age of its reception.
         self.allow_replay = True
-        # since when a turn is due, on the monotonic clock [ns]; 0: none was taken yet, and the first may take any time
+        # A turn is due since then, on the monotonic clock [ns]; 0: none was run yet, and the first may take any time.
         self.turn_ns = 0
         self._is_slave = site_of(node) == "slave"
         self._oldest_ns = now_ns - _OLDER_THAN_READER_NS

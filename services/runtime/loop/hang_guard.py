@@ -11,8 +11,8 @@ keep the processor from the launcher as well, and a node in a container has no l
 import contextlib
 import signal
 
-# of processor time, of all threads, since the last report of health, which is sent twice a second: a node that is
-# stopped, or starved by others, takes none
+# The processor time of all threads since the last report of health, which is sent twice a second. A node that is
+# stopped, or starved by others, uses none.
 LIMIT_S = 1.5
 
 

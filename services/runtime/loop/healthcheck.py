@@ -44,8 +44,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def endpoint_of(node: str, site_file: Path | None) -> str:
     """Return the endpoint of a node for readers on this machine.
 
-    Parameters: site_file, None where every node has a socket of its name in one folder, as in the files of the project.
-    Raises: LookupError when the file is wrong or no folder is given, KeyError for a node that is not in it.
+    Args:
+        node: The node as node@site.
+        site_file: The site file; None where every node has a socket of its name in one folder, as in the files of the
+            project.
+
+    Raises:
+        LookupError: The file is wrong, or no folder is given.
+        KeyError: The node is not in the file.
     """
     if site_file is not None:
         # models of every message come with these: a third of a second of processor time

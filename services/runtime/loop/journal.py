@@ -14,7 +14,7 @@ from services.runtime.loop.clock import TurnClock
 from services.runtime.loop.node_state import pack
 
 DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3
-# turns in one message: some 80 kB, and below what is allowed however many sources there are
+# A message holds so many turns: some 80 kB, and below the limit however many sources there are.
 _BATCH = 4096
 # bytes of a state in one message: half of what one may hold; and of a large one, how many a second in the mean
 _STATE_PIECE, _STATE_BYTES_PER_S = 1 << 19, 1 << 20

@@ -10,7 +10,7 @@ import contextlib
 import os
 from pathlib import Path
 
-# far above a session/control of an emergency stop
+# A session/control of an emergency stop is far smaller.
 _LARGEST = 4096
 
 

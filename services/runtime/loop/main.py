@@ -128,7 +128,8 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
         if not (text := fault_of_package(error)):
             raise
         log.error(text)
-        # not the code of a package that ends the program: to this project 2 is a fault of the configuration
+        # The exit code of a package that ends the program is not passed on, because 2 means a fault of the
+        # configuration in this project.
         if isinstance(error, SystemExit):
             return EXIT_DIED
         raise
@@ -148,7 +149,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     )
     if not kind.realtime:
         (behind_others if kind.observer else ahead_of_others)()
-    # before the ZeroMQ context exists: its threads inherit what is asked for here
+    # It comes before the ZeroMQ context exists, whose threads inherit the scheduling.
     key = f"{kind.name}@{given.site}"
     status = apply_realtime(wanted, log, key)
     signals = StopSignals()
@@ -156,7 +157,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     with open_participant(key, book, signals.descriptor) as participant:
         wiring = Wiring(**vars(participant), site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
-        # tens of ms for a large process, in which the others on its processor have their periods to keep
+        # This takes tens of ms for a large process, in which the others on its processor have their periods to keep.
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)

@@ -30,7 +30,7 @@ from services.runtime.loop.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 HEALTH_PERIOD_NS = 500_000_000
-# at first, where a rig waits until every node has said that it receives its inputs
+# At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
 _STATM = Path("/proc/self/statm")
 
@@ -44,9 +44,9 @@ class NodeContext:
     bus: Bus
     log: StructuredLog
     stop_requested: bool = False
-    # where an emergency stop is kept for this node until it is armed; None where it has no such place
+    # An emergency stop is kept in this file until the node is armed; None where the node has no such file.
     kept_stop: Path | None = None
-    # run by the loop, in its idle gaps
+    # The loop runs these tasks in its idle gaps.
     deferred: DeferredTasks = field(init=False)
 
     def __post_init__(self) -> None:
@@ -71,7 +71,9 @@ class NodeContext:
 class DeviceDelay:
     """What a real device adds to the round trip: as it is declared, and how old its samples really were.
 
-    Parameters: declared_s [s]; calibration, the identity of the one in use.
+    Args:
+        declared_s: The delay as it is declared [s].
+        calibration: The identity of the calibration in use.
     """
 
     def __init__(self, declared_s: float, calibration: str) -> None:
@@ -98,21 +100,21 @@ class Node(ABC):
     """
 
     inputs: ClassVar[tuple[str, ...]]
-    # commands that it answers, and those that it knows only when it is named, and no pattern reaches it
+    # The node answers these commands, and those below only when it is named, so that no pattern reaches it.
     commands: ClassVar[tuple[str, ...]] = ()
     named_commands: ClassVar[tuple[str, ...]] = ()
     replay: ClassVar[bool] = False
-    # its inputs are written to node/journal, and during a turn its clock stands still
+    # The inputs of the node are written to node/journal, and its clock stands still during a turn.
     journalled: ClassVar[bool] = False
-    # what `capture` returns, a NamedTuple; its version counts what the values of the fields have meant
+    # `capture` returns this NamedTuple; its version counts the changes in the meaning of the fields.
     state_kind: ClassVar[type[tuple[Any, ...]]] = tuple
     state_version: ClassVar[int] = 1
     # node/health of others is a turn as well, and not only for `admits`
     acts_on_health: ClassVar[bool] = False
     # its deadlines are worth a busy wait
     has_precise_deadlines = True
-    # the topic with which a tick of the control loop comes before the idle gap in which deferred tasks are run, "" for
-    # the node's own deadline; None of a node that carries no ticks on, and defers nothing
+    # A tick of the control loop comes to the node with this topic before the idle gap in which deferred tasks are run;
+    # "" is the node's own deadline. None is for a node that carries no ticks on and defers nothing.
     idle_after: ClassVar[str | None] = None
     period_s: float = 0.0
     state: NodeState = "ready"
@@ -126,11 +128,11 @@ class Node(ABC):
         self.overruns = 0
         # messages that were not acted on because they, or the hand's sample behind them, were past their deadline
         self.stale = 0
-        # how old the messages and the hand's samples are, and whether this process stalled
+        # It knows the age of the messages and of the hand's samples, and whether this process stalled.
         self.freshness = Freshness(context.key, self.clock.now_ns())
-        # of a real device, for node/health
+        # The delay of a real device, for node/health.
         self.device_delay: DeviceDelay | None = None
-        # how often a switch of the device itself has stopped it
+        # A switch of the device itself has stopped it so many times.
         self.own_stops = 0
 
     def defer(self, task: Task, within_ns: int = PATIENCE_NS) -> None:
@@ -169,7 +171,8 @@ class Node(ABC):
     def restore(self, state: Any, find: FindInput) -> None:
         """Go on from a state; `find` returns the payload of an input that the state only names.
 
-        Raises: ValueError, LookupError, TypeError or ConfigError, if it is not a state of this node.
+        Raises:
+            ValueError: It is not a state of this node; LookupError, TypeError and ConfigError mean the same.
         """
         raise ValueError(f"{self.context.key} keeps none")
 
@@ -256,8 +259,8 @@ class NodeLoop:
             is_latched=lambda: node.is_latched,
             kept=node.context.kept_stop,
         )
-        # looked for at the start, after each time that the process stood still, and twice a second: the sender may
-        # have been ended before it could send
+        # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
+        # may have been ended before it could send.
         self._may_be_kept = True
         self._own_stops = 0
         self._lateness = LatenessWindow()
@@ -284,12 +287,12 @@ class NodeLoop:
             self.node.event("fault", "error", " ".join(text.split()))
             raise
         finally:
-            # to make safe may take its time, and is no turn
+            # Making the device safe may take its time, and is no turn of the loop.
             self.node.clock = self._clock
             try:
                 self.node.make_safe()
             finally:
-                # the device of a package may fail in this as well
+                # The device of a package may fail here as well.
                 self.node.state = "stopping"
                 self.publish_health()
                 self.node.publish_end(self._bus)
@@ -366,7 +369,7 @@ class NodeLoop:
         except WireError:
             control = None
         if not isinstance(control, SessionControl) or control.command != "estop":
-            # a file that nobody can read is still there because somebody stopped the node
+            # A file that cannot be read is still there because a person stopped the node.
             control = stop_of(self.node.context.key, now_ns)
         if control.id != latch.newest_id:
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
@@ -507,12 +510,12 @@ class NodeLoop:
             journal.clock.time_ns = received.received_ns
         self.node.on_message(received)
         executed = False
-        # not isinstance, which the classes of messages answer in Python
+        # `isinstance` is avoided because the classes of messages answer it in Python.
         kind = type(received.message)
         if kind is SessionControl:
             self._note_awake()
             executed = self._commands.handle(cast(SessionControl, received.message), self.node.clock.now_ns())
-        # of the health of others as a rule only `admits` takes note, and what came of that is in the journal
+        # As a rule only `admits` uses the health of others, and its result is in the journal.
         if journal is not None and (kind is not NodeHealth or self.node.acts_on_health):
             journal.record_message(received, executed=executed)
 

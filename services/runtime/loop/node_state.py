@@ -44,7 +44,8 @@ class Part(NamedTuple):
     def like(self, example: T) -> T:
         """Return the state as one of the kind of `example`, such as the state in which the part starts.
 
-        Raises: ValueError, if it is not one of the same fields.
+        Raises:
+            ValueError: The state does not have the same fields.
         """
         _compare(self.names, _names(example))
         return cast(T, _made(self.values, example))
@@ -63,7 +64,8 @@ def part(state: Any) -> Part:
 def pack(node: Stateful) -> bytes:
     """Return the state of a node, empty where it has none to restore.
 
-    Raises: ValueError, TypeError or OverflowError saying what of it cannot be kept.
+    Raises:
+        ValueError: A part cannot be kept, which the message names; TypeError and OverflowError mean the same.
     """
     state = node.capture()
     if state is None:

@@ -31,7 +31,7 @@ from services.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordin
 from services.runtime.security.keyring import Keyring, this_machine
 
 SITES = ("master", "slave")
-# the name of who only listens: it is in no site file
+# A participant that only listens has this name, which is in no site file.
 OBSERVER = "record@master"
 NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
 
@@ -55,7 +55,13 @@ class Participant:
     def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
         """Bind the endpoints of a node; EndpointError gives the reason if that fails.
 
-        Parameters: batched, a recorder on this machine may have the messages in batches, which the bus sends.
+        Args:
+            key: The node as node@site.
+            kind: The kind of the socket, of ZeroMQ.
+            batched: Whether a recorder on this machine may get the messages in batches, which the bus sends.
+
+        Raises:
+            EndpointError: The endpoints cannot be bound; the message has the reason.
         """
         publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
         if batched:
@@ -81,9 +87,11 @@ class Participant:
     def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
         """Open the bus of an ordinary node: its own endpoint and connections for its inputs.
 
-        Parameters: newest_only, for a node of the loop, which acts on the newest message of each `latest` topic.
+        Args:
+            topics: The topics that the node reads.
+            newest_only: True for a node of the loop, which acts on the newest message of each `latest` topic.
         """
-        # the publisher first: it is what may fail, and nothing is open yet
+        # The publisher is opened first, because it may fail, and nothing is open yet.
         publisher = self.bind(self.key, batched=newest_only)
         subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
         ends = self.datagrams(publisher, publisher, subscribers) if self.key == FAR_END else []
@@ -96,7 +104,7 @@ class Participant:
         """
         if not self.book.spans_machines or self.book.link.transport == "stream":
             return []
-        # what it is sealed with is loaded in these two processes only
+        # The library that seals datagrams is loaded in these two processes only.
         try:
             from services.runtime.datagram.wiring import open_end
         except ImportError:
@@ -131,8 +139,16 @@ def open_participant(
 ) -> Iterator[Participant]:
     """Open a part in the bus while the block runs; then close connections, endpoints and context, in this order.
 
-    Parameters: publisher, false for who has no endpoint in the site file, only listens and may be on any machine.
-    Raises: EndpointError when the node is not in the book, ConfigError when its machine lacks a key that the rig needs.
+    Args:
+        key: The participant as node@site.
+        book: The addresses of the rig.
+        wake_descriptor: The descriptor that wakes the loop.
+        publisher: False for a participant that has no endpoint in the site file; it only listens and may be on any
+            machine.
+
+    Raises:
+        EndpointError: The node is not in the book.
+        ConfigError: Its machine lacks a key that the rig needs.
     """
     clock = SystemClock()
     machine = _machine_of(book, key) if publisher else this_machine(Keyring())
@@ -194,8 +210,14 @@ def run_loop(
 ) -> None:
     """Run a node until it or a signal requests its stop.
 
-    Parameters: spin_s, longest busy wait before a deadline [s]; freeze, false for a process that has work after the
-    loop, for which it needs the garbage collector; guarded, the process is ended where it computes without end.
+    Args:
+        node: The node.
+        bus: The bus of the node.
+        signals: The signals that request a stop.
+        realtime: The scheduling that the process has.
+        spin_s: The longest busy wait before a deadline [s].
+        freeze: False for a process that needs the garbage collector for work after the loop.
+        guarded: Whether the process is ended when it computes without end.
     """
     guard = HangGuard()
     note_alive = guard.renew if guarded else lambda: None
@@ -203,7 +225,8 @@ def run_loop(
     loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=starting_ns, note_alive=note_alive)
     signals.interrupt(node)
     if freeze:
-        # it looks at every object of the process, in which the others on its processor have their periods to keep
+        # The garbage collector looks at every object of the process, and the others on its processor have their periods
+        # to keep.
         with ordinary_scheduling():
             freeze_garbage()
     with guard if guarded else contextlib.nullcontext():

@@ -16,17 +16,17 @@ from proto.nodes import name_of
 from services.runtime.loop.log import StructuredLog
 from services.runtime.settings.optional_modules import optional_module
 
-# Windows has none
+# Windows has no such module.
 resource = optional_module("resource")
 _PR_SET_TIMERSLACK = 29
 _PR_SET_PDEATHSIG = 1
 # pages are locked as they are first touched: locking every reserved page would take 400 MB a process
 _MCL_CURRENT_FUTURE_ONFAULT = 7
-# far above what a rig needs; libzmq scans nothing by number, so the size costs nothing
+# The limit is far above what a rig needs; libzmq scans nothing by number, so the size costs nothing.
 _MOST_FILES = 65_536
-# ahead of ordinary processes; the nodes of the loop stay ahead of everything
+# These are ahead of ordinary processes; the nodes of the loop stay ahead of everything.
 _BESIDE_THE_LOOP_NICENESS = -5
-# what is shown may come late, what is felt may not
+# A display may be late, touch may not.
 _OBSERVER_NICENESS = 5
 _MAPS = Path("/proc/self/maps")
 _HUGE_PAGE = 2 << 20
@@ -77,7 +77,8 @@ def is_linux() -> bool:
 def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> RealtimeStatus:
     """Request scheduling, memory lock and fine timers; before the ZeroMQ context exists, whose threads inherit them.
 
-    Raises ConfigError where `fifo` or `on` is configured and not permitted, or the processor does not exist.
+    Raises:
+        ConfigError: `fifo` or `on` is configured and not permitted, or the processor does not exist.
     """
     if not is_linux():
         if config.scheduler == "fifo" or config.memory_lock == "on":
@@ -89,7 +90,7 @@ def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> Rea
     fifo = config.scheduler != "normal" and _set_fifo(config, log)
     permitted = os.sched_getaffinity(0)
     cpu = processor_of(node, config, sorted(permitted))
-    # without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there
+    # Without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there.
     if cpu is not None and (fifo or isinstance(config.cpus, dict)):
         _stay_on(cpu)
         if not isinstance(config.cpus, dict):
@@ -109,7 +110,7 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
         return config.cpus.get(node, config.cpus.get(name_of(node)))
     if config.cpus == "free" or len(permitted) < 2:
         return None
-    # the last ones: the first tend to serve the machine's interrupts
+    # The last processors are chosen because the first tend to serve the machine's interrupts.
     masters, slaves = permitted[-2:]
     at_master = node.endswith("@master") and (config.cpus == "link_at_master" or not node.startswith("delay_node"))
     return masters if at_master else slaves
@@ -149,7 +150,9 @@ def lower_thread(name: str) -> None:
 
     Threads of one priority and processor take turns only when they wait: one that always has something to do would stop
     the others. On any processor it need not wait for them, unless the processor was configured.
-    Parameters: name, as in /proc.
+
+    Args:
+        name: The name of the thread, as in /proc.
     """
     if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
         return
@@ -189,7 +192,7 @@ def use_huge_pages() -> int:
             continue
         first, last = (int(end, 16) for end in place.split("-"))
         for start in range(-(-first // _HUGE_PAGE) * _HUGE_PAGE, last - _HUGE_PAGE + 1, _HUGE_PAGE):
-            # where most of it is in use: elsewhere it would take memory for nothing
+            # A huge page is used only where most of it is in use: elsewhere it would waste memory.
             if libc.mincore(start, _HUGE_PAGE, present) == 0 and bytes(present).count(1) > len(present) // 2:
                 found += libc.madvise(start, _HUGE_PAGE, _MADV_COLLAPSE) == 0
     return found
@@ -206,7 +209,7 @@ def raise_file_limit() -> None:
 def die_with_parent(signal_number: int) -> None:
     """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
     if not is_linux():
-        # a node is then ended by its supervisor alone
+        # Only its supervisor then ends a node.
         return
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
 

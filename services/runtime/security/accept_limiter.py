@@ -18,7 +18,7 @@ from typing import NamedTuple
 BURST, PER_S = 20.0, 10.0
 
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
-# of classic BPF: load a byte or a word, shift right, jump if a bit is set or if equal, return
+# The instructions of classic BPF: load a byte or a word, shift right, jump if a bit is set or if equal, return.
 _LOAD_BYTE, _LOAD_WORD, _SHIFT_RIGHT, _JUMP_IF_SET, _JUMP_IF_EQUAL, _RETURN = 0x30, 0x20, 0x74, 0x45, 0x15, 0x06
 # offsets: flags in the TCP header, which a filter begins at; SKF_NET_OFF, by which it reaches the IP header
 _TCP_FLAGS, _SYN, _IP_HEADER = 13, 0x02, 0xFFF00000
@@ -76,7 +76,7 @@ class AcceptLimiter:
         """Count connections accepted since the last call, and change who is admitted; OSError where that is refused."""
         refill = (now_ns - self._at_ns) * 1e-9 * PER_S
         self._at_ns = now_ns
-        # what was under way when it was closed still comes in, and is paid for before it opens again
+        # Connections that were under way when it closed still come in, and are paid for before it opens again.
         self._everybody = _bounded(self._everybody - accepted + refill)
         self._known += refill if self.admission is Admission.EVERYBODY else refill - accepted
         self._known = _bounded(self._known)

@@ -29,7 +29,7 @@ class AccessControl:
         stamp = self.keyring.stamp()
         if stamp == self._stamp:
             return False
-        # first, so that an error is reported once
+        # The stamp is set first, so that an error is reported once.
         self._stamp = stamp
         if stamp is None:
             raise ConfigError(

@@ -40,7 +40,7 @@ _KEY_LENGTH = 40
 def _check_key(text: str) -> str:
     try:
         valid = len(text) == _KEY_LENGTH and bool(z85.decode(text))
-    # what the decoder raises for letters, and for numbers, that Z85 does not have
+    # The decoder raises these for letters, and for numbers, that Z85 does not have.
     except (KeyError, ValueError, struct.error):
         valid = False
     if not valid:
@@ -217,7 +217,7 @@ class Keyring:
 
     def _write(self, keys: Sequence[AllowedKey]) -> None:
         document = {"keys": [key.model_dump(mode="json") for key in sorted(keys, key=lambda key: key.name)]}
-        # whole at every moment: a running node may read it
+        # The folder is whole at every moment, because a running node may read it.
         with self._folder_for_writing():
             write_private(self.allowed_path, yaml.safe_dump(document, sort_keys=False, width=120))
 

@@ -28,7 +28,7 @@ from services.runtime.security.socket_monitor import (
 _RECONNECT_NS = 2_000_000_000
 _UNREACHED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
-# failed handshakes in a row after which they are reported: fewer may be an accident
+# So many failed handshakes in a row are reported; fewer may be an accident.
 _REPORTED_FAILURES = 3
 _EVENTS = CONNECTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED | KEY_REFUSED | DISCONNECTED
 # pairs of topic and source cached as permitted; a peer that makes up names must not fill the memory
@@ -50,7 +50,7 @@ class MessagePermissions:
 
     def __call__(self, topic: str, src: str) -> None:
         """Raise WireError (`role`, `source`) for a message that this machine may not send."""
-        # called a thousand times a second for a few pairs
+        # This is called a thousand times a second for a few pairs.
         if (topic, src) in self._permitted:
             return
         needed: Role = "control" if topic == "session/control" else "data"
@@ -76,9 +76,9 @@ class PeerConnection:
     ever_up: bool = False
     failures: int = 0
     last_error: str = ""
-    # disconnected, but libzmq still has its endpoint
+    # The peer is disconnected, but libzmq still has its endpoint.
     lost: bool = False
-    # when to connect again, where that is not left to libzmq
+    # The time to connect again, if that is not left to libzmq.
     reconnect_ns: int | None = None
 
 
@@ -155,7 +155,8 @@ class PeerConnections:
 
     def _reconnect_due(self, now_ns: int) -> None:
         due = [peer for peer in self.connections if peer.reconnect_ns is not None and now_ns >= peer.reconnect_ns]
-        # before connecting: libzmq identifies what it has given up by an address in memory that the next may get
+        # This comes before connecting, because libzmq identifies a connection that it gave up by an address in memory,
+        # which the next one may get.
         for peer in self.connections if due else ():
             if peer.lost:
                 peer.lost = False
@@ -206,7 +207,7 @@ class PeerConnections:
             self._record_up(peer)
         elif event == DISCONNECTED and peer.up:
             self._record_down(peer, "was lost")
-            # left to libzmq for a while, which does not report whether it reconnects
+            # Reconnecting is left to libzmq for a while, which does not report whether it succeeded.
             peer.lost, peer.reconnect_ns = True, self._clock.monotonic_ns() + _RECONNECT_NS
         elif event == DISCONNECTED:
             self._schedule_reconnect(peer)
@@ -214,7 +215,7 @@ class PeerConnections:
             self._record_failure(peer, event)
 
     def _record_up(self, peer: PeerConnection) -> None:
-        # two in a row: the first was a connection that was given up meanwhile
+        # Two come in a row: the first was a connection that was given up meanwhile.
         if peer.up:
             return
         gone_s = (self._clock.monotonic_ns() - peer.down_since_ns) * 1e-9

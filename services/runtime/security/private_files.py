@@ -11,16 +11,18 @@ from services.runtime.bus.local_endpoint import RUNTIME_DIRECTORY_VARIABLE, runt
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022
-# who may own what this process trusts, besides its own user
+# Besides the user of this process, this one may own the files that it trusts.
 _ROOT = 0
-# the list of a thousand machines has a tenth of it
+# The list of a thousand machines has a tenth of this size.
 _LARGEST_BYTES = 1 << 20
 
 
 def read_regular(path: Path) -> tuple[bytes, os.stat_result]:
     """Read a regular file, and its status; ConfigError for a pipe or a device, which may never end.
 
-    Raises: OSError.
+    Raises:
+        ConfigError: It is a pipe or a device.
+        OSError: The file cannot be read.
     """
     try:
         with open_regular(path) as file:
@@ -65,7 +67,8 @@ def _check(path: Path, found: os.stat_result, forbidden: int, what: str, right: 
 def write_private(path: Path, text: str) -> None:
     """Write a file for this user alone, whole or not at all; a link in its place is replaced, not followed.
 
-    Raises: OSError.
+    Raises:
+        OSError: The file cannot be written.
     """
     new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -91,7 +94,7 @@ def check_private_folder(folder: Path, remedy: str) -> None:
     try:
         link, found = folder.lstat(), folder.stat()
     except OSError:
-        # what cannot be reached cannot be used either, which whoever uses it reports
+        # A path that cannot be reached cannot be used either, and its user reports that.
         return
     owner = found.st_uid if link.st_uid in (user, _ROOT) else link.st_uid
     if owner != user:
@@ -105,11 +108,16 @@ def check_runtime_directory(*, make: bool = False) -> None:
     """Raise ConfigError when the folder of ipc sockets belongs to another user or is open to others.
 
     Whoever else can write to it can take the place of a node, or of all of them.
-    Parameters: make, create it first where it is absent.
+
+    Args:
+        make: Whether the folder is created first if it is absent.
+
+    Raises:
+        ConfigError: The folder belongs to another user, or is open to others.
     """
     folder = runtime_directory()
     if make:
-        # that it cannot be made is reported when a socket in it cannot be bound
+        # If the folder cannot be made, that is reported when a socket in it cannot be bound.
         with contextlib.suppress(OSError):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     check_private_folder(folder, f"name another one by {RUNTIME_DIRECTORY_VARIABLE}")

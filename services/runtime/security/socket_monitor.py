@@ -35,7 +35,7 @@ class Monitor:
         """Monitor a socket for the events that are added up in `wanted`."""
         self.has_pending = False
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
-        # here, because it imports asyncio and ssl, and a rig on one machine monitors nothing
+        # The import is here because it brings asyncio and ssl, and a rig on one machine monitors nothing.
         from zmq.utils.monitor import recv_monitor_message
 
         self._receive = recv_monitor_message

@@ -21,7 +21,7 @@ from services.runtime.security.socket_monitor import (
     RejectionCounter,
 )
 
-# of ZeroMQ's authentication protocol (ZAP)
+# ZeroMQ's authentication protocol (ZAP) prescribes this endpoint.
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"
 _ACCEPTED, _DENIED = b"200", b"400"
 _ZAP_FRAMES = 9
@@ -43,7 +43,7 @@ class BoundEndpoint:
     accepted: set[str] = field(default_factory=set)
     unbound: bool = False
     attempts: int = 0
-    # connections came faster than the limit, and have not been slow for long enough since
+    # It is true since connections came faster than the limit, until they have been slow for long enough.
     flooded: bool = False
 
     @property
@@ -68,7 +68,13 @@ class ZapAuthenticator:
     ) -> None:
         """Bind the ZAP endpoint; before any server socket binds.
 
-        Parameters: known_addresses, gives the numeric addresses of machines accepted when too many others come.
+        Args:
+            context: The context of ZeroMQ whose servers are protected.
+            access_control: Decides which keys are accepted.
+            rejections: Counts the clients that are rejected.
+            clock: The clock of the node.
+            known_addresses: Returns the numeric addresses of machines that are accepted even while too many others
+                come.
         """
         self.endpoints: list[BoundEndpoint] = []
         self._clock = clock
@@ -91,7 +97,7 @@ class ZapAuthenticator:
             socket.set(zmq.CURVE_SECRETKEY, self._access_control.own.secret)
             # identifies the endpoint that a client connects to
             socket.set(zmq.ZAP_DOMAIN, node.encode())
-            # without this libzmq accepts every client while no ZAP handler is bound, as when a process ends
+            # Without this option libzmq accepts every client while no ZAP handler is bound, as when a process ends.
             socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1)
 
     def add(self, publisher: ZmqPublisher) -> None:
@@ -181,7 +187,8 @@ class ZapAuthenticator:
         return True
 
     def _reply_to(self, frames: Sequence[bytes]) -> list[bytes]:
-        # identity of the asking session, empty, version, request, domain, address, identity, mechanism, key
+        # The frames are: identity of the asking session, empty, version, request, domain, address, identity, mechanism,
+        # key.
         back, version, request = frames[0], frames[2], frames[3]
         if len(frames) != _ZAP_FRAMES or frames[7] != b"CURVE":
             self._rejections.record("handshake", "a client connected without a key")

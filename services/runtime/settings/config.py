@@ -16,9 +16,9 @@ from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_
 M = TypeVar("M", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "TELENANO__"
-# sections within sections: far more than there are, and few enough for whoever walks through them
+# Sections are nested far less deeply than this, and programs that walk through them can go this deep.
 _DEEPEST = 16
-# faults of one document that are reported, so that a thousand wrong keys cost no more than that
+# At most so many faults of one document are reported, so that a thousand wrong keys cost no more than that.
 _MOST_FAULTS = 20
 
 
@@ -112,15 +112,17 @@ def _of_another_kind(below: Mapping[str, Any], value: Mapping[str, Any]) -> bool
 def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str = "") -> M:
     """Validate a mapping against a model.
 
-    Raises ConfigError naming `origin`, every key at fault (below `section`, if given) and what would be right.
+    Raises:
+        ConfigError: Keys are wrong; the message names `origin`, every key at fault (below `section`, if given) and what
+            would be right.
     """
     try:
-        # through JSON, so that a YAML list passes where a strict model has a tuple; and dates, which YAML makes of some
-        # texts, as texts: the error of the model then names the key
+        # The data passes through JSON, so that a YAML list is accepted where a strict model has a tuple. Dates, which
+        # YAML makes of some texts, become texts again: the error of the model then names the key.
         return model.model_validate_json(json.dumps(data, allow_nan=True, default=str))
     except (TypeError, ValueError) as error:
         if isinstance(error, ValidationError):
-            # What JSON cannot have is refused without the name of its key, and with the whole document.
+            # Values that JSON does not know are refused without the name of their key, and with the whole document.
             if error.errors()[0]["type"] == "json_invalid" and (undecodable := _undecodable(data)):
                 raise ConfigError(f"{origin}: {undecodable}") from error
             raise ConfigError(_describe(error, origin, model, section)) from error
@@ -145,8 +147,11 @@ def _undecodable(value: Any, key: str = "") -> str:
 def layered(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
     """Read a file and merge environment and flags over it.
 
-    Returns: the merged mapping and its origin in words, for errors.
-    Raises ConfigError naming the file, the variable or the flag.
+    Returns:
+        The merged mapping, and its origin in words for errors.
+
+    Raises:
+        ConfigError: A source cannot be read; the message names the file, the variable or the flag.
     """
     environment, given = environment_overrides(), flag_overrides(flags)
     layers = [str(path)] + ["environment"] * bool(environment) + ["--set"] * bool(given)

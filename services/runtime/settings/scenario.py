@@ -39,7 +39,7 @@ class Scenario(BaseModel):
         return self.realtime.model_copy(update={"cpus": "link_at_master"}) if busy else self.realtime
 
 
-# where a scenario names what a package may have brought, and of which kind that is (`presets.plugins`)
+# A scenario may name what a package brings at these places; each place has a kind of plug-in (`presets.plugins`).
 _NAMED = (
     ("laws", ("controller", "law")),
     ("devices", ("haptic_node", "driver")),

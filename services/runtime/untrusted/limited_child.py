@@ -20,16 +20,16 @@ from typing import Any, BinaryIO, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-# on other systems there are no such limits: the headers are checked there as well, and the wall time
+# Other systems have no such limits; there the headers and the wall time are checked.
 try:
     import resource
 except ImportError:
     resource = None  # type: ignore[assignment]
 
 LARGEST_FILE_BYTES = 1 << 30
-# of address space: Python and the libraries take 120 MB of it, and a reader some copies of what it reads
+# The limit of address space: Python and the libraries need 120 MB of it, and a reader some copies of what it reads.
 _MEMORY_BYTES, _MEMORY_PER_BYTE = 512 << 20, 6
-# of processor time, and of time: the machine may be at work with something else
+# The limits of processor time, and of wall time: the machine may be busy with something else.
 _CPU_S, _CPU_S_PER_BYTE = 20.0, 2.5e-7
 _WALL_FACTOR = 4.0
 _LONGEST_TEXT = 500
@@ -59,16 +59,23 @@ def limits_for(size_bytes: int) -> Limits:
 def read_in_child(function: str, path: Path, *arguments: str | None, limits: Limits | None = None) -> Answer:
     """Call a function, given as `module:name`, with a path and texts in a child; return what it returns, an `Answer`.
 
-    Parameters: limits, those for the size of the file when None.
-    Raises: ImportError naming the package that is missing, OSError as the child had it, ValueError with whatever else
-    the function raised, or saying which limit it reached.
+    Args:
+        function: The function, as `module:name`.
+        path: Its first argument.
+        *arguments: Its further arguments.
+        limits: The limits of the child; None takes those for the size of the file.
+
+    Raises:
+        ImportError: A package is missing; the message names it.
+        OSError: The child got this error when it read the file.
+        ValueError: The function raised any other error, or reached a limit; the message says which.
     """
     size = path.stat().st_size
     if size > LARGEST_FILE_BYTES:
         raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
     limits = limits or limits_for(size)
     command = [sys.executable, "-P", "-m", __name__, function, json.dumps([limits, os.fspath(path), *arguments])]
-    # one thread: those of a linear algebra library reserve memory each
+    # A single thread is used, because each thread of a linear algebra library reserves memory.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     with _answer_file() as out:
         try:
@@ -151,7 +158,7 @@ def main() -> None:
     function, given = sys.argv[1:]
     limits, *arguments = json.loads(given)
     out = os.fdopen(os.dup(1), "wb")
-    # what a library prints is no part of the answer
+    # Output that a library prints is no part of the answer.
     os.dup2(2, 1)
     _limit(Limits(*limits))
     module, _, name = function.partition(":")
@@ -166,7 +173,7 @@ def main() -> None:
     for each in kept:
         out.write(each.tobytes())
     out.flush()
-    # what is left to be done at exit may take as long as the file wants
+    # Work at exit could take as long as the file wants, so it is skipped.
     os._exit(0)
 
 

@@ -10,9 +10,9 @@ import yaml
 
 # a scenario with every key has 8 kB; the parser takes some seconds for this much
 LARGEST_BYTES = 1 << 18
-# values that a text stands for when each alias is written out, as whoever validates or prints it walks through them
+# A text may stand for so many values when each alias is written out, because validation and printing walk through them.
 _MOST_VALUES = 100_000
-# a number; no quantity has more digits than this, and Python takes the square of their count to read one
+# No number of a quantity has more digits than this, and Python takes the square of their count to read one.
 _LONGEST_NUMBER = 100
 _MERGE_TAG = "tag:yaml.org,2002:merge"
 _NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
@@ -42,7 +42,8 @@ _Loader.add_implicit_resolver(
 def yaml_value(text: str) -> Any:
     """Return what a YAML text stands for.
 
-    Raises: YamlError.
+    Raises:
+        YamlError: The text is not YAML.
     """
     if len(text) > LARGEST_BYTES:
         raise YamlError(f"it has {len(text)} characters, and at most {LARGEST_BYTES} are read")
@@ -63,7 +64,7 @@ def yaml_value(text: str) -> Any:
         raise YamlError(_sentence(error)) from error
     except YamlError:
         raise
-    # a value that is not what its own tag, or its look, says: the 45th of a month, `!!int x`
+    # The value is not what its own tag, or its look, says, such as the 45th of a month or `!!int x`.
     except Exception as error:
         raise YamlError(f"a value in it cannot be read: {_sentence(error)}") from error
     finally:
@@ -120,9 +121,9 @@ def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: s
     names: set[str] = set()
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            # no key of a plain mapping, which reading reports
+            # Reading reports a key that no plain mapping can have.
             continue
-        # as it is after reading: `true` and `True` are one key; only `<<` is not read by itself
+        # Keys are compared after reading: `true` and `True` are one key; only `<<` is not read by itself.
         name = key.value if key.tag == _MERGE_TAG else str(loader.construct_object(key))
         if name in names:
             line = key.start_mark.line + 1

@@ -65,7 +65,7 @@ def info(file: FileArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         found = Recording(file).info().model_dump(mode="json")
     if not as_json:
-        # all columns are wider and longer than a screen
+        # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
         found["metadata"] = found["metadata"].get("recording", {})
     print_document(found, str(file), as_json=as_json)

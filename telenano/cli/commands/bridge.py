@@ -72,7 +72,7 @@ def foxglove(
             observer=os.environ.get(TOKEN_VARIABLE, ""),
             names=[host, *(name or ())],
             allow=allow or (),
-            # a browser names the origin of its page, a program none: it has the token
+            # A browser names the origin of its page; a program names none, but has the token.
             origins=["", *(allow_origin or ())],
         )
         with (
@@ -87,7 +87,7 @@ def foxglove(
 
 def _hand_on(bridge: Bridge, live: LiveRecording, duration: float | None, *, is_waiting: bool) -> None:
     if is_waiting:
-        # one may be started after its bridge
+        # A rig may be started after its bridge.
         typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)
     with contextlib.suppress(KeyboardInterrupt):
         bridge.run(live.messages(duration_s=duration))

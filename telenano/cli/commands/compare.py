@@ -51,7 +51,7 @@ def compare_sessions(
 
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
-    # it imports matplotlib, which takes a second
+    # The import brings matplotlib, which takes a second.
     from analysis.compare import beside, compare_figure, rows_of
     from analysis.compare import compare as read
     from analysis.conditions import described

@@ -104,7 +104,7 @@ def _live(site_file: Path, settings: CurveSettings, given: "dict[str, Scalar]", 
     from studies.instrument.force_curve import curve_of_samples
 
     samples = LiveCurve()
-    # what was not given is the rig's own affair
+    # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "curve", **{f"curve.{name}": value for name, value in given.items()}}
     report = follow_program(site_file, parameters, samples, as_json=as_json)
     if report.state != "finished":

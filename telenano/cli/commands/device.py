@@ -438,7 +438,7 @@ def simulate_t7(
             plant = config.to_params().plant
             _write(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
         _run_ahead()
-        # it shows the last bytes of every connection that ends as an error
+        # pymodbus shows the last bytes of every connection that ends as an error.
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
         asyncio.run(
             serve_t7(

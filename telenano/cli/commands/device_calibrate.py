@@ -60,7 +60,7 @@ def calibrate_stage(
             "network": {"host": host, "port": port},
             "stage": {
                 "dac": dac,
-                # not known yet: metres are volts until the gauge was read
+                # The scale is not known yet: metres are volts until the gauge was read.
                 "m_per_v": 1e-6,
                 "rest_v": rest,
                 "retract_v": 0.0,
@@ -172,7 +172,7 @@ def _ask(mover: Any, output_v: float, text: str, default: str | None) -> str:
         except (typer.Abort, EOFError, OSError, ValueError) as error:
             answers.append(error)
 
-    # a daemon: Ctrl-C must retract and end, whatever the prompt waits for
+    # The thread is a daemon, because Ctrl-C must retract and end whatever the prompt waits for.
     threading.Thread(target=ask, daemon=True).start()
     while not answers:
         mover.hold(output_v)

@@ -44,7 +44,7 @@ class RecordKeyBindings:
         self._keys.show(f"{node.status()} · {self._note}")
 
 
-# options of the command's own, and what only the recorder of a rig is told
+# These are options of the command's own, and settings that only the recorder of a rig has.
 _OWN = ("directory", "file_name", "topics", "exclude", "sync_to_disk", "chunk_size_bytes", "snapshot_size_bytes")
 
 
@@ -76,7 +76,7 @@ def record(
         )
         nobody = "no rig of this site file runs on this machine" if nobody_runs(load_site(site_file)) else ""
         if nobody and not as_json:
-            # one may be started after its recorder
+            # A rig may be started after its recorder.
             typer.echo(f"telenano: {nobody} yet; waiting for one", err=True)
         with RawKeyboard() as keys:
             done = run_record(site_file, config, scenario, duration, RecordKeyBindings(keys))

@@ -36,7 +36,7 @@ def reproduce(
 ) -> None:
     """Make figures and equations of the paper again, and write them on one HTML page."""
     with report_errors(as_json):
-        # first of all: it has every step compiled that is imported after it
+        # The import comes first of all, because it compiles every step that is imported after it.
         from studies.pages.reproduce import FIGURES
         from studies.pages.reproduce import reproduce as make
 

@@ -122,14 +122,14 @@ def _scan_live(
     from services.console.live_program import LiveImage
 
     image = LiveImage()
-    # what was not given is the rig's own affair
+    # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
     failure: RigError | None = None
     with results_in(out) as folder:
         try:
             report = follow_program(site_file, parameters, image, as_json=as_json)
         except RigError as error:
-            # what came before the instrument fell silent is kept as well
+            # Lines that came before the instrument fell silent are kept as well.
             failure = error
         if count := image.finished:
             _say_if_interrupted(image.partial)
@@ -203,7 +203,7 @@ def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
 
     trace, back = result.trace, result.retrace
     height = result.height_m
-    # both ways from one level: what they differ by is what the tip is behind
+    # Both ways use one level, because their difference is the lag of the tip.
     level_m = float(trace[:, :, HEIGHT].mean() - height.mean())
     images = {
         "height": image("Height", "m", height),

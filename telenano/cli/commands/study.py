@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from studies.loops.validate import Agreement
 
 _BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
-# options that a study of one link and one environment has not
+# A study of one link and one environment does not have these options.
 _ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances")
 # defaults of a study in place of those of the model, as a person would write them
 _TRANSPARENCY = {"laws": "all", "environment": "spring", "delays_ms": "0,20,40,100,200", "stiffnesses_n_per_m": "10"}

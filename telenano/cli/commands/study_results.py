@@ -56,7 +56,7 @@ def print_result(
     if as_json:
         print_json(summary)
         return
-    # folded, so that no figure is cut off on a narrow terminal
+    # The text is folded, so that no figure is cut off on a narrow terminal.
     table = Table(*(Column(name, overflow="fold") for name in head))
     for row in rows:
         table.add_row(*(text(value) for value in row))

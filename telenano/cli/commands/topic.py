@@ -200,7 +200,7 @@ def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observe
     book = load_site(site_file)
     require_rig(book, site_file)
     with contextlib.closing(Observer(book, (known_name(topic)[0],)) if topic else Observer(book)) as observer:
-        # sockets that a killed rig left behind, a machine that is switched off: neither is noticed before
+        # Sockets that a killed rig left behind, or a machine that is switched off, are not noticed before.
         said = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
         said.daemon = True
         said.start()

@@ -86,7 +86,7 @@ def _clock_text(plan: Plan) -> str:
     """Return in words that this machine's clock is not synchronised, where the rig spans two; else nothing."""
     if not plan.book.spans_machines:
         return ""
-    # it needs POSIX, and the other commands work without
+    # The import needs POSIX, and the other commands work without it.
     from telenano.doctor import checks
 
     found = checks.check_synchronised(checks.kernel_clock())
@@ -127,7 +127,7 @@ def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan,
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
         fail("; ".join([reason, *outcome.missing, f"see {plan.out / 'logs'}"]), as_json=as_json)
     elif as_json:
-        # the recording is elsewhere, or nobody recorded
+        # The recording is elsewhere, or there was no recorder.
         print_json({"scenario": plan.scenario.name, "recording": None, "note": outcome.note})
     else:
         typer.echo(f"the session ran; {outcome.note}")
@@ -139,7 +139,7 @@ def _print_slave(outcome: Outcome, plan: Plan, *, as_json: bool) -> None:
         info = open_recordings(outcome.recordings).info()
         missing = [*info.missing, *outcome.missing]
         kept = {"file": info.path, "complete": not missing, "missing": missing, "messages": info.messages}
-    # the path by itself, as ever
+    # The path stands alone, as in earlier versions.
     document = {"site": "slave", "recording": kept["file"], "recorded": kept, "restarts": outcome.restarts}
     print_document(document, str(plan.out), as_json=as_json)
     if kept["missing"]:

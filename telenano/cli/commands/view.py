@@ -87,7 +87,7 @@ def view(
         tls, access = config.tls(), config.access()
         recordings = open_recordings(files) if files else None
         if recordings is None:
-            # names what keeps this machine from the rig before an address is shown
+            # An error says why this machine cannot join the rig before an address is shown.
             LiveSource(load_site(site_file), "").close()
         idle = recordings is None and nobody_runs(load_site(site_file))
         signals = StopSignals()
@@ -95,17 +95,17 @@ def view(
             page = Served(access, tls, bound, signals)
             behind_others()
             if idle:
-                # one may be started after its page
+                # A rig may be started after its page.
                 text = "no rig of this site file runs on this machine yet; the page waits for one"
                 typer.echo(f"telenano: {text}", err=True)
-            # after the last thing that could fail: whoever reads this may open it
+            # The address is shown after the last step that could fail, because its reader may open it.
             with announced(addresses_of(bound, access, tls, config.name), typer.echo):
                 _serve_again(
                     partial(_serve_rig, site_file, page)
                     if recordings is None
                     else partial(_serve_recording, recordings, page)
                 )
-    # the signal that ended it, as after any other command; a person ends it with Ctrl-C
+    # The exit code is that of the signal that ended it, as after any other command; a person ends it with Ctrl-C.
     if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
         raise SystemExit(128 + signal.SIGTERM)
 
@@ -120,7 +120,7 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
         except TelenanoError as error:
             raise type(error)(f"the view has ended: {error}") from error
         except Exception as error:  # noqa: BLE001
-            # whatever it was: the operator has to be able to stop the rig
+            # The operator has to be able to stop the rig, whatever the error was.
             end = restarts.record_exit(PAGE, EXIT_DIED)
             text = f"the view has ended: {type(error).__name__}: {error}; {end.verdict}"
             typer.echo(f"telenano: {text}", err=True)
@@ -139,7 +139,7 @@ def _serve_recording(recordings: RecordingSource, page: Served) -> None:
 def _serve_rig(site_file: Path, page: Served) -> None:
     """Run the node that `telenano up` starts beside a rig in this process."""
     book = load_site(site_file)
-    # a machine that may only observe has no other key, and what is on no network needs none
+    # A machine that may only observe has no other key, and a page on no network needs none.
     is_public = PAGE in book.nodes and book.network_endpoint(PAGE) is not None
     with open_participant(PAGE, book, page.signals.descriptor, publisher=is_public) as participant:
         node, bus = page_of_rig(participant, site_file, page.bound, page.access, page.tls)

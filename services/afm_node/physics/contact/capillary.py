@@ -24,9 +24,14 @@ def meniscus_force(
 
     F = -4 pi R gamma_L / (1 + (h - a0) / 2 r1) for h > a0, its value at a0 below        (Eq. 6, E3, E4)
 
-    Parameters: distance_m, h [m]; capillary_force_n, 4 pi R gamma_L [N]; meniscus_width_m, 2 r1 [m], > 0;
-    contact_distance_m, a0 [m].
-    Returns: force_n [N], <= 0, and gradient_n_per_m dF/dh [N/m].
+    Args:
+        distance_m: The distance of tip and sample, h [m].
+        capillary_force_n: The greatest force, 4 pi R gamma_L [N].
+        meniscus_width_m: The width of the meniscus, 2 r1 [m], > 0.
+        contact_distance_m: The distance of contact, a0 [m].
+
+    Returns:
+        The force [N], <= 0, and its gradient dF/dh [N/m].
     """
     if distance_m < contact_distance_m:
         return -capillary_force_n, 0.0
@@ -48,8 +53,16 @@ def printed_meniscus_force(
     Approach: -4 pi R gamma_L / (1 + (h - a0) / 2 r1) u(h - 2 r1); retract: -4 pi R gamma_L / (1 + (h + delta) / 2 r1)
     u(delta - h).
 
-    Parameters: as for `meniscus_force`; retracting selects the branch; meniscus_break_m, delta [m].
-    Returns: force_n [N], <= 0, and gradient_n_per_m dF/dh [N/m] (the steps themselves have no gradient).
+    Args:
+        distance_m: The distance of tip and sample, h [m].
+        retracting: Selects the branch of retraction, else that of approach.
+        capillary_force_n: The greatest force, 4 pi R gamma_L [N].
+        meniscus_width_m: The width of the meniscus, 2 r1 [m], > 0.
+        contact_distance_m: The distance of contact, a0 [m].
+        meniscus_break_m: The distance at which the meniscus breaks, delta [m].
+
+    Returns:
+        The force [N], <= 0, and its gradient dF/dh [N/m]; the steps themselves have no gradient.
     """
     if retracting:
         if distance_m > meniscus_break_m:
@@ -65,9 +78,16 @@ def printed_meniscus_force(
 def meniscus_radius_m(relative_humidity: float) -> float:
     """Curvature radius of the meniscus in equilibrium with the vapour, r1 = -0.54 nm / ln(P/Ps).
 
-    Parameters: relative_humidity, P/Ps, a fraction between 0 and 1, both excluded.
-    Raises: ValueError outside that range.
-    Source: Kelvin equation as quoted under Eq. 6, water at 20 degrees Celsius.
+    Source: the Kelvin equation as quoted under Eq. 6, for water at 20 degrees Celsius.
+
+    Args:
+        relative_humidity: P/Ps, a fraction between 0 and 1, both excluded.
+
+    Returns:
+        The radius r1 [m].
+
+    Raises:
+        ValueError: The humidity is outside that range.
 
     >>> round(meniscus_radius_m(0.638) * 1e9, 2)
     1.2
@@ -82,7 +102,8 @@ def meniscus_radius_m(relative_humidity: float) -> float:
 def relative_humidity(radius_m: float) -> float:
     """Relative humidity at which the meniscus radius is r1 [m]: exp(-0.54 nm / r1), the inverse of `meniscus_radius_m`.
 
-    Raises: ValueError, if the radius is not a positive finite length.
+    Raises:
+        ValueError: The radius is not a positive finite length.
     """
     if not (math.isfinite(radius_m) and radius_m > 0.0):
         raise ValueError(f"meniscus radius r1 = {radius_m} m must be finite and > 0 m")

@@ -97,7 +97,7 @@ def _hermite(table: ContactTable, x: float) -> tuple[float, float]:
         t = place - i
     else:
         k, i, t = _OCTAVES, 0, math.ldexp(x, _OCTAVES)
-    # as plain Python numbers: as numpy's they take three times as long, here and in all that follows from them
+    # Plain Python numbers are used, because NumPy's take three times as long, here and in all that follows from them.
     f0, d0, s0 = float(nodes[k, i, 0]), float(nodes[k, i, 1]), float(nodes[k, i, 2])
     f1, d1, s1 = float(nodes[k, i + 1, 0]), float(nodes[k, i + 1, 1]), float(nodes[k, i + 1, 2])
     c2 = 3.0 * (f1 - f0) - 2.0 * d0 - d1
@@ -112,8 +112,12 @@ def build_contact_table(contact: MaugisDugdale, largest_force_n: float) -> Conta
     Cells are halved until the errors measured against the direct solution inside every cell stay below
     `FORCE_TOLERANCE` and `STIFFNESS_TOLERANCE`.
 
-    Parameters: contact; largest_force_n [N], > 0.
-    Raises: ValueError, if the force is not positive, or the tolerance cannot be met.
+    Args:
+        contact: The contact that is tabulated.
+        largest_force_n: The largest force of the table [N], > 0.
+
+    Raises:
+        ValueError: The force is not positive, or the tolerance cannot be met.
     """
     if not (math.isfinite(largest_force_n) and largest_force_n > 0.0):
         raise ValueError(f"largest force of the contact table = {largest_force_n} N must be finite and > 0 N")
@@ -165,7 +169,7 @@ def _direct(transition: float, end: float, start: float, u: npt.NDArray[np.float
     """Force, its slope dP/du and the stiffness dP/dD at each u, nondimensional, shape (len(u), 3)."""
     exact = np.empty((u.shape[0], 3))
     greatest = u.max()
-    # an angle outside of all of them, and each the guess for its neighbour
+    # The guess is an angle outside of all of them, and then each the guess for its neighbour.
     outer = 0.999 * angle_at(transition, start + greatest * greatest, end)
     s = outer
     for i in range(u.shape[0]):

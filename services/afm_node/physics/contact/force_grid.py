@@ -55,7 +55,7 @@ def grid_force(
 ) -> float:
     """Return F [N] at h [m] on branch b = 2 contact + meniscus; of an h that is no number, none."""
     place = (h - start_m) * cells_per_m
-    # asked this way round no NaN gets past it: compiled code would look it up anywhere in memory
+    # Asked this way round, NaN does not pass: compiled code would look it up anywhere in memory.
     if not place < cubics.shape[1]:
         return -attraction_n_m2 / (h * h)
     if place < 0.0:
@@ -119,7 +119,8 @@ def _fill(tip: TipSample, start_m: float, high_m: float, b: int, cubics: npt.NDA
 def build_force_grid(tip: TipSample, beyond_m: float) -> tuple[ForceGrid, Passages]:
     """Return the grid from the depth of the contact table, at most 5 nm, to beyond_m [m], and the passages.
 
-    Raises: ValueError for the reading as_printed, whose meniscus pulls on a free tip at any distance.
+    Raises:
+        ValueError: The reading is as_printed, whose meniscus pulls on a free tip at any distance.
     """
     if tip.as_printed:
         raise ValueError("mode as_printed has no dynamic model: its meniscus pulls at any distance; take consistent")

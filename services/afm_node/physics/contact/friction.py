@@ -64,8 +64,15 @@ def friction_step(
 ) -> tuple[FrictionState, float, float]:
     """Return the state after the stage has moved by so much [m], and the force on the tip by the sample in x and y [N].
 
-    Parameters: load_n, of the cantilever, positive where it presses; slopes dz/dx, dz/dy of the surface that the tip
-    sees.
+    Args:
+        params: The parameters of friction.
+        state: The state before the motion.
+        moved_x_m: How far the stage has moved in x [m].
+        moved_y_m: How far the stage has moved in y [m].
+        load_n: The force of the cantilever [N], positive where it presses.
+        slope_x: The slope dz/dx of the surface that the tip sees.
+        slope_y: The slope dz/dy of the surface that the tip sees.
+        in_contact: Whether the tip is in contact.
     """
     if not in_contact:
         return FrictionState(0.0, 0.0), 0.0, 0.0

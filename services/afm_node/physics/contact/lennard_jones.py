@@ -15,10 +15,17 @@ def lennard_jones_force(distance_m: float, hamaker_j: float, radius_m: float, si
 
     F = -(H R / 6 sigma^2) [(sigma/h)^2 - (sigma/h)^8 / 30]                     (Eq. 5)
 
-    Parameters: distance_m, h [m], > 0; hamaker_j, H [J]; radius_m, R [m]; sigma_m [m], > 0. Scalars, unchecked: this
-    runs in the innermost loop and its callers keep h above the contact point.
-    Returns: force_n [N], negative is attractive, and gradient_n_per_m dF/dh [N/m].
-    Valid for h much smaller than R.
+    The arguments are scalars, and unchecked because this runs in the innermost loop: callers keep h above the contact
+    point. The equation is valid for h much smaller than R.
+
+    Args:
+        distance_m: The distance of tip and sample, h [m], > 0.
+        hamaker_j: The Hamaker constant, H [J].
+        radius_m: The radius of the tip, R [m].
+        sigma_m: The interatomic distance, sigma [m], > 0.
+
+    Returns:
+        The force [N], negative is attractive, and its gradient dF/dh [N/m].
     """
     F0 = hamaker_j * radius_m / (6.0 * sigma_m * sigma_m)
     q = sigma_m / distance_m
@@ -30,7 +37,8 @@ def lennard_jones_force(distance_m: float, hamaker_j: float, radius_m: float, si
 def contact_distance_m(sigma_m: float) -> float:
     """Distance a0 = 30^(-1/6) sigma at which the force of Eq. 5 is zero and contact begins.
 
-    Raises: ValueError, if sigma is not a positive finite length.
+    Raises:
+        ValueError: sigma is not a positive finite length.
 
     >>> round(contact_distance_m(3.49e-10) * 1e9, 6)
     0.197988
@@ -41,7 +49,8 @@ def contact_distance_m(sigma_m: float) -> float:
 def minimum_distance_m(sigma_m: float) -> float:
     """Distance (8/60)^(1/6) sigma of the strongest attraction of Eq. 5.
 
-    Raises: ValueError, if sigma is not a positive finite length.
+    Raises:
+        ValueError: sigma is not a positive finite length.
     """
     return MINIMUM_RATIO * _length(sigma_m)
 

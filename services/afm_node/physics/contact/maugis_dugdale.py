@@ -59,7 +59,8 @@ def reduced_modulus_pa(
 ) -> float:
     """Reduced modulus E* [Pa], 1/E* = (1 - nu_t^2)/E_t + (1 - nu_s^2)/E_s (under Eq. 8).
 
-    Raises: ValueError, if a modulus is not positive or a Poisson ratio lies outside (-1, 0.5].
+    Raises:
+        ValueError: A modulus is not positive, or a Poisson ratio lies outside (-1, 0.5].
 
     >>> round(reduced_modulus_pa(170e9, 0.5, 4e9, 0.3) / 1e9, 5)
     4.31198
@@ -82,7 +83,8 @@ def maugis_dugdale(
 ) -> MaugisDugdale:
     """Transition parameter lambda = 2 sigma0 (9 R / 16 pi w E*^2)^(1/3) (Eq. 8) and the units of Eq. 7-11 (E6).
 
-    Raises: ValueError naming the argument, if one is not finite and positive.
+    Raises:
+        ValueError: An argument is not finite and positive; the message names it.
     """
     R, w, E, sigma0 = radius_m, work_of_adhesion_j_per_m2, reduced_modulus_pa, cohesive_stress_pa
     named = (
@@ -122,7 +124,9 @@ def _f1(s: float) -> float:
 def contact_at(transition: float, s: float) -> Contact:
     """Point of the contact branch at the angle s = arcsec(c/a), nondimensional (Eq. 7, 9, 10).
 
-    Parameters: transition, lambda, > 0; s [rad] in (0, pi/2].
+    Args:
+        transition: Maugis' parameter lambda, > 0.
+        s: The angle [rad], in (0, pi/2].
     """
     lam = transition
     sin, cos = math.sin(s), math.cos(s)
@@ -210,8 +214,11 @@ def cohesive_end(transition: float) -> tuple[float, float]:
 def cohesive_at(transition: float, indentation: float) -> tuple[float, float]:
     """Force and stiffness dP/dD of the cohesive branch a = 0, c > 0, nondimensional; lambda < 0.938.
 
-    Parameters: transition, lambda; indentation, D, between the end of the branch and the last point of contact.
-    The stiffness is minus infinity at the end of the branch, given as the largest finite number.
+    The stiffness at the end of the branch is minus infinity, which is returned as the largest finite number.
+
+    Args:
+        transition: Maugis' parameter lambda.
+        indentation: The indentation D, between the end of the branch and the last point of contact.
     """
     C0 = 8.0 * transition / (3.0 * math.pi)
     root = math.sqrt(max(C0 * C0 + 2.0 * (indentation + 2.0 / (math.pi * transition)), 0.0))
@@ -299,7 +306,8 @@ def contact_radius_m(contact: MaugisDugdale, indentation_m: float) -> float:
 def indentation_m(contact: MaugisDugdale, force_n: float) -> float:
     """Indentation delta [m] under a force [N], on the branch that is stable at constant force.
 
-    Raises: ValueError, if the force is below the pull-off force (more negative): no contact carries it.
+    Raises:
+        ValueError: The force is below the pull-off force (more negative), so that no contact carries it.
     """
     lam, force = contact.transition, force_n / contact.force_unit_n
     pull_off = pull_off_angle(lam)

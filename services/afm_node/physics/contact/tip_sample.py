@@ -98,9 +98,13 @@ def branch_force(tip: TipSample, distance_m: float, contact: bool, meniscus: boo
 def build_tip_sample(properties: TipSampleProperties, largest_force_n: float) -> TipSample:
     """Prepare F(h): contact table, contact point, hand-over distance.
 
-    Parameters: properties; largest_force_n [N], > 0: the contact force up to which the table must reach.
-    Raises: ValueError naming value and unit for impossible properties; in the `consistent` reading also where
-    Lennard-Jones and Maugis-Dugdale do not cross, naming lambda, H and omega (E7).
+    Args:
+        properties: The properties of tip and sample.
+        largest_force_n: The contact force up to which the table has to reach [N], > 0.
+
+    Raises:
+        ValueError: Properties are impossible, which the message names with their unit; in the `consistent` reading also
+            where Lennard-Jones and Maugis-Dugdale do not cross, with lambda, H and omega (E7).
     """
     p = properties
     _check(p)

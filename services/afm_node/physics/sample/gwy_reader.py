@@ -46,7 +46,13 @@ class _Part(NamedTuple):
 def read_gwy(path: Path, most_pixels: int) -> list[DataField]:
     """Return the maps in a file, in the order of their keys.
 
-    Parameters: most_pixels, of a side. Raises: OSError, ValueError saying what is wrong.
+    Args:
+        path: The file.
+        most_pixels: The most pixels that a side may have.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: The content cannot be used; the message says what is wrong.
     """
     with open_regular(path) as file:
         head = file.read(len(_MAGIC))

@@ -15,7 +15,7 @@ from presets.regular_files import open_regular
 
 _VERSION = 5
 _DATA_START = 384
-# of the parts behind the data: formula, note, units, labels of dimensions, indices, two options
+# The lengths of the parts behind the data: formula, note, units, labels of dimensions, indices, two options.
 _PARTS = struct.Struct("8x14i")
 _POINTS, _TYPE, _DIMENSIONS = 76, 80, 132
 _ITEM_BYTES = {0x02: 4, 0x04: 8, 0x08: 1, 0x10: 2, 0x20: 4}

@@ -78,7 +78,11 @@ class SampleConfig(Settings):
         return _LEVELLED[self.level] if self.is_file else ""
 
     def build(self) -> Surface:
-        """Return the surface. Raises ConfigError naming the sample and what is wrong with it."""
+        """Return the surface.
+
+        Raises:
+            ConfigError: The sample cannot be made; the message names it and what is wrong with it.
+        """
         if self.is_file:
             return _LEVELS[self.level](read_surface(Path(self.name), self.channel, self.size_m))
         size_m = 150e-9 if self.size_m is None else self.size_m
@@ -104,6 +108,6 @@ class SampleConfig(Settings):
         try:
             heights = np.asarray(function(middles[None, :], middles[:, None]), dtype=np.float64)
             return np.broadcast_to(heights, (self.pixels, self.pixels))
-        # whatever the function of somebody else raises
+        # The function of a package may raise anything.
         except Exception as error:
             raise ValueError(f"failed for arrays of x and y in m: {type(error).__name__}: {error}") from error

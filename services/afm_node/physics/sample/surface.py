@@ -49,7 +49,8 @@ def height_at(
 ) -> tuple[float, float, float]:
     """Return height [m] and slopes dz/dx, dz/dy at a point [m] of the map; outside it goes on level.
 
-    Raises: ValueError, if the point is not finite: compiled code would look it up anywhere in memory.
+    Raises:
+        ValueError: The point is not finite: compiled code would look it up anywhere in memory.
     """
     if not (math.isfinite(x_m) and math.isfinite(y_m)):
         raise ValueError("the point of the map in m must be finite")
@@ -70,7 +71,8 @@ def height_at(
 def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float) -> Surface:
     """Return a map over width_m by depth_m [m].
 
-    Raises: ValueError saying what of the map cannot be scanned: its shape, its size, a height that is no number.
+    Raises:
+        ValueError: The map cannot be scanned because of its shape, its size, or a height that is no number.
     """
     heights = np.ascontiguousarray(height_m, dtype=np.float64)
     if heights.ndim != 2 or min(heights.shape) < 2 or max(heights.shape) > MOST_PIXELS:
@@ -96,7 +98,9 @@ def dots(size_m: float, pixels: int, count: int, radius_m: float, height_m: floa
     """Return a level square with `count` dots at random places, none touching another (Fig. 8: InAs).
 
     A dot is half an ellipsoid, height_m [m] tall on a circle of radius_m [m]. The seed alone decides the places.
-    Raises: ValueError, if so many dots find no room.
+
+    Raises:
+        ValueError: So many dots find no room.
     """
     random = np.random.Generator(np.random.PCG64(seed))
     places: list[tuple[float, float]] = []
@@ -147,7 +151,8 @@ def plane_levelled(surface: Surface) -> Surface:
 def dilated(surface: Surface, radius_m: float) -> Surface:
     """Return what a sphere of radius_m [m] sees of a surface; beyond the map the surface is taken as level.
 
-    Raises: ValueError, if the radius is not finite, negative, or spans so many pixels that this would take minutes.
+    Raises:
+        ValueError: The radius is not finite, negative, or spans so many pixels that this would take minutes.
     """
     if not (math.isfinite(radius_m) and radius_m >= 0.0):
         raise ValueError(f"tip radius = {radius_m} m must be finite and >= 0 m")

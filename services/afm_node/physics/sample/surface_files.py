@@ -45,9 +45,13 @@ class _Channel(NamedTuple):
 def read_surface(path: Path, channel: str | None = None, size_m: float | None = None) -> Surface:
     """Return the height map in a file.
 
-    Parameters: channel, part of the name of one of several; without it the first that is a height. size_m [m], the side
-    of a square map in a .npy file, which does not say it itself; its heights are metres.
-    Raises: ConfigError naming the file and what is wrong with it.
+    Args:
+        path: The file.
+        channel: A part of the name of one of several channels; None takes the first that is a height.
+        size_m: The side of a square map in a .npy file [m], which does not say it itself; its heights are metres.
+
+    Raises:
+        ConfigError: The file cannot be used; the message names it and what is wrong with it.
     """
     read = _READERS.get(path.suffix.lower())
     if read is None:

@@ -29,11 +29,12 @@ import numpy.typing as npt
 from services.numerics.compiled import compiled
 
 NANO = 1e-9
-# kappa in nN/nm^1.5 for one N/m^1.5
+# The factor is kappa in nN/nm^1.5 for one N/m^1.5.
 KAPPA_UNIT = 10.0**-4.5
 BINS = 32
 _ITERATIONS = 30
-# weight that a bin keeps when the tip goes to another one, and below which it does not bound the end of the contact
+# A bin keeps the first weight when the tip goes to another bin; below the second it does not bound the end of the
+# contact.
 _KEEP, _LEAST_BOUNDING = 0.98, 0.3
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-2, 1e-6, 1e6
 
@@ -198,7 +199,7 @@ def solved_pair(p: float, q: float, r: float, u: float, v: float) -> tuple[float
 
 @compiled
 def _damped(diagonal: float, damping: float) -> float:
-    # the last term keeps a parameter that nothing depends on where it is
+    # The last term keeps a parameter in its place if nothing depends on it.
     return diagonal + damping * diagonal + 1e-12
 
 

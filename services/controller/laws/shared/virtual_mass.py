@@ -20,12 +20,13 @@ from services.controller.law import HandSample, PortSignal
 from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, StiffnessOrNoneNPerM, TimeS
 from services.numerics.compiled import compiled
 
-# no hand and no tip comes there; a reference that would go further, in a loop that is unstable, stays finite
+# No hand and no tip comes so far; in an unstable loop a reference stays finite here.
 FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
-# how far a base may be behind its reference [m] and count as one that follows it: half a step of a converter of 12 bits
-# over a stage of 0.4 um, and some
+# A base that is behind its reference by less than this [m] counts as one that follows it: half a step of a converter of
+# 12 bits over a stage of 0.4 um, with some margin.
 FOLLOWED_M = 6e-11
-# a base that is further away, at the hand's scale, goes where something else than the loop of the half has sent it [m]
+# A base that is further away than this, at the hand's scale, was sent there by something else than the loop of the half
+# [m].
 ARRIVED_M = 1e-3
 
 
@@ -104,7 +105,12 @@ def stiffness_limit_n_per_m(
 
     The force F_s of a step is that of its beginning. Over n periods Ts the error of force is multiplied by
     1 - alpha_f alpha_p K n Ts / B: at -1 the sample gets all the energy that the damper should take, and beyond more.
-    Parameters: damping_n_s_per_m, B at the hand's scale; period_s, Ts [s]; most_periods, the longest step n.
+
+    Args:
+        config: The section of the law, which has the scales.
+        damping_n_s_per_m: The damping B at the hand's scale [N s/m].
+        period_s: The period Ts [s].
+        most_periods: The longest step n [periods].
     """
     return 2.0 * damping_n_s_per_m / (config.force_scale * config.position_scale * most_periods * period_s)
 
