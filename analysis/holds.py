@@ -23,8 +23,9 @@ HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
 LONGEST_STEP_S = 0.05
 # A hold of which a greater share is missing between its samples cannot be judged.
 _MISSING_SHARE = 0.1
-# The instrument gives these reasons where it withdraws for want of commands.
+# The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
 _STARVED = ("command_deadline", "hold_expired")
+_GUARDING = (*_STARVED, "force_limit", "force_invalid", "device_lost")
 # a report of the instrument belongs to what it did at most so long before or after [s]
 _REPORTED_WITHIN_S = 0.2
 # an incident is the cause of what ends so long after it [s], or is reported so long after what it caused
@@ -67,6 +68,19 @@ class Guard(NamedTuple):
     reason: str
 
 
+class Limits(NamedTuple):
+    """What the instrument's guard allows: force on the tip [N], time without a command until it withdraws [s]."""
+
+    force_n: float
+    silence_s: float
+
+    def words(self, reason: str) -> str:
+        """Return the limit that a reason of the guard is about, in words; empty where it has none."""
+        if reason == "force_limit":
+            return f"more than {1e9 * self.force_n:.4g} nN on the tip"
+        return f"none for {1e3 * self.silence_s:.4g} ms" if reason in _STARVED else ""
+
+
 class Incident(NamedTuple):
     """What a launcher or the link reported that may be the cause of a hold's end: when [s], and the sentence."""
 
@@ -91,13 +105,14 @@ class Programme(NamedTuple):
 
     planned: holds of the operator's programme, start [s], end [s], force [N]; answered_s: when the hand took up answers
     [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
-    sites that fell silent.
+    sites that fell silent; limits, those of the instrument's guard, if they are known.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
     answered_s: Series | None = None
     guards: Sequence[Guard] = ()
     incidents: Sequence[Incident] = ()
+    limits: Limits | None = None
 
 
 NO_PROGRAMME = Programme()
@@ -228,16 +243,46 @@ def _guarded(
     while lost > 0 and not tip.following[lost - 1]:
         lost -= 1
     if lost == 0:
-        return known._replace(guarded=True, guard="the instrument followed no command before it either")
+        before = [guard for guard in programme.guards if guard.time_s <= float(tip_time_s[0])]
+        if not before:
+            return known._replace(guarded=True, guard="the instrument followed no command from the beginning on")
+        words, starved = _in_words(before[-1].time_s, before[-1].reason, programme)
+        return known._replace(guarded=True, guard=words, starved=starved)
     at_s = float(tip_time_s[lost])
     near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= _REPORTED_WITHIN_S]
     reason = min(near, key=lambda guard: abs(guard.time_s - at_s)).reason if near else ""
-    was_held = tip.held is not None and bool(tip.held[lost - 1])
-    if reason in _STARVED or (not reason and was_held):
-        words = f"the instrument withdrew at {at_s:.3f} s because no command came ({reason or 'hold_expired'}): "
+    if not reason and tip.held is not None and bool(tip.held[lost - 1]):
+        reason = "hold_expired"
+    words, starved = _in_words(at_s, reason, programme)
+    return known._replace(guarded=True, guard=words, starved=starved)
+
+
+def _in_words(at_s: float, reason: str, programme: Programme) -> tuple[str, bool]:
+    """Return when, why and at which limit the guard acted, and whether it did because commands were missing."""
+    limit = programme.limits.words(reason) if programme.limits is not None else ""
+    why = ": ".join(part for part in (reason, limit) if part)
+    if reason in _STARVED:
+        words = f"the instrument withdrew at {at_s:.3f} s because no command came ({why}): "
         words += "the network or a node was away, which says nothing of the law"
-        return known._replace(guarded=True, guard="; ".join([words, *_causes(programme, at_s, at_s)]), starved=True)
-    return known._replace(guarded=True, guard=f"{GUARD_ACTED} at {at_s:.3f} s" + (f" ({reason})" if reason else ""))
+        return "; ".join([words, *_causes(programme, at_s, at_s)]), True
+    when = f"at {at_s:.3f} s" + (", before the hand's programme" if at_s < 0.0 else "")
+    return f"{GUARD_ACTED} {when}" + (f" ({why})" if why else ""), False
+
+
+def guard_of(tip_time_s: Series, tip: Instrument, programme: Programme = NO_PROGRAMME) -> str:
+    """Return when, why and at which limit the guard first ended a session, in or between its holds; empty if never.
+
+    A stop that a person asked for is none, nor is one of which no reason is known.
+    """
+    before = np.concatenate([np.ones(1, dtype=bool), tip.following[:-1]])[: len(tip_time_s)]
+    for index in np.flatnonzero(~tip.following & before).tolist():
+        at_s = float(tip_time_s[index])
+        near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= _REPORTED_WITHIN_S]
+        # a session that begins withdrawn was ended by what the guard did last
+        near = near or [guard for guard in programme.guards if index == 0 and guard.time_s <= at_s][-1:]
+        if near and near[0].reason in _GUARDING:
+            return _in_words(near[0].time_s if index == 0 else at_s, near[0].reason, programme)[0]
+    return ""
 
 
 def _causes(programme: Programme, start_s: float, end_s: float) -> list[str]:
@@ -249,8 +294,23 @@ def _causes(programme: Programme, start_s: float, end_s: float) -> list[str]:
     ]
 
 
-def verdict_of(holds: list[Hold]) -> tuple[Kind, str]:
-    """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable."""
+def verdict_of(holds: list[Hold], guard: str = "", greatest_n: float | None = None) -> tuple[Kind, str]:
+    """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable.
+
+    Parameters: guard, what `guard_of` says, which comes first in the reason, and makes a session guarded that no hold
+    shows to be; greatest_n, the hand's greatest force [N], if it is known.
+    """
+    kind, reason = _worst_of(holds, greatest_n)
+    if not guard:
+        return kind, reason
+    if kind not in ("diverged", "guarded", "no_data"):
+        kind = "guarded"
+    return kind, reason if reason.startswith(guard) else f"{guard}; {reason}"
+
+
+def _worst_of(holds: list[Hold], greatest_n: float | None) -> tuple[Kind, str]:
+    if not holds and greatest_n == 0.0:
+        return "cannot_say", "the hand pressed with no force, so there is no hold to judge"
     if not holds:
         return "cannot_say", "the hand never stood still for long enough"
     # Among several holds that are equally bad, the first one decides.

@@ -19,8 +19,10 @@ from analysis.holds import (
     Hold,
     Incident,
     Instrument,
+    Limits,
     Programme,
     gaps_in,
+    guard_of,
     judge_holds,
     lacks_of,
     verdict_of,
@@ -36,6 +38,7 @@ from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
+from services.afm_node.config import SafetyConfig
 from services.runtime.settings.config import parse_yaml, validate
 from services.runtime.settings.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, fig12_files
@@ -216,8 +219,18 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
             planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
             (hand["t_ns"][new] - start_ns) * 1e-9,
             *_reported(recording, timeline, start_ns),
+            _limits(document, found["changed"]),
         ),
     )
+
+
+def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
+    """Return what the guard of the instrument allows, None where that was changed while the session ran."""
+    if any("afm_node.safety." in change for change in changed):
+        return None
+    # the rest of the section may belong to a package
+    safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
+    return Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s)
 
 
 def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> tuple[list[Guard], list[Incident]]:
@@ -245,7 +258,8 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         np.isin(mode, ("follow", "hold")), session.tip["in_contact"].astype(bool), np.isin(mode, ("hold",))
     )
     holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
-    verdict, reason = verdict_of(holds)
+    guard = guard_of(series.tip_time_s, tip, session.programme)
+    verdict, reason = verdict_of(holds, guard, float(np.abs(series.hand_force_n).max(initial=0.0)))
     missing = [*session.missing, *_lacking(session, series, holds), *missing]
     last_s = session.duration_s - RELEASE_WINDOW_S
     found = {

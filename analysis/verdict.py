@@ -156,9 +156,10 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, known: Circumsta
         return Verdict("diverged", None, size, 0.0, "the force is no number from some time on")
     if len(time_s) < LEAST_SAMPLES:
         size = float(np.ptp(force_n)) if len(force_n) else 0.0
-        kind: Kind = "guarded" if known.guarded else "cannot_say"
-        words = known.guard or GUARD_ACTED if known.guarded else f"{LEAST_SAMPLES} are needed to judge it"
-        return Verdict(kind, None, size, 0.0, f"the hold has {len(time_s)} samples: {words}")
+        left = f"the hold has {len(time_s)} samples"
+        if known.guarded:
+            return Verdict("guarded", None, size, 0.0, f"{known.guard or GUARD_ACTED}; until then {left}")
+        return Verdict("cannot_say", None, size, 0.0, f"{left}: {LEAST_SAMPLES} are needed to judge it")
     values, period_s = _even(time_s, force_n)
     noise = noise_floor(values)
     noise = noise if noise <= MOST_NOISE_SHARE * hand_force_n else 0.0
@@ -197,7 +198,7 @@ def _decided(
     if known.guarded:
         guard = known.guard or GUARD_ACTED
         if not known.starved and (growing or begins or trend_up or float(np.ptp(values)) > 0.5 * hand_force_n):
-            return "diverged", rate, f"the motion grew until {guard}"
+            return "diverged", rate, f"{guard}; until then the motion grew"
         return "guarded", rate, guard
     before = float(motion.sizes_n[WINDOWS // 2 : -1].max())
     presses = known.expected_n is None or abs(known.expected_n) >= small_n

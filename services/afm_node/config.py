@@ -134,7 +134,11 @@ class SafetyConfig(Settings):
         le=1e6,
         description="How fast the base takes up its speed again after a hold [m/s^2], up to 1e6: 0.4 nm in 20 ms.",
     )
-    retract_position_m: BasePosition = Field(-100e-9, description="Base in the safe state [m], within the range.")
+    retract_position_m: BasePosition = Field(
+        -100e-9,
+        description="Base in the safe state [m], within the range; where it is not given and a spring also pulls, its"
+        " rest position, because it would pull at any other.",
+    )
     retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s], up to 1e-3.")
     force_limit_n: float = Field(
         200e-9, gt=0.0, le=1e-3, description="Repulsive force above which the tip is retracted [N], up to 1e-3."
@@ -277,6 +281,17 @@ class _OwnSections(Settings):
             f" {t.work_of_adhesion_j_per_m2:.3g} J/m^2 contradict each other by a factor of"
             f" {max(ratio, 1.0 / ratio):.2g}: by H = 12 pi D0^2 omega that work of adhesion belongs to {belongs:.3g} J"
         )
+
+    @model_validator(mode="after")
+    def _begins_at_rest(self) -> Self:
+        """Begin at the rest position of a spring that also pulls: 100 nm away it pulls a hand with tens of newtons."""
+        safety, spring = self.safety, self.spring
+        if self.environment != "spring" or not spring.bilateral or "retract_position_m" in safety.model_fields_set:
+            return self
+        if self.driver == "simulated" and safety.base_min_m <= spring.rest_position_m < safety.base_max_m:
+            moved = safety.model_copy(update={"retract_position_m": spring.rest_position_m})
+            object.__setattr__(self, "safety", moved)
+        return self
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:

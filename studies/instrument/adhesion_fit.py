@@ -4,12 +4,17 @@ The retraction from the load to the pull-off is compared with Maugis and Dugdale
 reduced modulus of the configuration, and with the constant pull of the meniscus in contact (E4) where there is one.
 The model is followed as the instrument does, in equilibrium with the spring at each base, so that noise of the
 deflection is noise of the force and of nothing else. Free are the radius R, the work of adhesion w and the place of
-the surface. The uncertainties are those of least squares: the scatter about the fit and the curvature of its sum of
-squares; they do not know of an error of the spring constant, of the modulus or of the model, and grow where the curve
-hardly tells R and w apart.
+the surface, and with them the zero of the force and its drift in time, which the end of the retraction, away from the
+sample, tells.
+
+The noise need not be white: it is taken for white noise and a wander that forgets itself within a correlation time,
+whose sizes are those of the greatest restricted likelihood (`correlated_noise`). The uncertainties are those of
+generalized least squares with that noise. They do not know of an error of the spring constant, of the modulus or of the
+model, and grow where the curve hardly tells R and w apart.
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,21 +32,33 @@ from services.afm_node.physics.contact.maugis_dugdale import (
     reduced_modulus_pa,
 )
 from services.numerics.compiled import compiled, compiled_form
+from studies.instrument.correlated_noise import Noise, candidates, correlated_noise
 from studies.instrument.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
 
-_MOST_POINTS = 400
+# of the contact, and of the way from the sample after it
+_MOST_POINTS, _MOST_FREE_POINTS = 200, 100
 _LEAST_POINTS = 12
 _GRID = 600
 _SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
 # next to the pull-off the contact may end a little earlier or later than the model's
 _LEFT_OUT = 0.03
 _RADII_M, _WORKS_J_PER_M2 = (1e-10, 1e-4), (1e-6, 10.0)
+# a fit this near to a bound has ended there, as a logarithm
+_AT_BOUND = 0.02
+# of the way that is left after the last jump, at its end: nearer to the sample the tip is attracted
+_FREE_SHARE = 0.6
+# steps of the fit with the noise that was found, and the change as a share of the errors at which they end
+_MOST_STEPS, _ENOUGH = 8, 0.02
 
 
 class AdhesionFit(NamedTuple):
-    """R [m] and w [J/m^2] with standard errors, scatter about the fit [N], points used, transition parameter lambda."""
+    """R [m] and w [J/m^2] with standard errors, scatter about the fit [N], points used, transition parameter lambda.
+
+    wander_n: standard deviation of the part of the noise that is correlated in time [N]; wander_points: over how many
+    points it is.
+    """
 
     radius_m: float
     radius_error_m: float
@@ -50,6 +67,8 @@ class AdhesionFit(NamedTuple):
     residual_n: float
     points: int
     transition: float
+    wander_n: float
+    wander_points: float
 
     def as_dict(self) -> dict[str, Any]:
         return self._asdict()
@@ -78,18 +97,23 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
     from scipy.optimize import least_squares
 
     model = _model(config, reduced_modulus)
-    base, force, pull_n, depth_m = _contact_part(curve)
-    k = curve.stiffness_n_per_m
+    part = _contact_part(curve)
+    base, force = part.base_m, part.force_n
+    k, load_n = curve.stiffness_n_per_m, float(force.max())
     radius = config.tip_sample.tip_radius_m
-    work = max(-(pull_n - model.capillary_n_per_m * radius), 0.05 * -pull_n) / (1.75 * math.pi * radius)
+    work = max(-(part.pull_n - model.capillary_n_per_m * radius), 0.05 * -part.pull_n) / (1.75 * math.pi * radius)
     start = np.array([math.log(radius), math.log(work), 0.0])
     # the point of the curve where it begins, by Hertz
-    indentation = (max(float(force.max()), 1e-12) / (4.0 / 3.0 * model.modulus_pa * math.sqrt(radius))) ** (2.0 / 3.0)
-    origin = depth_m - indentation
+    indentation = (max(load_n, 1e-12) / (4.0 / 3.0 * model.modulus_pa * math.sqrt(radius))) ** (2.0 / 3.0)
+    origin = part.deepest_m - indentation
     scale = max(float(np.ptp(force)), 1e-12) * 1e-3
 
+    def predicted(free: Array) -> Array:
+        """Return the model's forces in contact, and none away from the sample, in units of `scale`."""
+        return np.concatenate([_predicted(model, free, base - origin, k, load_n), np.zeros(len(part.free_n))]) / scale
+
     def residuals(free: Array) -> Array:
-        return np.asarray((force - _predicted(model, free, base - origin, k, float(force.max()))) / scale)
+        return np.asarray(force / scale - predicted(free)[: len(base)])
 
     bounds = (
         [math.log(_RADII_M[0]), math.log(_WORKS_J_PER_M2[0]), -1e3],
@@ -98,26 +122,78 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
     # the end of the contact makes minima of its own where the surface is taken a little too high or too low
     fits = [
         least_squares(
-            residuals, start + np.array([0.0, 0.0, shift]), bounds=bounds, x_scale=[0.1, 0.1, 0.1], diff_step=1e-5
+            residuals,
+            start + np.array([0.0, 0.0, shift]),
+            bounds=bounds,
+            x_scale=[0.1, 0.1, 0.1],
+            diff_step=1e-5,
+            ftol=1e-6,
         )
         for shift in _SHIFTS_NM
     ]
     found = min(fits, key=lambda fit: float(fit.cost))
     refusal = f"the curve has no contact of reduced modulus {model.modulus_pa:.3g} Pa: give the one of this sample"
-    if not found.success or np.any(found.active_mask):
+    _refuse_bounds(found.x, refusal)
+    if not found.success:
         raise ConfigError(refusal)
-    variance = 2.0 * float(found.cost) / (len(base) - len(start))
     try:
-        covariance = np.linalg.inv(found.jac.T @ found.jac) * variance
+        free, errors, noise = _with_noise(predicted, found.x, part, scale, refusal)
     except np.linalg.LinAlgError as error:
         raise ConfigError(refusal) from error
-    radius, work = float(np.exp(found.x[0])), float(np.exp(found.x[1]))
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scatter = float(np.sqrt(np.mean((residuals(found.x) * scale) ** 2)))
+    radius, work = float(np.exp(free[0])), float(np.exp(free[1]))
+    scatter = scale * float(np.sqrt(np.mean((residuals(free) - noise.zero[: len(base)]) ** 2)))
     contact = _contact(model, radius, work)
     return AdhesionFit(
-        radius, radius * float(errors[0]), work, work * float(errors[1]), scatter, len(base), contact.transition
+        radius,
+        radius * float(errors[0]),
+        work,
+        work * float(errors[1]),
+        scatter,
+        len(base),
+        contact.transition,
+        scale * noise.wander,
+        noise.points,
     )
+
+
+def _with_noise(
+    predicted: Callable[[Array], Array], free: Array, part: "_Part", scale: float, refusal: str
+) -> tuple[Array, Array, Noise]:
+    """Return the free values in the noise that the curve has, with their standard errors, and that noise.
+
+    Each step finds the noise of what is left, and goes by generalized least squares with it; offset and drift of the
+    force are free in each.
+    """
+    measured = np.concatenate([part.force_n, part.free_n]) / scale
+    times = part.place / max(float(part.place[-1]), 1.0)
+    covariances = candidates(part.place)
+    for _ in range(_MOST_STEPS):
+        present = predicted(free)
+        columns = [np.ones_like(times), times - times.mean()]
+        for i in range(3):
+            ahead, behind = free.copy(), free.copy()
+            ahead[i], behind[i] = ahead[i] + 1e-4, behind[i] - 1e-4
+            columns.append((predicted(ahead) - predicted(behind)) / 2e-4)
+        noise = correlated_noise(measured - present, np.stack(columns, axis=1), covariances)
+        errors = np.sqrt(np.diag(noise.covariance))[2:]
+        noise = noise._replace(zero=columns[0] * noise.coefficients[0] + columns[1] * noise.coefficients[1])
+        # a step that is too long for the linear model is cut
+        move = np.clip(noise.coefficients[2:], -3.0 * errors, 3.0 * errors)
+        free = free + move
+        _refuse_bounds(free, refusal)
+        if np.all(np.abs(move) <= _ENOUGH * errors):
+            break
+    return free, errors, noise
+
+
+def _refuse_bounds(free: Array, refusal: str) -> None:
+    """Raise ConfigError where a fit ended at a bound, which it names."""
+    found = (("radius", _RADII_M, "m"), ("work of adhesion", _WORKS_J_PER_M2, "J/m^2"))
+    for value, (name, bounds, unit) in zip(free[:2].tolist(), found, strict=True):
+        low, high = math.log(bounds[0]) + _AT_BOUND, math.log(bounds[1]) - _AT_BOUND
+        if not low < value < high:
+            bound = bounds[0] if value <= low else bounds[1]
+            raise ConfigError(f"{refusal} (the fit ends at the bound of the {name}, {bound:g} {unit})")
 
 
 def _model(config: AfmConfig, reduced_modulus: float | None) -> _Model:
@@ -133,11 +209,22 @@ def _contact(model: _Model, radius_m: float, work: float) -> Any:
     return maugis_dugdale(radius_m, work, model.modulus_pa, cohesive_stress_pa(work, model.contact_distance_m))
 
 
-def _contact_part(curve: Curve) -> tuple[Array, Array, float, float]:
-    """Return base [m] and force [N] from the load to shortly before the pull-off, the pull-off [N], and x_s - zeta [m].
+class _Part(NamedTuple):
+    """The retraction from the load to shortly before the pull-off, and its end away from the sample.
 
-    The last is that of the greatest load.
+    base_m, force_n: of the contact; pull_n: the pull-off [N]; deepest_m: x_s - zeta at the greatest load [m]; free_n:
+    the force away from the sample; place: number of each of these points in the retraction, contact first.
     """
+
+    base_m: Array
+    force_n: Array
+    pull_n: float
+    deepest_m: float
+    free_n: Array
+    place: Array
+
+
+def _contact_part(curve: Curve) -> _Part:
     up = curve.retract
     pull = int(np.argmin(up.force_n))
     pull_n = float(up.force_n[pull])
@@ -145,8 +232,18 @@ def _contact_part(curve: Curve) -> tuple[Array, Array, float, float]:
     if last < _LEAST_POINTS or pull_n >= 0.0:
         raise ConfigError(f"the retraction has {last} points in contact before a pull-off; {_LEAST_POINTS} are needed")
     chosen = np.unique(np.linspace(0, last, min(last + 1, _MOST_POINTS)).astype(int))
-    deepest = float(up.base_m[0] - up.deflection_m[0])
-    return up.base_m[chosen], up.force_n[chosen], pull_n, deepest
+    count = len(up.force_n)
+    jump = pull + int(np.argmax(np.diff(up.force_n[pull:]))) if count - pull > 1 else pull
+    first = jump + max(round((1.0 - _FREE_SHARE) * (count - jump)), 1)
+    left = np.unique(np.linspace(first, count - 1, min(max(count - first, 0), _MOST_FREE_POINTS)).astype(int))
+    return _Part(
+        up.base_m[chosen],
+        up.force_n[chosen],
+        pull_n,
+        float(up.base_m[0] - up.deflection_m[0]),
+        up.force_n[left],
+        np.concatenate([chosen, left]).astype(np.float64),
+    )
 
 
 def _predicted(model: _Model, free: Array, base: Array, k: float, load_n: float) -> Array:

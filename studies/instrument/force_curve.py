@@ -1,7 +1,9 @@
-"""Force curves: approach and retraction of the simulated tip, the points A to D of Fig. 5, and what hysteresis takes.
+"""Force curves: approach and retraction of the simulated tip, the points C and D of Fig. 5, and what hysteresis takes.
 
-A snap-in: the tip jumps to the sample. B contact: the force passes zero on the way back. C pull-off: the strongest pull
-on the way back. D break: the last jump of the force, where the meniscus gives way.
+"The tip contacts with the sample at the point C and leaves it at D during retracting" (section 3 of the paper). C is
+the snap-in, where the tip jumps to the sample or to its water; D is the last jump of the force on the way back, where
+the meniscus breaks, or, where nothing jumps, the pull-off. Two more places are marked that the paper names in no word:
+the pull-off, which is the strongest pull on the way back, and where the force passes zero on that way.
 """
 
 import math
@@ -53,7 +55,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Marks:
-    """Base x_s [m] and force [N] of each point, and the energy of the loop [J]; None where there is no such point."""
+    """Base x_s [m] and force [N] of each point, and the energy of the loop [J]; None where there is no such point.
+
+    snap_in: C of Fig. 5; break: the last jump of the way back; contact: where the force passes zero on that way;
+    pull_off: the strongest pull.
+    """
 
     snap_in_base_m: float | None
     snap_in_force_n: float | None
@@ -65,6 +71,11 @@ class Marks:
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
+
+    @property
+    def leaving_base_m(self) -> float:
+        """D of Fig. 5, where the tip leaves the sample [m]: where the meniscus breaks, else the pull-off."""
+        return self.pull_off_base_m if self.break_base_m is None else self.break_base_m
 
 
 def force_curve(
@@ -187,7 +198,7 @@ def _turning_point(config: AfmConfig, load_n: float) -> float:
 
 
 def marks_of(curve: Curve) -> Marks:
-    """Return the points A to D of a curve and the energy of its loop, from force against base alone."""
+    """Return the marks of a curve and the energy of its loop, from force against base alone."""
     down, up = curve.approach, curve.retract
     steps = np.diff(down.force_n)
     snap = int(np.argmin(steps))

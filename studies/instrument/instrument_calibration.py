@@ -1,14 +1,13 @@
 """The two calibrations of a laboratory, on the simulated instrument: sensitivity of the read-out, stiffness by noise.
 
-*Sensitivity*: the tip is pressed onto a sample much harder than the spring, so that the base's way is the deflection,
-and the voltage is regressed on it (paper, under Eq. 3): S_c = 4 dV/dzeta / (V0 Gc).
+*Sensitivity*: the tip is pressed onto a sample much harder than the spring, and the voltage is regressed on the
+deflection (paper, under Eq. 3): S_c = 4 dV/dzeta / (V0 Gc). The deflection is the way of the base less what tip and
+sample give way by, which the contact mechanics of both tells. Without that correction, as laboratories do it, S_c comes
+out too small by the share of the way that the contact takes; both are returned.
 
 *Stiffness*: the free cantilever shivers with <zeta^2> = k_B T / k (J. L. Hutter, J. Bechhoefer, Rev. Sci. Instrum. 64
-(1993) 1868). White noise of the read-out would be counted too, so a resonance is fitted to the spectrum, with a floor,
-
-    S(f) = S_w + P f0^4 / ((f^2 - f0^2)^2 + (f f0 / Q)^2),    <zeta^2> = pi/2 f0 Q P,
-
-and k follows from its area with the Q that was found, and not from the whole noise.
+(1993) 1868). White noise of the read-out would be counted too, so the resonance is fitted to the periodogram with a
+floor, by Whittle's likelihood (`resonance`), and k follows from its mean square and not from the whole noise.
 """
 
 import math
@@ -24,6 +23,7 @@ from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
 from services.afm_node.physics.disturbed import converted_v, converter_step_v
 from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance, steady_state
 from services.numerics.compiled import compiled, compiled_form
+from studies.instrument.resonance import fit_resonance
 
 Array = npt.NDArray[np.float64]
 
@@ -33,18 +33,24 @@ _HARD = {"sample_modulus_pa": 1e12, "tip_modulus_pa": 1e12}
 _SAMPLES_A_PERIOD = KICKS_PER_PERIOD
 # in one compiled call, some 50 ms: a signal waits for its end
 _CALL_SAMPLES = 200_000
-# times that the scatter of a spectrum is taken from its fit
-_REWEIGHTED = 4
+# a shorter record has too few of the correlation times Q / pi f0 for its lines to be independent
+_LEAST_PERIODS_A_Q = 128.0
 
 
 class Sensitivity(NamedTuple):
-    """S_c [1/m] with its standard error, the true one, points, and the noise of a point [V]."""
+    """S_c [1/m] with its standard error, the true one, points, and the noise of a point [V].
+
+    uncorrected_per_m: the slope over the way of the base, as if nothing gave way [1/m]; contact_share: the share of the
+    way that tip and sample take, by which that is too small.
+    """
 
     sensitivity_per_m: float
     standard_error_per_m: float
     true_sensitivity_per_m: float
     points: int
     residual_v: float
+    uncorrected_per_m: float
+    contact_share: float
 
     def as_dict(self) -> dict[str, Any]:
         return self._asdict()
@@ -69,10 +75,9 @@ class ThermalStiffness(NamedTuple):
 def calibrate_sensitivity(
     config: AfmConfig, way_m: float = 20e-9, points: int = 200, noise_v: float = 1e-3, bits: int = 16, seed: int = 0
 ) -> Sensitivity:
-    """Press onto a hard sample over way_m [m] and regress the voltage on the way of the base.
+    """Press onto a hard sample over way_m [m] and regress the voltage on the deflection.
 
-    Parameters: noise_v, white, of a point [V]; bits of a converter from -10 to 10 V. The sample takes a small part of
-    the way, which makes the value a little too small, as in a laboratory.
+    Parameters: noise_v, white, of a point [V]; bits of a converter from -10 to 10 V.
     """
     if not (points >= 3 and way_m > 0.0 and noise_v >= 0.0):
         raise ConfigError("a calibration needs three points or more, a way above 0 m and a noise of 0 V or more")
@@ -86,19 +91,27 @@ def calibrate_sensitivity(
     first = plant.rest_distance_m + 1e-9
     ways = np.linspace(0.0, way_m, points)
     random = np.random.Generator(np.random.PCG64(seed))
-    volts, step_v = np.empty(points), converter_step_v(bits, 10.0)
+    volts, bent_m, step_v = np.empty(points), np.empty(points), converter_step_v(bits, 10.0)
     for i, way in enumerate(ways.tolist()):
         state = equilibrium(plant, state, first + way)
-        zeta = deflection_m(plant, state.distance_m, first + way)
+        bent_m[i] = zeta = deflection_m(plant, state.distance_m, first + way)
         volts[i] = converted_v(plant.volts_per_m * zeta + noise_v * float(random.standard_normal()), step_v, 10.0)
-    x = ways - ways.mean()
-    slope = float((x * volts).sum() / (x * x).sum())
-    residual = volts - volts.mean() - slope * x
-    scatter = math.sqrt(float((residual**2).sum()) / (points - 2))
+    slope, error, scatter = _regressed(bent_m, volts)
     c = config.cantilever
     factor = 4.0 / (c.bridge_supply_v * c.amplifier_gain)
-    error = scatter / math.sqrt(float((x * x).sum()))
-    return Sensitivity(factor * slope, factor * error, c.sensitivity_per_m, points, scatter)
+    by_way = factor * _regressed(ways, volts)[0]
+    share = 1.0 - _regressed(ways, bent_m)[0]
+    return Sensitivity(factor * slope, factor * error, c.sensitivity_per_m, points, scatter, by_way, share)
+
+
+def _regressed(x: Array, y: Array) -> tuple[float, float, float]:
+    """Return slope, its standard error and the scatter about the line."""
+    x = x - x.mean()
+    square = float((x * x).sum())
+    slope = float((x * y).sum()) / square
+    residual = y - y.mean() - slope * x
+    scatter = math.sqrt(float((residual**2).sum()) / (len(x) - 2))
+    return slope, scatter / math.sqrt(square), scatter
 
 
 def _without_defaults(document: dict[str, Any]) -> dict[str, Any]:
@@ -137,10 +150,8 @@ def calibrate_stiffness(
     """Let the free cantilever shiver for a time [s] and find its stiffness from its noise.
 
     Parameters: floor_m_per_root_hz, white noise of the read-out [m/sqrt(Hz)].
-    Raises: ConfigError, if the time is too short for its resonance.
+    Raises: ConfigError, if the time is too short for its resonance, or the fit ends at a bound, which it names.
     """
-    from scipy.optimize import curve_fit
-
     try:
         plant = config.to_dynamic(temperature_k=temperature_k)
     except ValueError as error:
@@ -148,61 +159,30 @@ def calibrate_stiffness(
     f0, q = config.cantilever.resonance_hz, config.cantilever.quality
     rate = f0 * _SAMPLES_A_PERIOD
     count = round(seconds * rate)
-    # a spectrum of enough means, whose lines are narrower than the resonance
-    length = 2 ** math.ceil(math.log2(16.0 * q * _SAMPLES_A_PERIOD))
-    means = count // length
-    if means < 8:
-        raise ConfigError(f"{seconds:g} s are too short: a resonance with Q = {q:g} needs {8 * length / rate:.3g} s")
+    least = math.ceil(_LEAST_PERIODS_A_Q * q * _SAMPLES_A_PERIOD)
+    if count < least:
+        raise ConfigError(f"{seconds:g} s are too short: a resonance with Q = {q:g} needs {least / rate:.3g} s")
     random = np.random.Generator(np.random.PCG64(seed))
     state = steady_state(plant, -1e-6, 0.0)
-    settling = np.empty(length * 2)
+    settling = np.empty(least // 4)
     state = _shiver(plant, state, random, settling)
-    zeta = np.empty(means * length)
+    zeta = np.empty(count)
     _shiver(plant, state, random, zeta)
     zeta -= zeta.mean()
     zeta += floor_m_per_root_hz * math.sqrt(0.5 * rate) * random.standard_normal(len(zeta))
-    frequencies, density = _spectrum(zeta, rate, length)
-    near = (frequencies > 0.5 * f0) & (frequencies < 1.5 * f0)
-    scale = float(density[near].max())
-
-    def resonance(f: Array, floor: float, peak: float, centre: float, quality: float) -> Array:
-        lorentz = centre**4 / ((f**2 - centre**2) ** 2 + (f * centre / quality) ** 2)
-        return np.asarray(floor + peak * lorentz / quality**2)
-
-    found: Array = np.array([1e-3, 1.0, frequencies[near][np.argmax(density[near])], 0.7 * q])
-    covariance: Array = np.zeros((4, 4))
-    expected = density[near] / scale
-    for _ in range(_REWEIGHTED):
-        # the scatter of a density is a share of what is expected there, not of what was found: points that happen to be
-        # low would count for more, and of 14 means the stiffness come out 15 % too great
-        found, covariance = curve_fit(
-            resonance, frequencies[near], density[near] / scale, p0=found,
-            sigma=np.maximum(expected, 1e-3) / math.sqrt(means), absolute_sigma=True,
-            bounds=([0.0, 0.0, 0.5 * f0, 0.5], [10.0, 100.0, 1.5 * f0, 1e7]),
-        )  # fmt: skip
-        expected = resonance(frequencies[near], *found)
-    floor, peak, centre, quality = (float(value) for value in found)
-    area = 0.5 * math.pi * centre * peak / quality * scale
-    # of peak over Q, whose errors go together
-    gradient = np.array([0.0, 1.0 / peak, 1.0 / centre, -1.0 / quality])
-    share = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
+    try:
+        found = fit_resonance(zeta, rate, f0, q)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
     energy = BOLTZMANN_J_PER_K * temperature_k
+    k = energy / found.mean_square_m2
     return ThermalStiffness(
-        energy / area,
-        energy / area * share,
+        k,
+        k * found.share,
         energy / float(np.mean(zeta**2)),
         config.cantilever.stiffness_n_per_m,
-        centre,
-        quality,
-        floor * scale,
+        found.resonance_hz,
+        found.quality,
+        found.floor_m2_per_hz,
         len(zeta) / rate,
     )
-
-
-def _spectrum(values: Array, rate_hz: float, length: int) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and one-sided density, the mean over pieces of a length with a Hann window."""
-    window = np.hanning(length)
-    pieces = values.reshape(-1, length)
-    power = np.mean(np.abs(np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2, axis=0)
-    frequencies = np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64)
-    return frequencies, np.asarray(2.0 * power / (rate_hz * float((window**2).sum())), dtype=np.float64)

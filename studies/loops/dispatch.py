@@ -8,7 +8,7 @@ Python. Steps handed over as arguments would be compiled anew by every process.
 from collections.abc import Callable
 from typing import Any, cast
 
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.law import Law
 from services.numerics.compiled import chosen_step
 
@@ -18,7 +18,7 @@ Step = Callable[..., Any]
 def _laws_by_parameters() -> dict[type, Law]:
     """Return the law of each class of parameters; two laws must not share one."""
     table: dict[type, Law] = {}
-    for name, law in LAWS.items():
+    for name, law in KNOWN_LAWS.items():
         kind = type(ControllerConfig.model_validate({"law": name}).params())
         if kind in table:
             raise TypeError(f"the laws {table[kind].name} and {name} share the parameters {kind.__name__}")

@@ -99,6 +99,8 @@ COLUMNS = (
     "in_contact",
     "instrument_mode",
     "hand_following",
+    "instrument_reason",
+    "withdrawn_s",
 )
 
 
@@ -151,7 +153,8 @@ class Trajectory:
     scale [N]; base_position_m, x_s [m]; tip_force_n, F_s [N]; separation_m, h [m];
     hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
-    safety chain), hand_following.
+    safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
+    instrument last ceased to follow [s], negative before the session and NaN if it never did.
     """
 
     time_s: Series
@@ -167,6 +170,8 @@ class Trajectory:
     in_contact: npt.NDArray[np.bool_]
     instrument_mode: npt.NDArray[np.int64]
     hand_following: npt.NDArray[np.bool_]
+    instrument_reason: npt.NDArray[np.int64]
+    withdrawn_s: Series
 
 
 def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
@@ -188,8 +193,11 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
         rig.halves, rig.haptic, rig.instrument, rig.haptic_start, rig.instrument_start, schedule, session_tick, rows
     )
     columns: dict[str, Any] = dict(zip(COLUMNS, np.ascontiguousarray(rows[session_tick:].T), strict=True))
-    for name, kind in (("in_contact", bool), ("hand_following", bool), ("instrument_mode", np.int64)):
-        columns[name] = columns[name].astype(kind)
+    for name in ("in_contact", "hand_following"):
+        columns[name] = columns[name].astype(bool)
+    for name in ("instrument_mode", "instrument_reason"):
+        columns[name] = columns[name].astype(np.int64)
+    columns["withdrawn_s"] = columns["withdrawn_s"] - session_tick * rig.period_s
     return Trajectory(**columns)
 
 
@@ -274,7 +282,10 @@ class Slave(NamedTuple):
 
 
 class Instrument(NamedTuple):
-    """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J]."""
+    """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J].
+
+    reason: why its mode last changed; withdrawn_s: when it last ceased to follow [s], NaN if it never did.
+    """
 
     state: Any
     stepped_ns: int
@@ -282,6 +293,8 @@ class Instrument(NamedTuple):
     armed: bool
     mode: int
     energy_j: float
+    reason: int
+    withdrawn_s: float
 
 
 @inlined
@@ -409,6 +422,7 @@ def _instrument_stepped(
     asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, 0.0, 0.0)
     state, felt = instrument_step(params, i.state, asked, min(max(now_ns - i.stepped_ns, 1), LONGEST_STEP_NS) * 1e-9)
     moved = felt.base_m - s.tip.base_position_m if i.armed else 0.0
+    tip = _tip_of(felt)
     after = Instrument(
         state=state,
         stepped_ns=now_ns,
@@ -416,8 +430,10 @@ def _instrument_stepped(
         armed=i.armed or felt.mode == afm_safety.MODE_FOLLOW,
         mode=felt.mode,
         energy_j=i.energy_j + 0.5 * (felt.force_n + s.tip.force_n) * moved,
+        reason=felt.reason,
+        withdrawn_s=now_ns * 1e-9 if s.tip.following and not tip.following else i.withdrawn_s,
     )
-    return after, _tip_of(felt)
+    return after, tip
 
 
 @inlined
@@ -478,7 +494,14 @@ def _taken_together(
 def _instrument_at(state: Any, period_ns: int) -> Instrument:
     """Return the instrument before the first command."""
     return Instrument(
-        state=state, stepped_ns=0, due_ns=period_ns, armed=False, mode=afm_safety.MODE_RETRACTED, energy_j=0.0
+        state=state,
+        stepped_ns=0,
+        due_ns=period_ns,
+        armed=False,
+        mode=afm_safety.MODE_RETRACTED,
+        energy_j=0.0,
+        reason=afm_safety.REASON_START,
+        withdrawn_s=np.nan,
     )
 
 
@@ -579,3 +602,4 @@ def _record(row: Series, session_s: float, m: Master, tip: TipMeasurement, hand_
     row[4], row[5], row[6], row[7] = m.rendered_n, tip.base_position_m, tip.force_n, tip.separation_m
     row[8], row[9] = hand_energy_j, i.energy_j
     row[10], row[11], row[12] = int(tip.in_contact), i.mode, int(m.hand.following)
+    row[13], row[14] = i.reason, i.withdrawn_s

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from analysis.holds import Hold, Instrument, judge_holds, verdict_of
+from analysis.holds import Guard, Hold, Instrument, Limits, Programme, guard_of, judge_holds, verdict_of
 from presets import find_scenario
 from proto.errors import ConfigError
 from recording.column_table import ColumnTable
 from services.afm_node.config import SAMPLES, AfmConfig
+from services.afm_node.physics.disturbed import noisy_params
+from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.step import AfmParams
-from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
+from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings
 from services.haptic_node.config import HapticConfig
@@ -71,9 +73,12 @@ class SimulatedSession(ColumnTable):
     recording.
     """
 
-    def __init__(self, conditions: Conditions, course: Trajectory, force_scale: float) -> None:
+    def __init__(
+        self, conditions: Conditions, course: Trajectory, force_scale: float, safety: SafetyParams | None = None
+    ) -> None:
         self.conditions = conditions
         self.force_scale = force_scale
+        self._safety = safety
         self._course = course
         values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
@@ -87,18 +92,40 @@ class SimulatedSession(ColumnTable):
     @cached_property
     def holds(self) -> list[Hold]:
         """The holds of the hand, each judged."""
-        mode = self._course.instrument_mode
-        tip = Instrument((mode == MODE_FOLLOW) | (mode == MODE_HOLD), self._course.in_contact)
-        time_s = self["time_s"]
-        return judge_holds(time_s, self["operator_force_n"], time_s, self["scaled_tip_force_n"], tip)
+        time_s, tip_n = self["time_s"], self["scaled_tip_force_n"]
+        return judge_holds(time_s, self["operator_force_n"], time_s, tip_n, self._tip, self._programme)
+
+    @cached_property
+    def _verdict(self) -> tuple[str, str]:
+        guard = guard_of(self["time_s"], self._tip, self._programme)
+        return verdict_of(self.holds, guard, float(np.abs(self["operator_force_n"]).max(initial=0.0)))
 
     @property
     def verdict(self) -> str:
-        return verdict_of(self.holds)[0]
+        """What became of the session: that of its worst hold, or guarded where the instrument's guard ended it."""
+        return self._verdict[0]
 
     @property
     def reason(self) -> str:
-        return verdict_of(self.holds)[1]
+        """The verdict in words; a guard that acted comes first, with its time and limit."""
+        return self._verdict[1]
+
+    @property
+    def _tip(self) -> Instrument:
+        mode = self._course.instrument_mode
+        return Instrument((mode == MODE_FOLLOW) | (mode == MODE_HOLD), self._course.in_contact, mode == MODE_HOLD)
+
+    @cached_property
+    def _programme(self) -> Programme:
+        """What the instrument reports when it withdraws: it is armed once, so that it does so at most once."""
+        course, limits = self._course, None
+        withdrawn = np.flatnonzero(np.isfinite(course.withdrawn_s))[:1].tolist()
+        reasons = [REASON_NAMES[int(course.instrument_reason[i])] for i in withdrawn]
+        guards = [Guard(float(course.withdrawn_s[i]), why) for i, why in zip(withdrawn, reasons, strict=True)]
+        if self._safety is not None:
+            silence_s = self._safety.command_deadline_s + self._safety.hold_time_s
+            limits = Limits(self._safety.force_limit_n, silence_s)
+        return Programme(guards=guards, limits=limits)
 
 
 def simulate_scenario(
@@ -154,12 +181,19 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     if afm.model != "quasi_static":
         raise ConfigError(f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static")
     if haptic.operator.kind == "interactive":
-        raise ConfigError(f"{origin}: haptic_node.operator.kind: interactive is a person, who cannot be simulated")
-    rig = build_rig(controller, haptic, _instrument(afm))
+        text = "interactive is a person, who cannot be simulated: give another operator"
+        raise ConfigError(f"{origin}: haptic_node.operator.kind: {text}")
+    if afm.begin is not None:
+        text = f"{afm.begin.program} moves the tip by a program of the instrument, which a lockstep has not"
+        raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
+    if haptic.disturbances.any_enabled:
+        raise ConfigError(f"{origin}: haptic_node.disturbances: a lockstep has none; only `up` can run them")
     trip_s = link.forward.delay_s + link.backward.delay_s
-    settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / rig.period_s)
-    ticks = settle + max(1, round(loaded.scenario.duration_s / rig.period_s))
-    course = simulate(rig, schedule_of(link, ticks, rig.period_s), settle)
+    period_s = controller.period_s
+    settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / period_s)
+    ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
+    rig = build_rig(controller, haptic, _instrument(afm, origin, ticks * period_s))
+    course = simulate(rig, schedule_of(link, ticks, period_s), settle)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
@@ -170,10 +204,23 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
         link_profile=link.profile,
         link_seed=link.seed,
     )
-    return SimulatedSession(conditions, course, section.force_scale)
+    return SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
 
 
-def _instrument(config: AfmConfig) -> AfmParams:
+def _instrument(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
+    """Return what a node would simulate, for a run of that length [s]; ConfigError names what a lockstep has not."""
+    disturbed = config.disturbances.any_enabled
     if config.environment in SAMPLES.found:
-        return config.to_sample_params()
-    return config.to_spring_params() if config.environment == "spring" else config.to_params()
+        params = config.to_sample_params()
+    elif config.environment == "spring":
+        params = config.to_spring_params()
+    else:
+        params = config.to_params()
+        if config.sample is None and disturbed:
+            return params._replace(plant=noisy_params(config.disturbances, params.plant, duration_s))
+        plant = over_surface(params.plant, config.to_surface(), config.to_friction_params())
+        params = params._replace(plant=plant)
+    if disturbed:
+        text = "a lockstep has them over a plane of environment tip_sample only; `up` can run them"
+        raise ConfigError(f"{origin}: afm_node.disturbances: {text}")
+    return params

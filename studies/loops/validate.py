@@ -250,6 +250,9 @@ def read_course(path: Path) -> Trajectory:
         in_contact=tip["in_contact"][at_tip].astype(bool),
         instrument_mode=np.array([_MODE_NUMBERS[mode] for mode in tip["mode"][at_tip]], dtype=np.int64),
         hand_following=hand["mode"] != "off",
+        # a recording says it in events, of which nothing is asked here
+        instrument_reason=np.zeros(len(running), dtype=np.int64),
+        withdrawn_s=np.full(len(running), np.nan),
     )
 
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from services.afm_node.config import AfmConfig, SpringConfig
+from services.afm_node.config import AfmConfig, SafetyConfig, SpringConfig
 from services.afm_node.physics.sim import SimulatedInstrument
 from services.afm_node.physics.spring import spring_force, spring_params
 from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
@@ -53,4 +53,18 @@ def test_driver_says_what_is_wrong() -> None:
 
 
 def test_guard_in_front_of_it_is_the_same() -> None:
-    assert PARAMS.safety == AfmConfig().to_params().safety
+    limits = AfmConfig().to_params().safety
+    # at 100 nm it would pull with 3.8 uN
+    assert PARAMS.safety == limits._replace(retract_position_m=1e-9)
+    for other in (
+        AfmConfig(environment="spring", spring=SpringConfig(bilateral=False)),
+        AfmConfig(environment="spring", spring=SpringConfig(rest_position_m=1e-5)),
+        AfmConfig(environment="spring", safety=SafetyConfig(retract_position_m=-100e-9)),
+        AfmConfig(spring=SpringConfig(rest_position_m=1e-9)),
+    ):
+        assert other.safety.retract_position_m == -100e-9
+
+
+def test_a_configuration_read_again_from_what_it_wrote_begins_in_the_same_place() -> None:
+    assert AfmConfig.model_validate(CONFIG.model_dump()) == CONFIG
+    assert AfmConfig.model_validate(CONFIG.model_dump(exclude_unset=True)) == CONFIG

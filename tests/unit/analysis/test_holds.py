@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from analysis.holds import _WORST_FIRST, SETTLING_SHARE, Instrument, constant_stretches, judge_holds, verdict_of
+from analysis.holds import (
+    _WORST_FIRST,
+    SETTLING_SHARE,
+    Guard,
+    Instrument,
+    Limits,
+    Programme,
+    constant_stretches,
+    guard_of,
+    judge_holds,
+    verdict_of,
+)
 from analysis.verdict import KINDS
 
 TIME_S = np.arange(9000) * 1e-3
@@ -67,7 +78,54 @@ def test_a_tip_that_the_guard_tore_off_is_not_stable() -> None:
     torn = np.where(following, HAND_N, 0.0)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, torn, instrument(following, following & (HAND_N > 0.0)))
     assert [hold.verdict for hold in holds] == ["stable", "guarded", "guarded"]
-    assert verdict_of(holds) == ("guarded", "the hold has 0 samples: the instrument's guard acted at 1.300 s")
+    acted = "the instrument's guard acted at 1.300 s"
+    assert verdict_of(holds) == ("guarded", f"{acted}; until then the hold has 0 samples")
+
+
+LIMITS = Limits(force_n=200e-9, silence_s=0.3)
+
+
+def test_a_guard_that_acted_comes_first_with_its_time_and_limit() -> None:
+    # while the force grows; the hold before it is called diverged without the guard having acted in it
+    following = TIME_S < 3.1
+    tip = instrument(following, following & (HAND_N > 0.0))
+    programme = Programme(guards=[Guard(3.12, "force_limit")], limits=LIMITS)
+    growing = np.where(following, HAND_N + swing(1.5, 3.1, 2.0, 0.01), 0.0)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, growing, tip, programme)
+    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
+    assert kind == "diverged"
+    limit = "(force_limit: more than 200 nN on the tip)"
+    assert reason.startswith(f"the instrument's guard acted at 3.100 s {limit}; until then the motion grew")
+
+
+def test_a_guard_that_acted_between_two_holds_is_not_passed_over() -> None:
+    following = (TIME_S < 4.7) | (TIME_S > 4.8)
+    tip = instrument(following)
+    programme = Programme(guards=[Guard(4.7, "hold_expired")], limits=LIMITS)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, programme)
+    assert [hold.verdict for hold in holds] == ["stable"] * 3
+    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
+    assert kind == "guarded"
+    assert reason.startswith("the instrument withdrew at 4.700 s because no command came (hold_expired: none for 300")
+
+
+def test_a_guard_that_acted_before_the_programme_is_named() -> None:
+    never = np.zeros(len(TIME_S), dtype=bool)
+    tip = instrument(never, never)
+    programme = Programme(guards=[Guard(-0.21, "force_limit")], limits=LIMITS)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, np.zeros_like(TIME_S), tip, programme)
+    kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
+    assert kind == "guarded"
+    assert reason.startswith("the instrument's guard acted at -0.210 s, before the hand's programme (force_limit")
+
+
+def test_a_stop_that_a_person_asked_for_is_no_guard() -> None:
+    following = TIME_S < 8.9
+    tip = instrument(following)
+    asked = Programme(guards=[Guard(8.9, "retract_requested")])
+    assert guard_of(TIME_S, tip, asked) == ""
+    assert guard_of(TIME_S, tip) == ""
+    assert guard_of(np.array([]), Instrument(np.array([], dtype=bool), np.array([], dtype=bool))) == ""
 
 
 def test_the_tip_has_to_touch_and_press_as_the_hand_does() -> None:
@@ -91,7 +149,10 @@ def test_every_verdict_has_a_place_among_the_worst() -> None:
 
 
 def test_a_session_without_holds_cannot_be_called_stable() -> None:
-    assert verdict_of([])[0] == "cannot_say"
+    assert verdict_of([]) == ("cannot_say", "the hand never stood still for long enough")
+    # a hand that lies on the device, as in Fig. 10, does stand still
+    idle = "the hand pressed with no force, so there is no hold to judge"
+    assert verdict_of([], greatest_n=0.0) == ("cannot_say", idle)
 
 
 @pytest.mark.parametrize("time_constant_s", [0.3, 0.8, 2.0])

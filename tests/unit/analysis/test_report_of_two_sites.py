@@ -256,7 +256,7 @@ def withdrawn(reason: str, held: bool) -> dict[str, Any]:
 def test_a_network_that_was_away_is_named_and_the_law_is_not_blamed(tmp_path: Path, reason: str) -> None:
     summary = report(tmp_path, **withdrawn(reason, held=True))
     assert verdicts(summary) == ["stable", "stable", "guarded", "guarded"]
-    assert "withdrew at 3.500 s because no command came (hold_expired)" in summary["reason"]
+    assert "withdrew at 3.500 s because no command came (hold_expired: none for 250 ms)" in summary["reason"]
     assert "network" in summary["reason"]
 
 
@@ -271,7 +271,7 @@ def test_the_kill_of_a_node_is_named_in_the_holds_that_it_touched_and_in_no_othe
     assert verdicts(summary) == ["stable", "stable", "no_data", "stable"]
     assert summary["reason"] == f"afm/state: nothing from 3.000 s to 3.900 s of the session; at 3.100 s: {killed[1]}"
     starved = report(tmp_path / "starved", **withdrawn("hold_expired", held=True), incidents=(killed,))
-    assert starved["reason"].endswith(f"at 3.100 s: {killed[1]}")
+    assert f"at 3.100 s: {killed[1]}" in starved["reason"]
 
 
 def test_what_was_set_at_the_slave_is_in_the_session_by_its_own_clock(tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_what_was_set_at_the_slave_is_in_the_session_by_its_own_clock(tmp_path: 
 def test_another_guard_is_named_with_its_time(tmp_path: Path) -> None:
     summary = report(tmp_path, **withdrawn("force_limit", held=False))
     assert summary["holds"][3]["verdict"] == "guarded"
-    assert "at 3.500 s (force_limit)" in summary["holds"][3]["reason"]
+    assert "at 3.500 s (force_limit: more than 200 nN on the tip)" in summary["holds"][3]["reason"]
     assert all("network" not in hold["reason"] for hold in summary["holds"])
 
 

@@ -130,8 +130,8 @@ def new_condition(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def new_fact_of_the_recording(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    account = report.account
-    monkeypatch.setattr(report, "account", lambda *given: {**account(*given), "disk": "full"})
+    facts = report.recording_facts
+    monkeypatch.setattr(report, "recording_facts", lambda *given: {**facts(*given), "disk": "full"})
 
 
 def new_fact_of_the_clocks(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:

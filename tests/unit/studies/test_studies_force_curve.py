@@ -12,6 +12,7 @@ from proto.errors import ConfigError, RigError
 from services.afm_node.config import AfmConfig
 from studies.instrument.curve_models import compare_models
 from studies.instrument.force_curve import curve_of_samples, force_curve, marks_of, read_measured, write_hdf5
+from studies.instrument.force_curve_figure import curve_figure
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 
@@ -35,6 +36,25 @@ def test_pull_off_and_loop_are_those_of_the_force(k):
     width, breaks, a0 = tip.meniscus_width_m, tip.meniscus_break_m, tip.contact_distance_m
     least = tip.capillary_force_n * width * math.log((1 + (breaks - a0) / width) / (1 + (width - a0) / width))
     assert marks.hysteresis_j > 0.98 * least
+
+
+def test_c_is_the_contact_and_d_the_leaving_as_in_the_paper():
+    # "The tip contacts with the sample at the point C and leaves it at D during retracting" (section 3, Fig. 5)
+    for k, wet in ((40.0, True), (8.0, True), (1.0, False)):
+        curve = force_curve(with_stiffness(k, meniscus=wet), 60e-9, 20e-9, 1000)
+        marks = marks_of(curve)
+        axes = curve_figure([(curve, marks)]).axes[0]
+        places = {text.get_text(): text.xy for text in axes.texts}
+        assert set(places) == {"C", "D", "pull-off"}
+        zero_nm = 1e9 * marks.contact_base_m
+        assert places["C"][0] + zero_nm == pytest.approx(1e9 * marks.snap_in_base_m)
+        down, up = curve.approach, curve.retract
+        before = down.base_m < marks.snap_in_base_m
+        # before C no more than the attraction of a tip in the air, and after D none that is felt
+        assert np.abs(down.force_n[before]).max() < 0.1 * abs(marks.pull_off_force_n)
+        after = up.base_m < marks.leaving_base_m
+        assert np.abs(up.force_n[after]).max() < 0.1 * abs(marks.pull_off_force_n)
+        assert marks.leaving_base_m < marks.snap_in_base_m
 
 
 def test_a_stiff_cantilever_over_a_dry_sample_loses_nothing():

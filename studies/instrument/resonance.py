@@ -1,0 +1,113 @@
+"""The resonance of a cantilever in thermal noise: its spectral density as sampled, and its fit by Whittle's likelihood.
+
+A damped spring in white noise has the covariance (G. E. Uhlenbeck, L. S. Ornstein, Phys. Rev. 36 (1930) 823)
+
+    R(t) = s^2 exp(-g |t|) (cos wd t + g / wd sin wd |t|),    g = w0 / 2Q,    wd = w0 sqrt(1 - 1 / 4Q^2),
+
+and samples of it have the density of the sum over R at the sampling times, a geometric series, in which aliasing is
+counted. White noise of the read-out adds a floor. The periodogram of a long record has lines that are independent and
+exponentially distributed about the density (P. Whittle, Ark. Mat. 2 (1953) 423), so that
+
+    sum over lines of I / S + log S
+
+is least at the parameters, and the inverse of their Fisher information is their covariance.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+# Of the resonance: drift is below, and what the sampling takes is above.
+BAND = (0.1, 3.0)
+# the least Q of a spring that swings, and the greatest that is looked for
+QUALITIES = (0.5, 1e7)
+_MOST_STEPS, _ENOUGH = 60, 1e-7
+_DIFFERENCE = 1e-5
+
+
+class Resonance(NamedTuple):
+    """Mean square s^2 [m^2], resonance f0 [Hz], Q, one-sided floor [m^2/Hz], and the standard error of log s^2."""
+
+    mean_square_m2: float
+    resonance_hz: float
+    quality: float
+    floor_m2_per_hz: float
+    share: float
+
+
+def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_hz: float, quality: float) -> Array:
+    """Return the one-sided density [m^2/Hz] of samples at a rate [Hz] of a spring with mean square s^2 [m^2]."""
+    omega, dt = 2.0 * math.pi * resonance_hz, 1.0 / rate_hz
+    damping = omega / (2.0 * quality)
+    swing = omega * math.sqrt(max(1.0 - 0.25 / quality**2, 1e-12))
+    pole = np.exp(complex(-damping, swing) * dt)
+    turn = pole * np.exp(2j * math.pi * dt * frequency_hz)
+    back = pole * np.exp(-2j * math.pi * dt * frequency_hz)
+    series = complex(1.0, -damping / swing) * (turn / (1.0 - turn) + back / (1.0 - back))
+    return np.asarray(2.0 * dt * mean_square * (1.0 + series.real))
+
+
+def fit_resonance(values_m: Array, rate_hz: float, resonance_hz: float, quality: float) -> Resonance:
+    """Fit the resonance to a record of the deflection [m], sampled at a rate [Hz].
+
+    Parameters: resonance_hz, quality, near which they are looked for.
+    Raises: ValueError naming the bound at which the fit ends.
+    """
+    count = len(values_m)
+    frequency = np.asarray(np.fft.rfftfreq(count, 1.0 / rate_hz), dtype=np.float64)
+    low, high = BAND[0] * resonance_hz, min(BAND[1] * resonance_hz, 0.45 * rate_hz)
+    chosen = (frequency > low) & (frequency < high)
+    power = np.abs(np.fft.rfft(values_m - values_m.mean())[chosen]) ** 2 * (2.0 / (rate_hz * count))
+    lines = frequency[chosen]
+    # all in units of order one: log s^2, log f0, log Q, floor in the mean density of the band
+    unit = float(power.mean())
+    free = np.log(np.array([float(np.var(values_m)), resonance_hz, quality, 1.0]))
+    free[3] = 1e-3
+
+    def logs(point: Array) -> Array:
+        s2, f0, q = np.exp(point[:3]).tolist()
+        total = density(lines, rate_hz, s2, f0, q) + point[3] * unit
+        return np.log(np.where(total > 0.0, total, np.nan))
+
+    def cost(log_density: Array) -> float:
+        found = float((power * np.exp(-log_density) + log_density).sum())
+        return found if math.isfinite(found) else math.inf
+
+    present = logs(free)
+    least = cost(present)
+    information = np.eye(4)
+    for _ in range(_MOST_STEPS):
+        slopes = np.empty((4, len(lines)))
+        for i in range(4):
+            step = np.zeros(4)
+            step[i] = _DIFFERENCE
+            slopes[i] = (logs(free + step) - present) / _DIFFERENCE
+        information = slopes @ slopes.T
+        move = np.linalg.solve(information, slopes @ (power * np.exp(-present) - 1.0))
+        share = 1.0
+        while share > 1e-6:
+            after = free + share * move
+            after[2] = np.clip(after[2], *np.log(QUALITIES))
+            tried = logs(after)
+            if cost(tried) <= least:
+                break
+            share *= 0.5
+        else:
+            break
+        gained, free, present, least = least - cost(tried), after, tried, cost(tried)
+        if gained < _ENOUGH:
+            break
+    s2, f0, q = np.exp(free[:3]).tolist()
+    for name, value, bounds, form in (
+        ("resonance", f0, (low, high), "{:.6g} Hz"),
+        ("Q", q, QUALITIES, "{:g}"),
+    ):
+        for bound in bounds:
+            if abs(math.log(value / bound)) < 1e-3 or not bounds[0] < value < bounds[1]:
+                raise ValueError(f"the fit of the resonance ends at the bound of its {name}, {form.format(bound)}")
+    error = math.sqrt(float(np.linalg.inv(information)[0, 0]))
+    return Resonance(s2, f0, q, max(float(free[3]) * unit, 0.0), error)

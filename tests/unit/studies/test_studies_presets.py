@@ -1,0 +1,141 @@
+"""Every combination of law, environment and scenario that ships has a verdict, and one that is true."""
+
+from typing import Any
+
+import pytest
+
+import studies
+import telenano
+from presets import SCENARIO_DIRECTORY
+from proto.errors import ConfigError
+from services.controller.config import KNOWN_LAWS, OWN_LAWS
+from studies.loops.simulation import SimulatedSession
+
+assert studies  # before the steps are imported: they are compiled from then on
+
+LAWS = tuple(OWN_LAWS)
+ENVIRONMENTS = ("tip_sample", "spring")
+PRESS = {"kind": "force_profile", "points": [{"time_s": 0.5, "force_n": 0.0}, {"time_s": 0.9, "force_n": 1.0}]}
+# beyond what theory lets them bear: 43 ms on the spring of 20 N/m, 24 ms on the sample
+UNSTABLE_AT_50_MS = {
+    ("virtual_impedance", "spring"): "diverged",
+    ("virtual_impedance", "tip_sample"): "limit_cycle",
+    ("position_force", "spring"): "diverged",
+    ("position_force", "tip_sample"): "limit_cycle",
+}
+
+
+def no_withdrawn_tip(session: SimulatedSession) -> None:
+    """A tip that follows from the first moment on has its contact, or was torn off by what is then said first."""
+    assert session["hand_following"][0]
+    if "guard acted" in session.reason:
+        assert session.reason.startswith("the instrument's guard acted at ")
+
+
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+@pytest.mark.parametrize("law", LAWS)
+def test_fig12_is_stable_without_delay_and_at_50_ms_as_theory_has_it(law: str, environment: str) -> None:
+    at_once = telenano.simulate("fig12", law=law, environment=environment, round_trip_ms=0.0)
+    # the law of passivity comes to rest late, and with the right force
+    at_rest = ("stable", "settling") if law == "passivity" else ("stable",)
+    assert at_once.verdict in at_rest, at_once.reason
+    assert at_once["in_contact"][4000] and at_once["scaled_tip_force_n"][4000] == pytest.approx(2.0, rel=0.06)
+    no_withdrawn_tip(at_once)
+    late = telenano.simulate("fig12", law=law, environment=environment, round_trip_ms=50.0)
+    expected = UNSTABLE_AT_50_MS.get((law, environment))
+    assert late.verdict in ((expected,) if expected else at_rest), late.reason
+    no_withdrawn_tip(late)
+
+
+def test_a_guard_that_acted_in_a_simulation_comes_first() -> None:
+    session = telenano.simulate("fig12", law="virtual_impedance", environment="spring", round_trip_ms=50.0)
+    assert session.reason.startswith(
+        "the instrument's guard acted at 5.524 s (force_limit: more than 200 nN on the tip); "
+    )
+    # in the approach to the sample, before the hand's programme has begun
+    early = telenano.simulate(
+        "fig12",
+        law="virtual_impedance",
+        environment="spring",
+        settings={"afm_node.spring.bilateral": False, "afm_node.spring.rest_position_m": -15e-9},
+    )
+    assert early.verdict == "guarded"
+    assert early.reason.startswith("the instrument's guard acted at -0.")
+    assert "before the hand's programme (force_limit: more than 200 nN on the tip)" in early.reason
+
+
+def test_a_spring_that_also_pulls_begins_at_its_rest_position_and_nowhere_else() -> None:
+    settings: dict[str, Any] = {"afm_node.spring.rest_position_m": 2e-9}
+    session = telenano.simulate("fig12", law="wave", environment="spring", settings=settings, duration_s=1.0)
+    # the reference of a hand that has not moved is 0, where this spring pulls with 40 nN
+    assert session["base_position_m"].min() > -10e-9
+    given = telenano.simulate(
+        "fig12", law="wave", environment="spring", settings={"afm_node.safety.retract_position_m": -1e-9}
+    )
+    assert given.verdict == "stable"
+
+
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+def test_a_law_that_moves_no_tip_is_said_to_have_lost_contact(environment: str) -> None:
+    session = telenano.simulate("fig12", law="tactile", environment=environment)
+    assert session.verdict == "contact_lost"
+
+
+@pytest.mark.parametrize("law", tuple(KNOWN_LAWS))
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+def test_what_a_lockstep_has_not_is_refused_in_words_that_name_it(law: str, environment: str) -> None:
+    with pytest.raises(ConfigError, match=r"afm_node.begin: tactile moves the tip by a program.*telenano up"):
+        telenano.simulate("fig10", law=law, environment=environment)
+    for scenario in ("touch", "image"):
+        with pytest.raises(ConfigError, match="interactive is a person, who cannot be simulated: give another"):
+            telenano.simulate(scenario, law=law, environment=environment)
+
+
+def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:
+    assert {path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml")} == {"fig10", "fig12", "image", "touch"}
+
+
+@pytest.mark.parametrize("scenario", ["touch", "image"])
+@pytest.mark.parametrize("law", LAWS)
+def test_with_an_operator_that_can_be_simulated_so_can_the_others_on_a_spring(scenario: str, law: str) -> None:
+    session = telenano.simulate(scenario, law=law, environment="spring", operator=PRESS, duration_s=4.0)
+    assert session.verdict == "stable", session.reason
+    no_withdrawn_tip(session)
+
+
+def test_the_tip_meets_the_surface_of_the_scenario() -> None:
+    """A ridge of the grating of 10 nm lies under the tip at rest, 10 nm above 0, as it does on the bus."""
+    settings = {"afm_node.sample.name": "grating"}
+    ridge = telenano.simulate("image", law="virtual_impedance", operator=PRESS, duration_s=1.0, settings=settings)
+    dots = telenano.simulate("image", law="virtual_impedance", operator=PRESS, duration_s=4.0)
+    assert dots.verdict == "stable"
+    assert (ridge["separation_m"][0], dots["separation_m"][0]) == pytest.approx((0.0, 10e-9), abs=1e-9)
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_touches_the_sample_of_the_image(law: str) -> None:
+    session = telenano.simulate("image", law=law, operator=PRESS, duration_s=12.0)
+    assert session["in_contact"][-1] and session.verdict in ("stable", "wrong_force"), session.reason
+    no_withdrawn_tip(session)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"haptic_node.disturbances.tremor.enabled": True}, "haptic_node.disturbances"),
+        (
+            {"afm_node.environment": "spring", "afm_node.disturbances.readout.enabled": True},
+            "afm_node.disturbances: a lockstep has them over a plane",
+        ),
+    ],
+)
+def test_a_disturbance_is_simulated_or_refused_and_never_left_out(settings: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        telenano.simulate(settings=settings)
+
+
+def test_a_disturbed_cantilever_is_simulated() -> None:
+    quiet = telenano.simulate(duration_s=0.5)
+    vibrating = telenano.simulate(duration_s=0.5, settings={"afm_node.disturbances.vibration.enabled": True})
+    assert vibrating["separation_m"].std() > 1e-11 > quiet["separation_m"].std()
