@@ -21,6 +21,8 @@ Ints = npt.NDArray[np.int64]
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _BRAILLE = 0x2800
 _LABEL_COLUMNS = 12
+# parts of a trace in a picture, two for each of its pixels
+_BINS = 2160
 
 
 class Trace(NamedTuple):
@@ -58,6 +60,32 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     ]
 
 
+def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:
+    """Return times [s] and values of the least and the greatest value in each of so many parts of a trace.
+
+    A line through them covers the same pixels as one through all, so that no peak is lost. A short trace comes as it
+    is.
+    """
+    size = len(trace.values) // bins
+    if size <= 2:
+        return trace.time_s, trace.values
+    # the last part is longer by what is left over
+    whole = size * (bins - 1)
+    parts = trace.values[:whole].reshape(bins - 1, size)
+    starts = np.arange(bins - 1) * size
+    rest = trace.values[whole:]
+    least = [*(starts + _place(parts, np.inf)), whole + int(_place(rest[None], np.inf)[0])]
+    greatest = [*(starts + _place(-parts, np.inf)), whole + int(_place(-rest[None], np.inf)[0])]
+    kept = np.unique([0, *least, *greatest, len(trace.values) - 1])
+    return trace.time_s[kept], trace.values[kept]
+
+
+def _place(parts: Floats, absent: float) -> npt.NDArray[np.intp]:
+    """Return the place of the least number in each row; of a row without any, the first."""
+    found: npt.NDArray[np.intp] = np.argmin(np.where(np.isnan(parts), absent, parts), axis=1)
+    return found
+
+
 def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
     """Draw each trace in a panel of its own, on one axis of time; RecordingError when the file cannot be written."""
     # The import takes a second, which the other commands should not pay.
@@ -66,7 +94,7 @@ def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:
     figure = Figure(figsize=(9.0, 1.0 + 2.0 * len(traces)), layout="constrained")
     panels = figure.subplots(len(traces), 1, sharex=True, squeeze=False)[:, 0]
     for panel, trace in zip(panels, traces, strict=True):
-        panel.plot(trace.time_s, trace.values, linewidth=0.8)
+        panel.plot(*extremes(trace), linewidth=0.8)
         panel.set_ylabel(trace.name.replace(".", "\n", 1), fontsize=8)
         panel.grid(alpha=0.3)
     panels[-1].set_xlabel("time of sending since the first message, s")

@@ -7,6 +7,7 @@ same compiled force. Accuracy is that of amplitude and phase of the last periods
 solve_ivp the loosest tolerance is taken that is no less accurate. Times are processor times of this process.
 """
 
+import argparse
 import math
 import time
 
@@ -73,6 +74,7 @@ def scipys(config, method, tolerance):
 
 def main() -> None:
     """Print all figures."""
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     config = AfmConfig()
     dry = AfmConfig(meniscus=False)
     for name, chosen in (("with meniscus", config), ("without", dry)):

@@ -7,6 +7,7 @@ A rig cannot be better than they are, so what is demanded of it in time is judge
 
 import argparse
 import contextlib
+import json
 import multiprocessing
 import os
 import time
@@ -111,11 +112,19 @@ def main() -> None:
     """Watch the machine for a time and report how much time it took away."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=10.0, help="time to watch [s]")
-    duration_s = parser.parse_args().duration
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
+    duration_s = 0.3 if given.smoke else given.duration
     with EmptyLoops() as loops:
         first_ns = time.time_ns()
         time.sleep(duration_s)
         last_ns = time.time_ns()
+    if given.json:
+        longest_s, stalls = loops.longest_s(first_ns, last_ns), len(loops.stalls)
+        share = loops.share(first_ns, last_ns)
+        print(json.dumps({"available": share, "longest_s": longest_s, "stalls": stalls}))
+        return
     print(f"available  {100.0 * loops.share(first_ns, last_ns):.3f} %")
     print(f"longest    {1e3 * loops.longest_s(first_ns, last_ns):.1f} ms")
     print(f"stalls     {len(loops.stalls)}")

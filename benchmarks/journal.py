@@ -10,6 +10,7 @@ same messages at the rate of a rig, a hundredth of a second at a time: the ratio
 thread. In a rig each message has to wake it as well, so that the ratio there is lower.
 """
 
+import argparse
 import sys
 import tempfile
 import time
@@ -191,5 +192,7 @@ def _best(run: Any) -> float:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "virtual_impedance")
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("law", nargs="?", default="virtual_impedance", help="law of the controller")
+    main(parser.parse_args().law)
     measure_links()

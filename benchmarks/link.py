@@ -142,8 +142,11 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=5.0, help="length of each run [s]")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
+    if given.smoke:
+        given.duration = 0.5
     delayed, lost = run(DELAY_S, given.duration)
     clean, lost_clean = run(0.0, given.duration)
     error = delayed["link"] - DELAY_S * 1e3

@@ -102,8 +102,11 @@ def main() -> None:
     parser.add_argument("--round-trip-ms", type=float, default=20.0)
     parser.add_argument("--session-s", type=float, default=20.0)
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    if given.smoke:
+        given.laws, given.session_s, given.repeats = "virtual_impedance", 0.2, 1
     rows = [
         measure(
             Cell(

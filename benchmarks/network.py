@@ -149,8 +149,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=3, help="runs of each way")
     parser.add_argument("--messages", type=int, default=3000, help="messages a run")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
+    if given.smoke:
+        given.rounds, given.messages = 1, 1000
     trips: dict[str, list[int]] = {way: [] for way in WAYS}
     cpu_s = dict.fromkeys(WAYS, 0.0)
     with tempfile.TemporaryDirectory() as name, shallow_idle():

@@ -3,6 +3,7 @@
 python benchmarks/recompile.py
 """
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -30,6 +31,7 @@ EDITS = (
 
 def main() -> None:
     """Print a row for each edit."""
+    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         sources, cache = Path(folder) / "sources", Path(folder) / "cache"
         for name in PACKAGES:

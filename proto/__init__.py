@@ -8,7 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from proto.codec import MAX_MESSAGE_BYTES, WireError, accept, compose, decode, decode_header, encode
+    from proto.codec import MAX_MESSAGE_BYTES, WireError, accept, compose, decode, decode_header, encode, read_header
     from proto.messages import Message
     from proto.topics import TOPICS, Topic
 
@@ -23,6 +23,7 @@ __all__ = [
     "decode",
     "decode_header",
     "encode",
+    "read_header",
 ]
 
 _MODULES = {"Message": "proto.messages", "TOPICS": "proto.topics", "Topic": "proto.topics"}

@@ -25,6 +25,9 @@ class Arrival(Enum):
     RESTART = auto()
 
 
+_NEXT = Arrival.NEXT
+
+
 class SequenceTracker:
     """Counts of one topic from one source.
 
@@ -55,15 +58,17 @@ class SequenceTracker:
 
     def accept(self, seq: int, t_ns: int) -> Arrival:
         """Record a message and return how it relates to those before it."""
-        arrival = Arrival.NEXT
+        arrival = _NEXT
         if self.received and (seq != self.last_seq + 1 or self.ended):
             arrival = self._classify(seq, t_ns)
             if arrival is Arrival.DUPLICATE:
                 return arrival
+            if arrival is Arrival.LATE:
+                self.received += 1
+                return arrival
         self.received += 1
-        if arrival is not Arrival.LATE:
-            self.last_seq = seq
-            self.last_t_ns = t_ns
+        self.last_seq = seq
+        self.last_t_ns = t_ns
         return arrival
 
     def finish(self, sent: int) -> int:

@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -24,11 +25,11 @@ from recording.reader import Recording
 from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
 from recording.sender_time import SenderClock, SenderOrder
-from recording.tables import plain, table
+from recording.table_batches import Columns, Kinds, OpenTable, Write, write_tables
+from recording.tables import plain
 from recording.whole_files import whole_file, whole_folder
 
 Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf"]
-Columns = dict[str, list[Any]]
 
 
 def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> CopyResult:
@@ -55,6 +56,9 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
         # where a file stands in the place of its folder, that is what exists
         reason = "already exists and is not overwritten" if target.exists() else f"cannot be created: {error.strerror}"
         raise RecordingError(f"{target}: {reason}") from error
+    except (OverflowError, ValueError) as error:
+        # a stranger's file may have whole numbers that no format holds
+        raise RecordingError(f"{target}: cannot be written: {error}") from error
     except OSError as error:
         # HDF5 has a text of its own, of several lines
         reason = os.strerror(error.errno) if error.errno else str(error)
@@ -64,32 +68,27 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
 def _export(recording: Recording, target: Path, kind: Format, selection: Selection) -> CopyResult:
     if kind in ("mcap-json", "mcap-protobuf"):
         return _export_mcap(recording, target, selection, _as_json if kind == "mcap-json" else _as_protobuf)
-    skipped = describe_damage(recording.structural_damage)
     if kind == "hdf5":
         h5py = _package("h5py", "hdf5")
         with whole_file(target, replace=False) as file:
-            total = _export_hdf5(h5py, recording, file, selection)
-        return CopyResult(path=str(target), messages=total, skipped=skipped)
-    write = _write_csv if kind == "csv" else _parquet_writer(recording)
-    with whole_folder(target) as folder:
-        total = _export_tables(recording, folder, kind, selection, write)
+            _, total, damage = write_tables(recording, selection, partial(_hdf5_tables, h5py, recording, file))
+    else:
+        with whole_folder(target) as folder:
+            begin = _csv_tables if kind == "csv" else _parquet_tables(recording)
+            columns, total, damage = write_tables(recording, selection, partial(begin, folder))
+            if kind == "csv":
+                _write_descriptions(folder, columns)
+                _write_origin(folder, recording)
+    skipped = describe_damage((*recording.structural_damage, *damage))
     return CopyResult(path=str(target), messages=total, skipped=skipped)
 
 
-def _export_tables(
-    recording: Recording, target: Path, kind: Format, selection: Selection, write: Callable[[Path, str, Columns], None]
-) -> int:
-    """Write a file for each channel into a folder; return the number of messages."""
-    total = 0
+def _write_descriptions(folder: Path, tables: Mapping[str, Kinds]) -> None:
     described: list[tuple[str, ...]] = [("channel", "column", "unit", "description")]
-    for name, columns in _tables(recording, selection):
-        write(target / f"{file_stem(name)}.{kind}", name, columns)
+    for name, columns in tables.items():
         described += [(name, column, *quantity(topic_of(name), column)) for column in columns]
-        total += len(columns["log_ns"])
-    if kind == "csv":
-        _write_rows(target / "columns.csv", described)
-        _write_origin(target, recording)
-    return total
+    with (folder / "columns.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows(described)
 
 
 def file_stem(channel_topic: str) -> str:
@@ -129,28 +128,29 @@ def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
 _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
 
 
-def _tables(recording: Recording, selection: Selection) -> Iterator[tuple[str, Columns]]:
-    names = dict.fromkeys(channel.channel_topic for channel in recording.channels if selection(channel))
-    for name in names:
-        chosen = (found for found in recording.messages([name]) if selection(found.channel))
-        columns = table(chosen)
-        if columns:
-            yield name, columns
-
-
 def topic_of(channel_topic: str) -> str:
     """Return the topic of a channel, which may have the site of its reception after an `@`."""
     return channel_topic.partition("@")[0]
 
 
-def _write_csv(path: Path, channel_topic: str, columns: Columns) -> None:
+@contextmanager
+def _csv_tables(folder: Path) -> Iterator[OpenTable]:
+    """Write a file for each channel into a folder."""
+    with ExitStack() as files:
+
+        def open_table(name: str, kinds: Kinds) -> Write:
+            path = folder / f"{file_stem(name)}.csv"
+            file = files.enter_context(path.open("w", newline="", encoding="utf-8"))
+            writer = csv.writer(file)
+            writer.writerow(kinds)
+            return partial(_write_csv, writer)
+
+        yield open_table
+
+
+def _write_csv(writer: Any, columns: Columns) -> None:
     # float repr has all digits
-    _write_rows(path, [tuple(columns), *zip(*columns.values(), strict=True)])
-
-
-def _write_rows(path: Path, rows: list[tuple[Any, ...]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows(rows)
+    writer.writerows(zip(*columns.values(), strict=True))
 
 
 def _write_origin(folder: Path, recording: Recording) -> None:
@@ -164,52 +164,91 @@ def _write_origin(folder: Path, recording: Recording) -> None:
             path.write_bytes(data)
 
 
-def _parquet_writer(recording: Recording) -> Callable[[Path, str, Columns], None]:
+def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextManager[OpenTable]]:
+    """Return what writes a file for each channel into a folder, with the recording's metadata and attachments."""
     arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
     origin = {f"telenano.{name}": json.dumps(facts) for name, facts in recording.metadata.items()}
     origin |= {f"telenano.{name}": data.decode(errors="replace") for name, data in recording.attachments.items()}
+    types = {int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_(), str: arrow.string()}
+    types |= {list: arrow.list_(arrow.float64()), type(None): arrow.null()}
 
-    def write(path: Path, channel_topic: str, columns: Columns) -> None:
-        made = arrow.table(columns)
-        for place, name in enumerate(made.column_names):
-            facts = quantity(topic_of(channel_topic), name)._asdict()
-            made = made.set_column(place, made.field(place).with_metadata(facts), made.column(place))
-        parquet.write_table(made.replace_schema_metadata(origin), path, compression="zstd")
+    @contextmanager
+    def tables(folder: Path) -> Iterator[OpenTable]:
+        with ExitStack() as files:
 
-    return write
+            def open_table(name: str, kinds: Kinds) -> Write:
+                fields = [
+                    arrow.field(column, types[_kind(found)], metadata=quantity(topic_of(name), column)._asdict())
+                    for column, found in kinds.items()
+                ]
+                schema = arrow.schema(fields, metadata=origin)
+                path = folder / f"{file_stem(name)}.parquet"
+                writer = files.enter_context(parquet.ParquetWriter(path, schema, compression="zstd"))
+                return lambda columns: writer.write_table(arrow.table(columns, schema=schema))
+
+            yield open_table
+
+    return tables
 
 
-def _export_hdf5(h5py: Any, recording: Recording, target: Path, selection: Selection) -> int:
-    """Write a group for each channel into a file; return the number of messages."""
-    total = 0
-    with h5py.File(target, "x") as file:
+def _kind(found: set[type]) -> type:
+    """Return the type of a column whose values are made uniform: of its only kind, float, or text of JSON."""
+    kinds = found - {type(None)}
+    if len(kinds) > 1:
+        return float if kinds <= {int, float} else str
+    return next(iter(kinds), type(None))
+
+
+@contextmanager
+def _hdf5_tables(h5py: Any, recording: Recording, target: Path) -> Iterator[OpenTable]:
+    """Write a group for each channel into a file."""
+    with h5py.File(target, "w") as file:
         for name, facts in recording.metadata.items():
             file.create_group(f"metadata/{name}").attrs.update(facts)
         for name, data in recording.attachments.items():
             file[f"attachments/{name}"] = np.void(data)
-        for name, columns in _tables(recording, selection):
+
+        def open_table(name: str, kinds: Kinds) -> Write:
             group = file.create_group(name)
             group.attrs["topic"] = topic_of(name)
-            total += len(columns["log_ns"])
-            for column, values in columns.items():
-                _write_dataset(h5py, group, column, values)
+            for column, found in kinds.items():
+                _create_dataset(h5py, group, column, found)
                 group[column].attrs.update(quantity(topic_of(name), column)._asdict())
-    return total
+
+            def write(columns: Columns) -> None:
+                for column, values in columns.items():
+                    _append(group[column], _kind(kinds[column]), values)
+
+            return write
+
+        yield open_table
 
 
-def _write_dataset(h5py: Any, group: Any, name: str, values: list[Any]) -> None:
-    present = [value for value in values if value is not None]
-    first = present[0] if present else 0.0
-    if isinstance(first, str):
-        group.create_dataset(name, data=[value or "" for value in values], dtype=h5py.string_dtype())
-    elif isinstance(first, list):
-        data = group.create_dataset(name, (len(values),), dtype=h5py.vlen_dtype(np.float64))
-        for number, value in enumerate(values):
-            data[number] = np.asarray(value or [], dtype=np.float64)
-    elif len(present) < len(values):
-        group.create_dataset(name, data=np.array([np.nan if value is None else value for value in values], dtype=float))
+def _create_dataset(h5py: Any, group: Any, name: str, found: set[type]) -> None:
+    kind = _kind(found)
+    if kind is str:
+        options = {"dtype": h5py.string_dtype()}
+    elif kind is list:
+        options = {"dtype": h5py.vlen_dtype(np.float64)}
+    elif type(None) in found:
+        # nan stands for what is not there
+        options = {"dtype": np.float64}
     else:
-        group.create_dataset(name, data=np.array(values), compression="gzip", shuffle=True)
+        options = {"dtype": np.dtype(kind), "compression": "gzip", "shuffle": True}
+    group.create_dataset(name, (0,), maxshape=(None,), **options)
+
+
+def _append(dataset: Any, kind: type, values: list[Any]) -> None:
+    before = len(dataset)
+    dataset.resize((before + len(values),))
+    if kind is str:
+        dataset[before:] = [value or "" for value in values]
+    elif kind is list:
+        for number, value in enumerate(values, before):
+            dataset[number] = np.asarray(value or [], dtype=np.float64)
+    else:
+        array = values if dataset.dtype != np.float64 else [np.nan if value is None else value for value in values]
+        dataset[before:] = np.array(array, dtype=dataset.dtype)
 
 
 class _Payload(NamedTuple):

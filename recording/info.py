@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Iterable, Mapping
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -27,7 +28,10 @@ class _Info(BaseModel):
 
 
 class ChannelInfo(_Info):
-    """Statistics of one channel; times in ns on the recorder's clock, `rate_hz` as measured from them."""
+    """Statistics of one channel; times in ns on the recorder's clock, `rate_hz` as measured from them.
+
+    `size_bytes`, `repeated` and `restarts` are None in a summary that was made without reading the messages.
+    """
 
     channel_topic: str
     topic: str
@@ -36,14 +40,14 @@ class ChannelInfo(_Info):
     via: str
     declared_rate_hz: float | None
     messages: int
-    size_bytes: int
+    size_bytes: int | None
     rate_hz: float
     first_ns: int
     last_ns: int
     gaps: int
     lost: int
-    repeated: int
-    restarts: int
+    repeated: int | None
+    restarts: int | None
 
 
 class AttachmentInfo(_Info):
@@ -82,7 +86,8 @@ class RecordingInfo(_Info):
     `complete`: nothing that was sent to the recorder is missing; `missing` names what is, in sentences. `closed`: each
     file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link
     has dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `recorder_lag`: None where it
-    is unknown. `path` is the first of several `parts`, which are empty where there is but one file.
+    is unknown. `basis`: every message was read for it, or the index of a closed file (`recording.summary`), which says
+    nothing of damaged messages. `path` is the first of several `parts`, which are empty where there is but one file.
     """
 
     path: str
@@ -92,6 +97,7 @@ class RecordingInfo(_Info):
     duration_s: float
     messages: int
     complete: bool
+    basis: Literal["messages", "summary"] = "messages"
     missing: tuple[str, ...]
     lost: int
     closed: bool

@@ -3,14 +3,28 @@
 import struct
 from typing import Any
 
+import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex, MessageIndex
+from mcap.records import ChunkIndex
 from mcap.writer import Writer
 
 # opcode, length of what follows, channel, sequence, log time, publish time
 _MESSAGE = struct.Struct("<BQHIQQ")
-_FIXED_BYTES = _MESSAGE.size - 9
+_pack_message = _MESSAGE.pack
+# the same of many messages
+_HEADS = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("seq", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
+)
+# a number is packed in less time than a member of an enumeration
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)
+# the payload keeps the whole number
+_SEQUENCE_MASK = 0xFFFF_FFFF
+# opcode and length
+_HEAD_BYTES = 9
+_FIXED_BYTES = _MESSAGE.size - _HEAD_BYTES
+# opcode, length of what follows, channel, size of the index
+_INDEX_HEAD = struct.Struct("<BQHI")
 
 
 class _Packed:
@@ -35,12 +49,31 @@ class _ChunkIndices(list[_Packed]):
         super().append(_Packed(index))
 
 
-class MessageWriter(Writer):
-    """A `Writer` that packs a message at once: the library's own packs each field by itself, four times as long.
+class _ChannelIndex:
+    """The index of one channel's messages in a chunk, packed: time of reception [ns] and place of each."""
 
-    What it keeps of each chunk for the end of the file is packed as well. The bytes of the file are the same. What it
-    uses of the library's inside is looked for when it is made, and where it is not as expected, messages go the
-    library's way.
+    __slots__ = ("_channel", "_entries")
+
+    def __init__(self, channel: int, entries: bytes) -> None:
+        self._channel = channel
+        self._entries = entries
+
+    def extend(self, entries: bytes) -> None:
+        self._entries += entries
+
+    def write(self, stream: RecordBuilder) -> None:
+        size = len(self._entries)
+        head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX_HEAD.size - _HEAD_BYTES + size, self._channel, size)
+        stream.write(head + self._entries)
+
+
+class MessageWriter(Writer):
+    """A `Writer` that keeps heads and payloads of a chunk in a list and joins them once, when the chunk ends.
+
+    The library's own packs each field of a message by itself and copies it into a stream, six times as long. What this
+    one keeps of each chunk for the end of the file is packed as well. The bytes of the file are the same. What it uses
+    of the library's inside is looked for when it is made, and where it is not as expected, messages go the library's
+    way.
     """
 
     def __init__(self, *given: Any, **named: Any) -> None:
@@ -48,36 +81,96 @@ class MessageWriter(Writer):
         inside = vars(self)
         self._chunk: Any = inside.get("_Writer__chunk_builder")
         self._counts: Any = inside.get("_Writer__statistics")
-        self._end_chunk_if_full: Any = getattr(self, "_Writer__maybe_finalize_chunk", None)
+        self._end_chunk: Any = getattr(self, "_Writer__finalize_chunk", None)
+        self._chunk_size: Any = inside.get("_Writer__chunk_size")
         if inside.get("_Writer__chunk_indices") == []:
             vars(self)["_Writer__chunk_indices"] = _ChunkIndices()
         parts = ("message_indices", "num_messages", "message_start_time", "message_end_time", "record_writer")
         counts = ("message_count", "message_start_time", "message_end_time", "channel_message_counts")
         self.is_quick = (
-            self._end_chunk_if_full is not None
+            self._end_chunk is not None
+            and type(self._chunk_size) is int
             and all(hasattr(self._chunk, name) for name in parts)
             and all(hasattr(self._counts, name) for name in counts)
         )
+        # head and payload of each message that the chunk builder does not have yet
+        self._parts: list[bytes] = []
+        self._append = self._parts.append
+        # bytes in the chunk, those included
+        self._size = 0
 
     def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
-        """Add a message to the chunk in hand."""
+        """Add a message to the chunk in hand; of its number the lower 32 bits, for which there is room."""
+        sequence &= _SEQUENCE_MASK
         if not self.is_quick:
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
+        length = _FIXED_BYTES + len(data)
+        self._append(_pack_message(_MESSAGE_OPCODE, length, channel_id, sequence, log_time, publish_time))
+        self._append(data)
+        self._size += _HEAD_BYTES + length
+        if self._size > self._chunk_size:
+            self._join()
+            self._end_chunk()
+            self._size = 0
+
+    @property
+    def message_count(self) -> int:
+        """Messages added so far."""
+        return int(self._counts.message_count) + len(self._parts) // 2
+
+    def register_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Add a schema to the chunk in hand, behind its messages."""
+        self._join()
+        number: int = super().register_schema(name, encoding, data)
+        self._measure()
+        return number
+
+    def register_channel(self, topic: str, message_encoding: str, schema_id: int, metadata: Any = None) -> int:
+        """Add a channel to the chunk in hand, behind its messages."""
+        self._join()
+        number: int = super().register_channel(topic, message_encoding, schema_id, metadata or {})
+        self._measure()
+        return number
+
+    def flush(self) -> None:
+        """Write the chunk in hand and hand everything to the stream."""
+        self._join()
+        super().flush()  # type: ignore[no-untyped-call]
+        self._measure()
+
+    def finish(self) -> None:
+        """Write the chunk in hand, indexes and statistics."""
+        self._join()
+        super().finish()  # type: ignore[no-untyped-call]
+
+    def _join(self) -> None:
+        """Give the chunk builder the messages that it does not have yet, with their index and counts."""
+        if not self._parts:
+            return
         chunk, counts = self._chunk, self._counts
-        for times, count in ((counts, counts.message_count), (chunk, chunk.num_messages)):
-            if count == 0 or log_time < times.message_start_time:
-                times.message_start_time = log_time
-            if log_time > times.message_end_time:
-                times.message_end_time = log_time
-        counts.message_count += 1
-        counts.channel_message_counts[channel_id] += 1
-        chunk.num_messages += 1
-        index = chunk.message_indices.get(channel_id)
-        if index is None:
-            index = chunk.message_indices[channel_id] = MessageIndex(channel_id=channel_id, records=[])
-        records = chunk.record_writer
-        index.records.append((log_time, records.count))
-        head = _MESSAGE.pack(Opcode.MESSAGE, _FIXED_BYTES + len(data), channel_id, sequence, log_time, publish_time)
-        records.write(head + data)
-        self._end_chunk_if_full()
+        heads = np.frombuffer(b"".join(self._parts[::2]), dtype=_HEADS)
+        ends = chunk.record_writer.count + np.cumsum(heads["length"] + np.uint64(_HEAD_BYTES))
+        entries = np.column_stack((heads["log_ns"], ends - heads["length"] - np.uint64(_HEAD_BYTES)))
+        chunk.record_writer.write(b"".join(self._parts))
+        self._parts.clear()
+        channels, firsts = np.unique(heads["channel"], return_index=True)
+        # in the order in which the channels come in the chunk
+        for channel in channels[np.argsort(firsts)].tolist():
+            own = entries[heads["channel"] == channel]
+            packed = own.astype("<u8").tobytes()
+            if channel in chunk.message_indices:
+                chunk.message_indices[channel].extend(packed)
+            else:
+                chunk.message_indices[channel] = _ChannelIndex(channel, packed)
+            counts.channel_message_counts[channel] += len(own)
+        first_ns, last_ns = int(heads["log_ns"].min()), int(heads["log_ns"].max())
+        for bounds, count in ((counts, counts.message_count), (chunk, chunk.num_messages)):
+            bounds.message_start_time = first_ns if count == 0 else min(bounds.message_start_time, first_ns)
+            bounds.message_end_time = max(bounds.message_end_time, last_ns)
+        counts.message_count += len(heads)
+        chunk.num_messages += len(heads)
+
+    def _measure(self) -> None:
+        if self.is_quick:
+            self._size = self._chunk.record_writer.count

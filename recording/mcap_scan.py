@@ -36,6 +36,8 @@ MOST_DEFINITIONS = 4096
 _CONTENT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _FIRST_PRIVATE_OPCODE = 0x80
 _END_OF_TIME = 2**64
+# So many bytes of a mapped file are in memory at once.
+MOST_MAPPED = 16 << 20
 # Reading the parts of a damaged record can raise these.
 UNREADABLE = (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError)
 
@@ -105,9 +107,12 @@ def scan(data: Bytes, path: str = "") -> Layout:
             raised.
     """
     layout, size = Layout(path=path), len(data)
-    position = trusted = len(MAGIC)
+    position = trusted = released = len(MAGIC)
     in_summary = False
     while position < size and not layout.finished:
+        if position - released > MOST_MAPPED:
+            release(data)
+            released = position
         opcode, end = _record_at(data, position)
         if end is None:
             position = trusted = _skip_damage(data, position, trusted, opcode, layout)
@@ -125,6 +130,12 @@ def scan(data: Bytes, path: str = "") -> Layout:
     if position < size:
         layout.damage.append(Damage(position, size - position, "bytes after the end of the recording"))
     return layout
+
+
+def release(data: Bytes) -> None:
+    """Give back the memory of a mapped file that was read, which comes from the file again where it is needed."""
+    if isinstance(data, mmap.mmap) and hasattr(data, "madvise"):
+        data.madvise(mmap.MADV_DONTNEED)
 
 
 def unpack(data: Bytes, block: Block) -> bytes:

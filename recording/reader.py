@@ -21,6 +21,7 @@ from recording.mcap_scan import (
     MAGIC,
     MESSAGE_HEAD,
     MOST_DEFINITIONS,
+    MOST_MAPPED,
     RECORD_HEAD,
     UNREADABLE,
     Block,
@@ -29,6 +30,7 @@ from recording.mcap_scan import (
     Layout,
     describe_damage,
     records_of,
+    release,
     scan,
     too_many_definitions,
     unpack,
@@ -230,7 +232,7 @@ class Recording:
         """
         known, selected, order = channels.known, channels.selected, order or {}
         with self._open() as data:
-            for block in self._layout.blocks if blocks is None else blocks:
+            for block in _each(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
                     continue
                 try:
@@ -280,7 +282,7 @@ class Recording:
 
     def _contents(self, data: mmap.mmap) -> Iterator[tuple[Block, bytes]]:
         """Yield the blocks that can be read, with what is in them."""
-        for block in self._layout.blocks:
+        for block in _each(data, self._layout.blocks):
             with contextlib.suppress(DamagedBlockError):
                 yield block, unpack(data, block)
 
@@ -293,6 +295,17 @@ class Recording:
         _, length = RECORD_HEAD.unpack_from(content, place.at - RECORD_HEAD.size)
         channel, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, place.at)
         return (channel, seq, log_ns, publish_ns), content[place.at + MESSAGE_HEAD.size : place.at + length]
+
+
+def _each(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield the blocks, and give back the memory of those that were read."""
+    read = 0
+    for block in blocks:
+        yield block
+        read += block.data_end - block.offset
+        if read > MOST_MAPPED:
+            release(data)
+            read = 0
 
 
 def info_of(recordings: Sequence[Recording]) -> RecordingInfo:

@@ -5,9 +5,10 @@ time for each publisher. Played at those times a stream of one message a millise
 between them, and the devices would take each pause for a loss of the connection.
 """
 
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterator
-from heapq import heappop, heappush
+from itertools import islice
 from typing import NamedTuple
 
 from proto import TOPICS
@@ -27,6 +28,8 @@ _LEAST_HORIZON_NS = 3 * _NS // 2
 # The link reports the fate of a message within a tenth of a second, and the report may lag as well.
 _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
+# messages that are read and sorted together: a player stands still for it
+_READ_AT_ONCE = 64
 # below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
 _FAST_HZ = 100.0
 
@@ -54,10 +57,11 @@ class SenderClock:
 
     def time_ns(self, message: RecordedMessage) -> int:
         """Return when a message was sent."""
-        if message.src not in self._shifts:
-            self._shifts[message.src] = self._shift_ns(message)
-        shift = self._shifts[message.src]
-        return message.publish_ns + (self._of_slave(message.publish_ns) if shift is None else shift)
+        src, publish_ns = message.channel.src, message.publish_ns
+        if src not in self._shifts:
+            self._shifts[src] = self._shift_ns(message)
+        shift = self._shifts[src]
+        return publish_ns + (self._of_slave(publish_ns) if shift is None else shift)
 
     def _shift_ns(self, message: RecordedMessage) -> int | None:
         is_shifted = self._of_slave.is_needed and is_of_slave(message.src)
@@ -99,21 +103,28 @@ class SenderOrder:
         self._ends = ends
         self._clock = clock
         self._wanted = wanted
+        # by channel, what `wanted` has returned
+        self._is_wanted: dict[RecordedChannel, bool] = {}
         links = any(channel.via == "link" and wanted(channel) for channel in recording.channels)
         reports = any(channel.topic == FATES_TOPIC for channel in recording.channels)
         self._fates: _Fates | None = _Fates() if links and reports else None
         start_ns = None if first_ns is None else max(0, first_ns - _LEAST_HORIZON_NS)
         self._source: Iterator[RecordedMessage] = (select or recording.select)(self._needs, start_ns)
-        self._heap: list[Sent] = []
+        # Messages that were just read are in no order.
+        self._arrived: list[Sent] = []
+        # Something may still come before a pending message, and nothing before a ready one; both are in the order of
+        # sending.
+        self._pending: list[Sent] = []
+        self._ready: deque[Sent] = deque()
         # Messages that left the link and are not reported yet, by channel, each with the time at which the link
         # received it.
         self._waiting: dict[RecordedChannel, deque[Sent]] = {}
         self._read_ns = 0
         self._most_lag_ns = 0
         self._place = 0
+        self._read_before = 0
         # The delay that the link reported last, by channel, or else the least that was seen.
         self._delay_ns: dict[RecordedChannel, int] = {}
-        self._next: Sent | None = None
         self._exhausted = False
         # The newest message of each channel that was sent before the beginning.
         self.before: dict[RecordedChannel, Sent] = {}
@@ -123,45 +134,63 @@ class SenderOrder:
 
     def peek(self) -> Sent | None:
         """Return the next message without moving on; None at the end."""
-        if self._next is not None:
-            return self._next
-        while not self._exhausted and not (self._heap and self._settled(self._heap[0])):
-            self._read_next()
-        self._next = self._heap[0] if self._heap else None
-        return self._next
+        while not self._ready:
+            if self._exhausted:
+                return None
+            self._read_on()
+        return self._ready[0]
 
     def pop(self) -> None:
         """Move past the next message."""
-        heappop(self._heap)
-        self._next = None
+        self._ready.popleft()
 
     def __iter__(self) -> Iterator[Sent]:
         while (found := self.peek()) is not None:
             self.pop()
             yield found
 
+    def _wanted_channel(self, channel: RecordedChannel) -> bool:
+        found = self._is_wanted.get(channel)
+        if found is None:
+            found = self._is_wanted[channel] = self._wanted(channel)
+        return found
+
     def _needs(self, channel: RecordedChannel) -> bool:
         return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
 
-    def _settled(self, first: Sent) -> bool:
-        """Return whether nothing that has not been read yet, or waits for its fate, can have been sent before."""
-        if self._read_ns <= first.time_ns + self._most_lag_ns * 5 // 4 + _LEAST_HORIZON_NS:
-            return False
-        return all(not waiting or waiting[0].time_ns > first.time_ns for waiting in self._waiting.values())
-
-    def _read_next(self) -> None:
-        message = next(self._source, None)
-        if message is None:
+    def _read_on(self) -> None:
+        """Read a number of messages, sort what is pending, and make ready what nothing can have been sent before."""
+        for message in islice(self._source, _READ_AT_ONCE):
+            self._add(message)
+        if self._place % _READ_AT_ONCE or self._place == self._read_before:
             self._exhausted = True
             self._release_waiting(0)
-            return
+        self._read_before = self._place
+        self._sort_in()
+        count = len(self._pending) if self._exhausted else bisect_left(self._pending, (self._settled_ns(),))
+        self._ready.extend(self._pending[:count])
+        del self._pending[:count]
+
+    def _sort_in(self) -> None:
+        """Sort what has arrived into what is pending, which it mostly follows."""
+        if self._arrived:
+            first = bisect_left(self._pending, min(self._arrived))
+            self._pending[first:] = sorted([*self._pending[first:], *self._arrived])
+            self._arrived.clear()
+
+    def _settled_ns(self) -> int:
+        """Return the time of sending [ns] before which nothing comes that was not read, or that waits for its fate."""
+        settled_ns = self._read_ns - self._most_lag_ns * 5 // 4 - _LEAST_HORIZON_NS
+        return min([settled_ns, *(waiting[0].time_ns for waiting in self._waiting.values() if waiting)])
+
+    def _add(self, message: RecordedMessage) -> None:
         self._place += 1
         self._read_ns = max(self._read_ns, message.log_ns)
         if message.channel.via == "link":
             self._add_forwarded(message)
         else:
             self._add_direct(message)
-        if self._fates is not None and message.topic == FATES_TOPIC:
+        if self._fates is not None and message.channel.topic == FATES_TOPIC:
             self._release_waiting(_FATE_PATIENCE_NS + 2 * self._most_lag_ns)
 
     def _add_direct(self, message: RecordedMessage) -> None:
@@ -169,8 +198,8 @@ class SenderOrder:
         self._most_lag_ns = max(self._most_lag_ns, message.log_ns - time_ns)
         if self._fates is not None and message.topic == FATES_TOPIC:
             self._fates.record(message, time_ns - message.publish_ns)
-        if self._wanted(message.channel) and (self._ends or not _is_end(message)):
-            heappush(self._heap, Sent(time_ns, self._place, message))
+        if self._wanted_channel(message.channel) and (self._ends or not _is_end(message)):
+            self._arrived.append(Sent(time_ns, self._place, message))
 
     def _add_forwarded(self, message: RecordedMessage) -> None:
         if self._fates is not None and _is_fast(message.topic):
@@ -187,7 +216,7 @@ class SenderOrder:
                 time_ns = None if self._fates is None else self._fates.take(message.topic, message.seq)
                 if time_ns is not None:
                     self._delay_ns[message.channel] = time_ns - arrived_ns
-                    heappush(self._heap, Sent(time_ns, place, message))
+                    self._arrived.append(Sent(time_ns, place, message))
                 elif message.log_ns <= self._read_ns - patience_ns:
                     self._add_guessed(message, place)
                 else:
@@ -199,7 +228,7 @@ class SenderOrder:
         delay_ns = message.log_ns - sent_ns
         delay_ns = min(delay_ns, self._delay_ns.get(message.channel, delay_ns))
         self._delay_ns[message.channel] = delay_ns
-        heappush(self._heap, Sent(sent_ns + max(0, delay_ns), place, message))
+        self._arrived.append(Sent(sent_ns + max(0, delay_ns), place, message))
 
 
 class _Fates:
@@ -238,7 +267,7 @@ def _is_fast(topic: str) -> bool:
 
 
 def _is_end(message: RecordedMessage) -> bool:
-    if message.topic != END_TOPIC:
+    if message.channel.topic != END_TOPIC:
         return False
     try:
         return read_end(message.fields()) is not None

@@ -1,8 +1,11 @@
 """Messages in the form that other tools read: JSON values, and flat rows of named columns."""
 
 import base64
+import contextlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
+from itertools import chain
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,10 @@ from proto.messages import Array
 from recording.messages import RecordedMessage
 
 _SCALARS = (bool, int, float, str)
+_SCALAR_TYPES = frozenset(_SCALARS)
+_SCALAR_OR_NONE = _SCALAR_TYPES | {type(None)}
+# a message that lacks the field
+_ABSENT = object()
 
 
 def plain(message: RecordedMessage) -> dict[str, Any]:
@@ -48,12 +55,7 @@ def line(message: RecordedMessage) -> dict[str, Any]:
 
 def row(message: RecordedMessage) -> dict[str, Any]:
     """Return a message as a flat row: `position_m.0` for parts, arrays as lists, maps and lists of maps as JSON."""
-    found: dict[str, Any] = {"log_ns": message.log_ns, "publish_ns": message.publish_ns}
-    try:
-        fields = message.decode().__dict__
-    except RecordingError:
-        fields = message.fields()
-    return found | flat(fields)
+    return {"log_ns": message.log_ns, "publish_ns": message.publish_ns} | flat(_fields(message))
 
 
 def flat(fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -66,9 +68,61 @@ def flat(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
     """Return columns of equal length with values of one type each; None where a message has no such value."""
-    rows = [row(message) for message in messages]
-    names = list(dict.fromkeys(name for found in rows for name in found))
-    return {name: uniform([found.get(name) for found in rows]) for name in names}
+    return {name: uniform(values) for name, values in columns_of(list(messages)).items()}
+
+
+def columns_of(messages: Sequence[RecordedMessage]) -> dict[str, Sequence[Any]]:
+    """Return the rows of messages as columns of equal length, with values as they came; None where there is none."""
+    if not messages:
+        return {}
+    found: dict[str, Sequence[Any]] = {
+        "log_ns": [message.log_ns for message in messages],
+        "publish_ns": [message.publish_ns for message in messages],
+    }
+    rows = [_fields(message) for message in messages]
+    for name, values in _fields_in_columns(rows):
+        kinds = set(map(type, values))
+        if kinds <= _SCALAR_OR_NONE:
+            found[name] = values
+        elif kinds == {tuple} and (parts := _parts(values)):
+            found |= {f"{name}.{number}": part for number, part in enumerate(parts)}
+        else:
+            found |= _flat_columns(name, values)
+    return found
+
+
+def _fields(message: RecordedMessage) -> Mapping[str, Any]:
+    try:
+        return message.decode().__dict__
+    except RecordingError:
+        return message.fields()
+
+
+def _fields_in_columns(rows: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str, Sequence[Any]]]:
+    """Return the values of each field, in the order of the rows."""
+    names = tuple(rows[0])
+    if len(names) > 1 and all(map(len(names).__eq__, map(len, rows))):
+        with contextlib.suppress(KeyError):
+            return list(zip(names, zip(*map(itemgetter(*names), rows), strict=True), strict=True))
+    every = dict.fromkeys(chain.from_iterable(rows))
+    return [(name, [row.get(name, _ABSENT) for row in rows]) for name in every]
+
+
+def _parts(values: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Return the columns of vectors of one length; none where they are of several, or hold more than scalars."""
+    if len(set(map(len, values))) != 1:
+        return []
+    parts = list(zip(*values, strict=True))
+    return parts if all(set(map(type, part)) <= _SCALAR_TYPES for part in parts) else []
+
+
+def _flat_columns(name: str, values: Sequence[Any]) -> dict[str, list[Any]]:
+    """Return the columns of a field that has parts of several kinds."""
+    rows: list[dict[str, Any]] = [{} for _ in values]
+    for value, found in zip(values, rows, strict=True):
+        if value is not _ABSENT:
+            _flatten(name, value, found)
+    return {column: [found.get(column) for found in rows] for column in dict.fromkeys(chain.from_iterable(rows))}
 
 
 def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
@@ -86,9 +140,12 @@ def _flatten(name: str, value: Any, found: dict[str, Any]) -> None:
         found[name] = json.dumps(_plain(value))
 
 
-def uniform(values: Sequence[Any]) -> list[Any]:
-    """Return values of one type: whole numbers among others as floats, and anything else that is mixed as JSON."""
-    kinds = {type(value) for value in values if value is not None}
+def uniform(values: Sequence[Any], kinds: Set[type] | None = None) -> list[Any]:
+    """Return values of one type: whole numbers among others as floats, and anything else that is mixed as JSON.
+
+    Parameters: kinds, the types of all values of the column where these are not all.
+    """
+    kinds = (set(map(type, values)) if kinds is None else kinds) - {type(None)}
     if len(kinds) <= 1:
         return list(values)
     if kinds <= {int, float}:

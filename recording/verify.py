@@ -120,37 +120,42 @@ class _Check:
         return None if newest is None or newest.ended else newest.seq
 
     def _check_message(self, message: RecordedMessage) -> None:
-        if message.log_ns < self._last_ns:
-            back_s = (self._last_ns - message.log_ns) * 1e-9
-            self._report(
-                "order", "warning", message.channel_topic, f"seq {message.seq} is out of order by {back_s:.6f} s"
-            )
-        self._last_ns = max(self._last_ns, message.log_ns)
-        if message.topic in TOPICS or message.topic in RECORDS:
+        channel, log_ns = message.channel, message.log_ns
+        if log_ns >= self._last_ns:
+            self._last_ns = log_ns
+        else:
+            back_s = (self._last_ns - log_ns) * 1e-9
+            text = f"seq {message.seq} is out of order by {back_s:.6f} s"
+            self._report("order", "warning", channel.channel_topic, text)
+        topic = channel.topic
+        if topic in RECORDS:
             self._check_schema(message)
-        if message.topic in RECORDS:
-            if message.topic == GAP_TOPIC:
+            if topic == GAP_TOPIC:
                 self._add_gap_record(message)
             return
+        if topic in TOPICS:
+            self._check_schema(message)
         self._check_sequence(message)
-        if message.topic == END_TOPIC and message.via == "direct":
+        if topic == END_TOPIC and channel.via == "direct":
             self._check_end(message)
 
     def _check_schema(self, message: RecordedMessage) -> None:
+        channel = message.channel
         try:
             decoded = message.decode()
         except RecordingError as error:
-            self._report("schema", "error", message.channel_topic, str(error))
+            self._report("schema", "error", channel.channel_topic, str(error))
             return
-        if message.topic in RECORDS:
+        if channel.topic in RECORDS:
             return
         header = decoded.__dict__
-        facts = {"seq": header["seq"] & _SEQUENCE_MASK, "t_ns": header["t_ns"], "src": header["src"]}
-        record = {"seq": message.seq, "t_ns": message.publish_ns, "src": message.src}
-        wrong = [name for name in facts if facts[name] != record[name]]
-        if wrong:
+        found = header["seq"] & _SEQUENCE_MASK, header["t_ns"], header["src"]
+        stated = message.seq, message.publish_ns, channel.src
+        if found != stated:
+            pairs = zip(("seq", "t_ns", "src"), found, stated, strict=True)
+            wrong = [name for name, of_message, of_record in pairs if of_message != of_record]
             text = f"seq {message.seq}: {', '.join(wrong)} in the record and in the message differ"
-            self._report("schema", "error", message.channel_topic, text)
+            self._report("schema", "error", channel.channel_topic, text)
 
     def _add_gap_record(self, message: RecordedMessage) -> None:
         fields = message.fields()
@@ -182,25 +187,26 @@ class _Check:
         newest.ended = True
 
     def _check_sequence(self, message: RecordedMessage) -> None:
-        channel = message.channel
-        self._open_gaps.pop((channel.channel_topic, channel.src), None)
-        self.first.setdefault(channel, message.seq)
+        channel, seq = message.channel, message.seq
+        # a gap before a message is none at the end
+        if self._open_gaps:
+            self._open_gaps.pop((channel.channel_topic, channel.src), None)
         newest = self._last.get(channel)
         if newest is None:
+            self.first[channel] = seq
             self._last[channel] = _LastMessage(message)
             self._missing[channel] = {}
-            return
-        if newest.ended and message.publish_ns > newest.t_ns:
+        elif newest.ended and message.publish_ns > newest.t_ns:
             # a number above that of the process before is no loss
             self._restart(newest, message)
-        elif message.seq > newest.seq:
-            if message.seq > newest.seq + 1:
-                self._missing[channel][newest.seq + 1, message.seq - 1] = message.log_ns
-            newest.seq, newest.t_ns = message.seq, message.publish_ns
+        elif seq > newest.seq:
+            if seq > newest.seq + 1:
+                self._missing[channel][newest.seq + 1, seq - 1] = message.log_ns
+            newest.seq, newest.t_ns = seq, message.publish_ns
         elif message.publish_ns > newest.t_ns:
             self._restart(newest, message)
         else:
-            self._remove_from_missing(channel, message.seq)
+            self._remove_from_missing(channel, seq)
 
     def _restart(self, newest: _LastMessage, message: RecordedMessage) -> None:
         newest.seq, newest.t_ns, newest.ended = message.seq, message.publish_ns, False

@@ -22,8 +22,6 @@ from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, Rej
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 # why a file ended
 FileEnd = Literal["stopped", "split", "snapshot", "quota"]
-# the sequence of an MCAP message has 32 bits, the payload keeps the whole number
-_SEQUENCE_MASK = 0xFFFF_FFFF
 
 
 class _McapWriter(Protocol):
@@ -37,6 +35,8 @@ class _McapWriter(Protocol):
     def add_metadata(self, name: str, data: dict[str, str]) -> None: ...
     def flush(self) -> None: ...
     def finish(self) -> None: ...
+    @property
+    def message_count(self) -> int: ...
 
 
 def channel_topic(topic: str, src: str, site: str) -> str:
@@ -76,7 +76,6 @@ class RecordingWriter:
         """Start writing to a binary stream; `path` names it in errors, `node` is the recorder (node@site)."""
         self.path = path
         self.node = node
-        self.messages = 0
         self.size_bytes = 0
         self._stream = stream
         # the one in the name of the file
@@ -93,6 +92,8 @@ class RecordingWriter:
             compression=_COMPRESSION[settings.compression],
             enable_data_crcs=True,
         )
+        # `write` without its guard, for a recorder: channel, log_ns, payload, publish_ns, seq; it raises OSError
+        self.add = self._mcap.add_message
         with self._guarded():
             self._mcap.start("telenano")
             # from its first moment on the file is one that opens
@@ -131,13 +132,17 @@ class RecordingWriter:
         }
         return self._register(channel_topic(topic, src, site), row.model, metadata)
 
+    @property
+    def messages(self) -> int:
+        """Messages written so far."""
+        return self._mcap.message_count
+
     def write(self, channel: int, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
         """Write a message, byte by byte as it was received."""
         try:
-            self._mcap.add_message(channel, log_ns, payload, publish_ns, seq & _SEQUENCE_MASK)
+            self.add(channel, log_ns, payload, publish_ns, seq)
         except OSError as error:
-            raise self._failure(error) from error
-        self.messages += 1
+            raise self.failure(error) from error
 
     def write_gap(self, log_ns: int, gap: GapRecord) -> None:
         self._write_own(GAP_TOPIC, log_ns, gap.model_dump())
@@ -218,9 +223,10 @@ class RecordingWriter:
         try:
             yield
         except OSError as error:
-            raise self._failure(error) from error
+            raise self.failure(error) from error
 
-    def _failure(self, error: OSError) -> RecordingError:
+    def failure(self, error: OSError) -> RecordingError:
+        """Close the file, which cannot be written, and return the error that says so."""
         # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
         self.abandon()
         return RecordingError(f"{self.path}: cannot be written: {error.strerror or error}")

@@ -95,10 +95,10 @@ class SequenceShift:
         """Record that the next message of each channel does not follow its last one."""
         self._jumped = set(self._last)
 
-    def payload(self, message: RecordedMessage, now_ns: int) -> bytes:
-        """Return the bytes to send: the recorded ones, unless there was a jump or it is a command, sent at `now_ns`."""
+    def payload(self, message: RecordedMessage, clock: Clock) -> bytes:
+        """Return the bytes to send: the recorded ones, unless there was a jump or it is a command, sent now."""
         channel = message.channel
-        if channel in self._jumped:
+        if self._jumped and channel in self._jumped:
             self._offsets[channel] = self._last[channel] + 1 - message.seq
         offset = self._offsets.get(channel, 0)
         is_command = channel.topic == "session/control"
@@ -107,7 +107,7 @@ class SequenceShift:
         fields = message.fields()
         fields["seq"] = message.seq + offset
         if is_command:
-            fields["t_ns"] = now_ns
+            fields["t_ns"] = clock.now_ns()
             # it refers to an emergency stop of the recorded run, which nobody can release a second time
             fields.pop("node_latch", None)
         packed: bytes = msgpack.packb(fields)
@@ -152,6 +152,8 @@ class PlayerNode(Node):
         self.playback_clock = PlaybackClock(now, playback.position_ns, settings.rate, paused=settings.paused)
         self._plan = plan
         self._publishers = publishers
+        # by channel, the publisher and the topic of its messages
+        self._routes: dict[RecordedChannel, tuple[ReplayPublisher, str]] = {}
         self._observe = observe
         self._warnings = warnings
         self._sequence_shift = SequenceShift()
@@ -274,25 +276,29 @@ class PlayerNode(Node):
                     return
                 self._pending_state.popleft()
                 continue
-            message = self.playback.peek()
-            if message is None:
+            found = self.playback.next()
+            if found is None:
                 self._handle_end()
                 return
-            due = now_ns if self._steps else self.playback_clock.due_ns(self.playback.next_ns)
-            if due is None or due > now_ns or not self._send(message):
+            due = now_ns if self._steps else self.playback_clock.due_ns(found.time_ns)
+            if due is None or due > now_ns or not self._send(found.message):
                 return
-            self.playback.pop()
-            self._count_step(message)
+            self.playback.advance(found)
+            if self._steps:
+                self._count_step(found.message)
 
     def _count_step(self, message: RecordedMessage) -> None:
-        if self._steps and self._step_topic in ("", message.channel_topic):
+        if self._step_topic in ("", message.channel_topic):
             self._steps -= 1
 
     def _send(self, message: RecordedMessage) -> bool:
         channel = message.channel
-        publisher = self._publishers[self._plan.node(channel)]
-        payload = self._sequence_shift.payload(message, self.clock.now_ns())
-        self.blocked = not publisher.send(self._plan.topics[channel], payload)
+        route = self._routes.get(channel)
+        if route is None:
+            route = self._publishers[self._plan.node(channel)], self._plan.topics[channel]
+            self._routes[channel] = route
+        publisher, topic = route
+        self.blocked = not publisher.send(topic, self._sequence_shift.payload(message, self.clock))
         if self.blocked:
             self._retry_ns = self.clock.monotonic_ns() + _RETRY_NS
             return False

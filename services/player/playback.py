@@ -64,24 +64,34 @@ class Playback:
         """The position as time [s] from the start of the recording."""
         return (self.position_ns - self.origin_ns) / _NS
 
+    def next(self) -> Sent | None:
+        """Return the next message with the time [ns] at which it was sent; None at the end of the span."""
+        found = self._order.peek()
+        return None if found is None or found.time_ns >= self.end_ns else found
+
+    def advance(self, found: Sent) -> None:
+        """Move past the next message, which is `found`."""
+        if found.time_ns > self.position_ns:
+            self.position_ns = found.time_ns
+        self._order.pop()
+
     def peek(self) -> RecordedMessage | None:
         """Return the next message without moving on; None at the end of the span."""
-        found = self._next()
+        found = self.next()
         return None if found is None else found.message
 
     @property
     def next_ns(self) -> int:
         """When the next message was sent [ns]; the end of the span where there is none."""
-        found = self._next()
+        found = self.next()
         return self.end_ns if found is None else found.time_ns
 
     def pop(self) -> RecordedMessage:
         """Return the next message and move past it; RecordingError at the end."""
-        found = self._next()
+        found = self.next()
         if found is None:
             raise RecordingError(f"{self.recording.path}: there is no message after {self.time_s:.3f} s")
-        self.position_ns = max(self.position_ns, found.time_ns)
-        self._order.pop()
+        self.advance(found)
         return found.message
 
     def seek(self, position_ns: int) -> list[RecordedMessage]:
@@ -139,10 +149,6 @@ class Playback:
     def _from(self, position_ns: int) -> SenderOrder:
         first_ns = position_ns if position_ns > self.origin_ns else None
         return SenderOrder(self.recording, self.channel_filter, self._clock, first_ns)
-
-    def _next(self) -> Sent | None:
-        found = self._order.peek()
-        return None if found is None or found.time_ns >= self.end_ns else found
 
 
 def is_state(channel: RecordedChannel) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header
+from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header, read_header
 from proto.batch import BATCH_TOPIC, read_batch
 from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
@@ -19,13 +19,18 @@ from recording.records import GapRecord, RejectedRecord
 from recording.writer import FileEnd, RecordingWriter, channel_topic
 from services.recorder.listener import Listener, Stream
 from services.recorder.rotation import FileRotation, QuotaError
-from services.recorder.snapshot_buffer import Entry, SnapshotBuffer, Trigger, event_trigger
+from services.recorder.snapshot_buffer import TRIGGER_TOPICS, Entry, SnapshotBuffer, Trigger, event_trigger
 from services.runtime.bus.bus import Received, split_frames
 
+# messages on these topics are decoded, of all others only the header is read
+_DECODED = frozenset(("node/health", "session/control", END_TOPIC))
+_TOPIC_NAMES = {name.encode(): name for name in TOPICS}
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
 _NEVER = event_trigger(())
+# a member of an enumeration takes longer to look up, and there is one for every message
+_NEXT = Arrival.NEXT
 # a gap is recorded when so much has passed: what a batch, or the link, has late is not missing
 _LATE_NS = 100_000_000
 # the nodes that are stopped before a recorder; each sends far more often
@@ -93,6 +98,7 @@ class Intake:
         self._selection = selection
         self._is_trigger = is_trigger
         self._after_ns = round(after_s * 1e9)
+        self._decoded = _DECODED if snapshot_buffer is None else _DECODED | frozenset(TRIGGER_TOPICS)
         self._streams: list[Stream] = []
         # publishers that have ended, and were not received since
         self._ended: set[str] = set()
@@ -114,12 +120,47 @@ class Intake:
         Frames that are not a message are counted by the subscriber and recorded on `recorder/rejected`.
         """
         self.received += 1
+        writer = self.writer
         try:
-            return self._record_message(listener, frames, received_ns)
+            topic, payload = _TOPIC_NAMES.get(frames[0]), frames[-1]
+            if topic is None or len(frames) != 2:
+                topic, payload = self._unusual(frames)
+            fields: Mapping[str, Any] | None = None
+            if topic in self._decoded:
+                (seq, t_ns, src), fields = decode_header(topic, payload)
+            else:
+                seq, t_ns, src = read_header(topic, payload)
+            permit = listener.subscriber.permit
+            if permit is not None:
+                permit(topic, src)
+            stream = listener.streams.get((frames[0], src))
+            if stream is None:
+                live = abs(received_ns - t_ns) < _LONGEST_QUEUE_NS
+                stream = self._open_stream(listener, frames[0], TOPICS[topic], src, live=live)
+            arrival = stream.tracker.accept(seq, t_ns)
+            self._newest_ns = received_ns
+            if stream.wanted:
+                if arrival is not _NEXT:
+                    self._note_arrival(stream, arrival, seq, received_ns)
+                # the common case without an Entry, which would cost as much as the header
+                if writer is not None and stream.channel is not None:
+                    self.written += 1
+                    writer.add(stream.channel, received_ns, payload, t_ns, seq)
+                else:
+                    self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
+            if self._ended and stream.direct:
+                # one that is received again was started again
+                self._ended.discard(src)
+            if fields is not None:
+                self._interpret(listener, stream, fields, received_ns)
+                if topic == "session/control" and stream.direct:
+                    return Received(topic, decode(topic, payload), payload, received_ns, arrival)
         except WireError as error:
             self._reject(listener, frames, received_ns, error)
         except RecordingError as error:
             self._stop(error)
+        except OSError as error:
+            self._stop(RecordingError(str(error)) if writer is None else writer.failure(error))
         return None
 
     def flush(self, now_ns: int = 0) -> None:
@@ -232,44 +273,24 @@ class Intake:
                 stream.channel = writer.channel(stream.topic.name, stream.src, stream.site)
             writer.write(stream.channel, entry.log_ns, entry.publish_ns, entry.seq, entry.payload)
 
-    def _record_message(self, listener: Listener, frames: Sequence[bytes], received_ns: int) -> Received | None:
+    @staticmethod
+    def _unusual(frames: Sequence[bytes]) -> tuple[str, bytes]:
+        """Return topic and payload of frames that are of no known topic, or not two; WireError says what is wrong."""
         topic, payload = split_frames(frames)
         if topic == BATCH_TOPIC:
             # here comes only one that could not be taken apart
             read_batch(payload)
-        (seq, t_ns, src), fields = decode_header(topic, payload)
-        permit = listener.subscriber.permit
-        if permit is not None:
-            permit(topic, src)
-        stream = listener.streams.get((frames[0], src))
-        if stream is None:
-            live = abs(received_ns - t_ns) < _LONGEST_QUEUE_NS
-            stream = self._open_stream(listener, frames[0], TOPICS[topic], src, live=live)
-        arrival = stream.tracker.accept(seq, t_ns)
-        self._newest_ns = received_ns
-        if stream.wanted:
-            if arrival is Arrival.AFTER_GAP:
-                self._open_gap(stream, received_ns)
-            elif arrival is Arrival.LATE:
-                self._fill_gap(stream, seq)
-            self._write(stream, received_ns, t_ns, seq, payload)
+        return topic, payload
+
+    def _interpret(self, listener: Listener, stream: Stream, fields: Mapping[str, Any], received_ns: int) -> None:
+        """Take note of what a message means for the recording: a replay, the end of a publisher, a trigger."""
+        topic = stream.topic.name
         if topic == "node/health" and fields.get("replay") is True:
-            self._replayed.add(src)
-        if stream.direct and (topic == END_TOPIC or self._ended):
-            self._compare_end(listener, topic, src, fields, received_ns)
+            self._replayed.add(stream.src)
+        if topic == END_TOPIC and stream.direct:
+            self._compare_end(listener, stream.src, fields, received_ns)
         if self.snapshot_buffer is not None and stream.direct and self._is_trigger(topic, fields):
             self._triggered = True
-        if topic == "session/control" and stream.direct:
-            return Received(topic, decode(topic, payload), payload, received_ns, arrival)
-        return None
-
-    def _write(self, stream: Stream, received_ns: int, t_ns: int, seq: int, payload: bytes) -> None:
-        # the common case without an Entry, which would cost as much as the header
-        if self.writer is not None and stream.channel is not None:
-            self.written += 1
-            self.writer.write(stream.channel, received_ns, t_ns, seq, payload)
-        else:
-            self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
 
     def _open_stream(self, listener: Listener, frame: bytes, row: Topic, src: str, *, live: bool) -> Stream:
         site = site_of(listener.publisher) or site_of(src)
@@ -283,13 +304,9 @@ class Intake:
         self._streams.append(stream)
         return stream
 
-    def _compare_end(
-        self, listener: Listener, topic: str, src: str, fields: Mapping[str, Any], received_ns: int
-    ) -> None:
+    def _compare_end(self, listener: Listener, src: str, fields: Mapping[str, Any], received_ns: int) -> None:
         """Compare the counts of a publisher that has ended with what was received of it."""
-        # one that is received again was started again
-        self._ended.discard(src)
-        sent = read_end(fields) if topic == END_TOPIC else None
+        sent = read_end(fields)
         if sent is None:
             return
         self._ended.add(src)
@@ -300,6 +317,12 @@ class Intake:
                 first, last = stream.tracker.last_gap
                 self._count_missing(stream, last - first + 1, at_end=True)
                 self._write_gap(stream, first, last)
+
+    def _note_arrival(self, stream: Stream, arrival: Arrival, seq: int, received_ns: int) -> None:
+        if arrival is Arrival.AFTER_GAP:
+            self._open_gap(stream, received_ns)
+        elif arrival is Arrival.LATE:
+            self._fill_gap(stream, seq)
 
     def _open_gap(self, stream: Stream, received_ns: int) -> None:
         """Take note of missing numbers, which are recorded as missing unless they come within a moment."""

@@ -7,7 +7,7 @@ from typing import Self
 
 import zmq
 
-from proto import TOPICS, WireError, decode_header
+from proto import TOPICS, WireError, read_header
 from proto.nodes import site_of
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
@@ -108,7 +108,7 @@ class LiveRecording:
         try:
             topic, payload = split_frames(frames)
             row = TOPICS[topic]
-            (seq, t_ns, src), _ = decode_header(topic, payload)
+            seq, t_ns, src = read_header(topic, payload)
             if permit is not None:
                 permit(topic, src)
         except (WireError, KeyError):

@@ -46,6 +46,8 @@ class SnapshotBuffer:
 
 
 Fields = Mapping[str, Any]
+# what a trigger can be on
+TRIGGER_TOPICS = ("session/event", "afm/state")
 Trigger = Callable[[str, Fields], bool]
 
 

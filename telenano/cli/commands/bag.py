@@ -16,10 +16,12 @@ from proto.errors import RecordingError
 from recording.channel_filter import Selection
 from recording.diff import diff_recordings
 from recording.export import export_recording
+from recording.info import RecordingInfo
 from recording.merge_sites import merge_sites
 from recording.multi_file import open_recordings
 from recording.reader import Recording
 from recording.rewrite import filter_recording, merge_recordings, split_recording
+from recording.summary import quick_info
 from recording.tables import line, plain
 from recording.tolerance import Tolerances
 from recording.verify import verify as check
@@ -30,6 +32,8 @@ from telenano.cli.output import console, print_document, print_json, print_rows,
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)
+# a shorter recording is read as a whole in a second or two
+_LONG_BYTES = 16 << 20
 
 app = command_group()
 
@@ -60,15 +64,29 @@ class ExportFormat(StrEnum):
 
 
 @app.command()
-def info(file: FileArgument, as_json: JsonOption = False) -> None:
-    """Show what a recording contains."""
+def info(
+    file: FileArgument,
+    full: Annotated[bool, typer.Option("--full", help="Read every message, also of a long recording.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
-        found = Recording(file).info().model_dump(mode="json")
+        found = (_by_index(file, full=full) or Recording(file).info()).model_dump(mode="json")
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
         found["metadata"] = found["metadata"].get("recording", {})
     print_document(found, str(file), as_json=as_json)
+
+
+def _by_index(file: Path, *, full: bool) -> RecordingInfo | None:
+    """Return the summary of a long recording by its index; None where its messages are to be read."""
+    try:
+        is_long = file.stat().st_size >= _LONG_BYTES
+    except OSError:
+        # whoever reads it says so
+        return None
+    return quick_info(file) if is_long and not full else None
 
 
 @app.command("list")

@@ -15,7 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processor_time import ratio_of_costs
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, accept, decode, decode_header, encode
+from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, accept, decode, decode_header, encode, read_header
 from proto.codec import MAX_PLAIN_BYTES, largest_bytes
 from proto.contract import examples, schema_of
 from proto.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
@@ -674,3 +674,41 @@ def test_a_wrong_header_is_refused(change: dict[Any, Any], reason: str, text: st
     with pytest.raises(WireError, match=text) as error:
         decode_header("haptic/state", msgpack.packb(fields))
     assert error.value.reason == reason
+    with pytest.raises(WireError, match=text) as error:
+        read_header("haptic/state", msgpack.packb(fields))
+    assert error.value.reason == reason
+
+
+def test_the_header_alone_is_that_of_the_message() -> None:
+    for topic, payloads in GOLDEN.items():
+        for payload in payloads:
+            assert read_header(topic, payload) == decode_header(topic, payload)[0]
+
+
+@given(TOPIC, st.data())
+def test_what_is_cut_or_changed_has_the_same_header_or_is_refused(topic: str, data: st.DataObject) -> None:
+    payload = bytearray(data.draw(st.sampled_from(GOLDEN[topic])))
+    place = data.draw(st.integers(0, len(payload) - 1))
+    payload[place] = data.draw(st.integers(0, 255))
+    changed = bytes(payload[: data.draw(st.integers(place + 1, len(payload)))])
+    try:
+        whole = decode_header(topic, changed)[0]
+    except WireError:
+        return
+    assert read_header(topic, changed) == whole
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xc0", b"\x81", msgpack.packb([1]), b"\x80\x00", b"\x91" * 5000])
+def test_what_is_no_map_has_no_header(payload: bytes) -> None:
+    with pytest.raises(WireError, match="haptic/state"):
+        read_header("haptic/state", payload)
+    with pytest.raises(WireError, match="unknown topic"):
+        read_header("haptic/unknown", payload)
+
+
+def test_what_was_decoded_once_is_decoded_in_a_typed_pass_from_then_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    fields = fields_of("haptic/state") | {"src": "a_node_that_only_this_test_has@master"}
+    payload = msgpack.packb(fields)
+    message = decode("haptic/state", payload)
+    monkeypatch.setattr("proto.codec._read", lambda topic, payload: pytest.fail("it was left to the declared model"))
+    assert decode("haptic/state", payload) == message

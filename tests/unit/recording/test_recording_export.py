@@ -26,7 +26,7 @@ from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.rewrite import CopyWriter
-from recording.tables import json_fields, line, plain
+from recording.tables import columns_of, json_fields, line, plain
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
@@ -409,3 +409,54 @@ def test_what_is_not_understood_is_given_as_it_is(tmp_path: Path) -> None:
     (message,) = Recording(writer.path).messages()
     assert plain(message) == {"a": 1}
     assert AfmScanline.version >= 1
+
+
+def exported(path: Path, target: Path, kind: Format) -> dict[str, dict[str, list[Any]]]:
+    """Export a recording and return its tables, by name and column."""
+    export_recording(path, target, kind)
+    tables: dict[str, dict[str, list[Any]]] = {}
+    if kind == "hdf5":
+        with h5py.File(target) as file:
+            for topic in ("haptic/state", "teleop/forward@slave", "afm/scanline", "session/event"):
+                tables[topic] = {name: [str(value) for value in data[()]] for name, data in file[topic].items()}
+        return tables
+    for each in target.glob(f"*_*.{kind}"):
+        if kind == "parquet":
+            tables[each.stem] = parquet.read_table(each).to_pydict()
+        else:
+            with each.open(newline="", encoding="utf-8") as file:
+                head, *rows = csv.reader(file)
+            tables[each.stem] = {name: list(found) for name, found in zip(head, zip(*rows, strict=True), strict=True)}
+    return tables
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5"])
+def test_tables_written_in_batches_are_those_written_at_once(
+    rich: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Format
+) -> None:
+    at_once = exported(rich, tmp_path / "once", kind)
+    assert len(at_once) >= 4
+    # the vector that only the fourth message has is not in the first batch
+    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 3)
+    assert exported(rich, tmp_path / "batches", kind) == at_once
+    # each channel is written as soon as anything waits
+    monkeypatch.setattr("recording.table_batches._MOST_WAITING", 1)
+    assert exported(rich, tmp_path / "singly", kind) == at_once
+
+
+def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    channel = writer.channel("haptic/state", "haptic_node@master", "master")
+    for seq in range(1000):
+        writer.write(channel, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(haptic_state(seq)))
+    writer.finish()
+    lengths: list[int] = []
+
+    def counted(messages: Any) -> Any:
+        lengths.append(len(messages))
+        return columns_of(messages)
+
+    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 64)
+    monkeypatch.setattr("recording.table_batches.columns_of", counted)
+    export_recording(writer.path, tmp_path / "parquet", "parquet")
+    assert (max(lengths), sum(lengths)) == (64, 1000)

@@ -19,7 +19,13 @@ def written(kind: type[Writer], compression: CompressionType, chunk_size: int) -
     # times of reception from several sockets are not in order, and may begin at 0
     for number in range(400):
         log_ns = (number * 7919) % 1009 * 1000
-        writer.add_message(channels[number % 3], log_ns, bytes([number % 251]) * (number % 97), log_ns + 5, number)
+        writer.add_message(
+            channels[number % len(channels)], log_ns, bytes([number % 251]) * (number % 97), log_ns + 5, number
+        )
+        if number == 20:
+            # a schema and a channel in the middle of a chunk
+            other = writer.register_schema("Other", "jsonschema", b"{}")
+            channels.append(writer.register_channel("topic/other", "msgpack", other, {}))
         if number == 150:
             writer.flush()
             writer.register_channel("topic/late", "msgpack", schema, {})
@@ -35,6 +41,17 @@ def test_the_file_is_the_library_s(compression: CompressionType, chunk_size: int
 
 def test_the_library_is_as_the_short_way_expects_it() -> None:
     assert MessageWriter(BytesIO()).is_quick
+
+
+def test_messages_are_counted_before_their_chunk_ends() -> None:
+    writer = MessageWriter(BytesIO())
+    writer.start()
+    channel = writer.register_channel("topic", "msgpack", 0, {})
+    for number in range(3):
+        writer.add_message(channel, number, b"abc", number, 2**32 + number)
+        assert writer.message_count == number + 1
+    writer.flush()
+    assert writer.message_count == 3
 
 
 def test_another_inside_of_the_library_is_left_to_it() -> None:

@@ -1,0 +1,113 @@
+"""Tables of a recording of any length, written batch by batch in bounded memory."""
+
+import gc
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
+
+from recording.mcap_scan import Damage
+from recording.messages import ChannelFilter, RecordedMessage
+from recording.reader import Recording
+from recording.tables import columns_of, uniform
+
+# of a channel, what is written at once
+_MOST_ROWS = 4096
+_MOST_BYTES = 4 << 20
+# of all channels together, what waits to be written [bytes]
+_MOST_WAITING = 16 << 20
+
+Columns = dict[str, list[Any]]
+# by column, the types of its values
+Kinds = dict[str, set[type]]
+Write = Callable[[Columns], None]
+# open the table of a channel, with the columns that it has
+OpenTable = Callable[[str, Kinds], Write]
+
+
+def write_tables(
+    recording: Recording, wanted: ChannelFilter, begin: Callable[[], AbstractContextManager[OpenTable]]
+) -> tuple[dict[str, Kinds], int, list[Damage]]:
+    """Write a table for each channel; return the columns of each, the number of messages, and what cannot be read.
+
+    A table needs the types of all its columns before its first row. They are taken from the first batch of a channel;
+    where a later one has others, the recording is read to its end for them, and is then written from its beginning.
+
+    Parameters: begin, called before the first row, and for the second time where the tables are written again.
+    """
+    kinds: dict[str, Kinds] = {}
+    with _no_collection():
+        total, damage, widened = _write_once(recording, wanted, begin, kinds)
+        if widened:
+            total, damage, _ = _write_once(recording, wanted, begin, kinds)
+    return kinds, total, damage
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Suspend the garbage collector, which goes through each batch again and again and finds no cycle in it."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _write_once(
+    recording: Recording,
+    wanted: ChannelFilter,
+    begin: Callable[[], AbstractContextManager[OpenTable]],
+    kinds: dict[str, Kinds],
+) -> tuple[int, list[Damage], bool]:
+    """Write the tables, or only note the types once one is met that a table was not opened with."""
+    damage: list[Damage] = []
+    tables: dict[str, Write] = {}
+    total, widened = 0, False
+    with begin() as open_table:
+        for name, messages in _batches(recording, wanted, damage.append):
+            columns = columns_of(messages)
+            is_new = _add_kinds(kinds.setdefault(name, {}), columns, len(messages))
+            widened = widened or (is_new and name in tables)
+            total += len(messages)
+            if widened:
+                continue
+            if name not in tables:
+                tables[name] = open_table(name, kinds[name])
+            absent: list[Any] = [None] * len(messages)
+            tables[name]({column: uniform(columns.get(column, absent), found) for column, found in kinds[name].items()})
+    return total, damage, widened
+
+
+def _add_kinds(known: Kinds, columns: Mapping[str, Sequence[Any]], rows: int) -> bool:
+    """Add the types in a batch to those that are known; return whether one of them is new."""
+    is_new = False
+    for column in {**known, **columns}:
+        found = set(map(type, columns[column])) if column in columns else {type(None)}
+        before = known.setdefault(column, set())
+        if not found <= before:
+            before |= found
+            is_new = True
+    return is_new
+
+
+def _batches(
+    recording: Recording, wanted: ChannelFilter, report: Callable[[Damage], None]
+) -> Iterator[tuple[str, list[RecordedMessage]]]:
+    """Yield channel names and messages: each channel in its order, and no more at once than the memory is to hold."""
+    waiting: dict[str, list[RecordedMessage]] = {}
+    sizes: dict[str, int] = {}
+    together = 0
+    for message in recording.select(wanted, report=report):
+        name, size = message.channel.channel_topic, len(message.payload)
+        batch = waiting.setdefault(name, [])
+        batch.append(message)
+        sizes[name] = sizes.get(name, 0) + size
+        together += size
+        if len(batch) < _MOST_ROWS and sizes[name] < _MOST_BYTES and together < _MOST_WAITING:
+            continue
+        if together >= _MOST_WAITING:
+            name = max(sizes, key=lambda each: sizes[each])
+        together -= sizes.pop(name)
+        yield name, waiting.pop(name)
+    yield from waiting.items()

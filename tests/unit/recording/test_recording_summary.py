@@ -1,0 +1,97 @@
+"""The summary of a closed recording by its index is that of its messages, or there is none."""
+
+from pathlib import Path
+
+import pytest
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
+
+from proto import encode
+from recording.mcap_scan import scan
+from recording.reader import Recording
+from recording.records import GapRecord
+from recording.rewrite import filter_recording
+from recording.summary import quick_info
+from recording.writer import RecordingWriter
+from services.recorder.config import RecorderConfig
+
+SRC = "haptic_node@master"
+
+
+def written(folder: Path, numbers: list[int], *, gap: bool = False, note: str = "", finish: bool = True) -> Path:
+    """Write haptic/state with these numbers, a chunk for each hundred."""
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
+    writer.attach("site.yaml", "application/yaml", b"nodes: {}\n", EPOCH_NS)
+    writer.add_metadata("recording", {"node": NODE})
+    channel = writer.channel("haptic/state", SRC, "master")
+    for place, seq in enumerate(numbers):
+        log_ns = EPOCH_NS + place * MILLISECOND_NS
+        writer.write(channel, log_ns, log_ns, seq, encode(haptic_state(seq)))
+        if place % 100 == 99:
+            writer.flush()
+    if gap:
+        record = GapRecord(channel_topic="haptic/state", src=SRC, first_missing=200, last_missing=209, count=10)
+        writer.write_gap(log_ns, record)
+    if finish:
+        writer.finish({"state": "stopped", "note": note})
+    else:
+        # as by a kill
+        writer.flush()
+        writer.abandon()
+    return writer.path
+
+
+def test_it_is_the_summary_of_the_messages(tmp_path: Path) -> None:
+    path = written(tmp_path, list(range(450)))
+    found, expected = quick_info(path), Recording(path).info()
+    assert found is not None
+    assert (found.basis, expected.basis) == ("summary", "messages")
+    assert found.complete and expected.complete
+    unknown = {"basis": "summary", "recorder_lag": None, "channels": ()}
+    assert found.model_copy(update=unknown) == expected.model_copy(update=unknown)
+    unread = {"size_bytes": None, "repeated": None, "restarts": None}
+    assert found.channels == tuple(channel.model_copy(update=unread) for channel in expected.channels)
+
+
+def test_what_the_recorder_knows_to_be_missing_is_in_it(tmp_path: Path) -> None:
+    path = written(tmp_path, [*range(200), *range(210, 400)], gap=True, note="the drain took too long")
+    found, expected = quick_info(path), Recording(path).info()
+    assert found is not None
+    assert not found.complete
+    assert (found.lost, found.missing) == (10, expected.missing)
+    states = next(channel for channel in found.channels if channel.topic == "haptic/state")
+    assert (states.lost, states.gaps) == (10, 1)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [[*range(200), *range(210, 400)], [*range(300), *range(100)], [*range(300), 299, *range(300, 400)]],
+    ids=["a gap that is not recorded", "a restart", "a repetition"],
+)
+def test_where_the_numbers_do_not_agree_the_messages_have_to_be_read(tmp_path: Path, numbers: list[int]) -> None:
+    assert quick_info(written(tmp_path, numbers)) is None
+
+
+def test_a_copy_that_lacks_a_part_has_to_be_read(tmp_path: Path) -> None:
+    path = written(tmp_path, list(range(450)))
+    damaged = bytearray(path.read_bytes())
+    blocks = scan(bytes(damaged)).blocks
+    damaged[blocks[len(blocks) // 2].data_start + 50] ^= 0xFF
+    path.write_bytes(damaged)
+    assert not Recording(path).info().complete
+    filter_recording(path, tmp_path / "recovered.mcap")
+    assert quick_info(tmp_path / "recovered.mcap") is None
+
+
+def test_a_file_that_was_not_closed_has_no_summary(tmp_path: Path) -> None:
+    assert quick_info(written(tmp_path, list(range(450)), finish=False)) is None
+
+
+def test_no_damage_to_the_summary_ends_in_anything_but_the_other_way(tmp_path: Path) -> None:
+    path = written(tmp_path, list(range(450)))
+    whole = path.read_bytes()
+    for place in range(len(whole) - 1500, len(whole)):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+        assert quick_info(path) is None
+    for length in (0, 8, 40, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        assert quick_info(path) is None
