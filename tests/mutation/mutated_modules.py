@@ -10,6 +10,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/afm_node/test_integral_share.py",
         "tests/unit/afm_node/test_feedback.py",
     ),
+    "services/afm_node/programs/runner.py": ("tests/unit/afm_node/test_program_runner.py",),
     "services/haptic_node/safety.py": (
         "tests/unit/haptic_node/test_haptic_guard_edges.py",
         "tests/unit/haptic_node/test_haptic_safety.py",
@@ -21,6 +22,11 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_runtime_freshness.py",
     ),
     "services/runtime/loop/deferred.py": ("tests/unit/runtime/test_deferred_tasks.py",),
+    "services/runtime/loop/node_state.py": ("tests/unit/runtime/test_runtime_node_state.py",),
+    "services/runtime/loop/journal.py": (
+        "tests/unit/runtime/test_journal_state.py",
+        "tests/unit/runtime/test_runtime_node.py",
+    ),
     "services/runtime/loop/node.py": (
         "tests/unit/runtime/test_loop_edges.py",
         "tests/unit/runtime/test_loop_admission.py",
@@ -38,6 +44,8 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/delay_node/test_link_order.py",
         "tests/unit/delay_node/test_link_state.py",
     ),
+    "services/controller/hand_periods.py": ("tests/unit/controller/test_hand_periods.py",),
+    "services/controller/integration.py": ("tests/unit/controller/test_integration.py",),
     "services/controller/laws/passivity.py": (
         "tests/unit/controller/test_passivity_ports.py",
         "tests/unit/controller/test_passivity.py",
@@ -51,12 +59,29 @@ MODULES: dict[str, tuple[str, ...]] = {
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
 EQUIVALENT: dict[str, dict[str, str]] = {
+    "services/afm_node/programs/runner.py": {
+        "ProgramRunner.restore: if plan is not None and reached is not None:"
+        " [plan is not None and reached is not None => plan is not None or reached is not None]": "a state has both of"
+        " them or neither",
+    },
+    "services/runtime/loop/journal.py": {
+        "InputJournal.__init__: self._next_state_ns = 0 [0 => 1]": "no turn is taken a nanosecond after 1970",
+    },
+    "services/runtime/loop/node_state.py": {
+        "_names: if not _open_fields(kind): [not _open_fields(kind) => False]": "the same names, looked up field by"
+        " field",
+    },
     "services/runtime/loop/freshness.py": {
         "DelayHistory.forget_before: if place > 0: [place > 0 => place >= 0]": "deletes the first 0 entries",
         "Freshness.__init__: self._judged_ns = 0 [0 => 1]": "no sample of a hand is a nanosecond after 1970",
         "Freshness.age_s: taken_ns = hand_t_ns + (self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns))"
         " [self._newest_lag_ns if is_newest else self.lag_ns(hand_t_ns) => self.lag_ns(hand_t_ns)]": "the lag of the"
         " newest sample is kept only to save looking it up",
+    },
+    "services/runtime/loop/deferred.py": {
+        "DeferredTasks.__init__: self._free_ns, self._end_ns, self._middle_ns, self._next_ns = NEVER_NS, 0, 0, NEVER_NS"
+        f" [0 => 1]{place}": "no gap has begun, so nothing fits in whatever its end and middle are"
+        for place in ("", " (2)")
     },
     "services/runtime/loop/commands.py": {
         "CommandHandler.__init__: self._stalled_s = 0.0 [self._stalled_s = 0.0 => pass]": "read only after it was set",
@@ -68,6 +93,46 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "services/delay_node/engine.py": {
         "DirectionEngine.restore: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
         " [0 => 1]": "every time in the pipeline is restored a few lines later",
+        "DirectionEngine._schedule: self._pushed += 1 [1 => 2]": "only the order of these numbers counts",
+        "DirectionEngine._delay: if delay_ns == 0 and not (heap and heap[0][0] <= now_ns): [0 => 1] (3)": "a message"
+        " without a delay goes out by way of the heap then, in the same call",
+    },
+    "services/controller/hand_periods.py": {
+        "module: ANEW = -1 [1 => 2]": "any negative number is no count",
+        "no_sample: return HandClock(-1, 0) [0 => 1]": "the first sample sets the place of the grid",
+        "no_sample: return HandClock(-1, 0) [1 => 2]": "any negative time stamp stands for none",
+        "periods_to: periods = 1 if since_ns == period_ns else max(0, (since_ns + period_ns // 2) // period_ns)"
+        " [1 if since_ns == period_ns else max(0, (since_ns + period_ns // 2) // period_ns) =>"
+        " max(0, (since_ns + period_ns // 2) // period_ns)]": "the same number, with a division in the common case too",
+        "periods_to: periods = 1 if since_ns == period_ns else max(0, (since_ns + period_ns // 2) // period_ns)"
+        " [max(0, (since_ns + period_ns // 2) // period_ns) => (since_ns + period_ns // 2) // period_ns]": "the grid is"
+        " at most half a period later than the sample before, and this one is later than that",
+    },
+    "services/controller/integration.py": {
+        "module: _NEVER_NS = -1 [1 => 2]": "any negative time stands for none",
+        "module: _ENDLESS = 2**40 [2 => 3]": "any number of periods above the longest step",
+        "module: _ENDLESS = 2**40 [40 => 41]": "any number of periods above the longest step",
+        **{
+            f"slave_begin: commands = Commands(-1, -1, (0, 0, 0, 0, 0, 0, 0, 0), False, True) {change}": reason
+            for reason, changes in {
+                "any negative number stands for no command": ("[1 => 2]",),
+                "the first command sets it": ("[-1 => 1] (2)", "[1 => 2] (2)", "[True => False]"),
+                "no more steps are added up than commands were sent, and each of these brings its own": (
+                    "[0 => 1]",
+                    *(f"[0 => 1] ({place})" for place in range(2, 9)),
+                ),
+            }.items()
+            for change in changes
+        },
+        **{
+            f"slave_begin: return SlaveTiming(no_sample(), nothing_heard(), Pacing(1, 0, 1), commands) {change}": "the"
+            " first signal begins anew, and sets it"
+            for change in ("[1 => 2]", "[0 => 1]", "[1 => 2] (2)")
+        },
+    },
+    "services/controller/laws/passivity.py": {
+        "moved_by_what_is_paid: damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j,"
+        " 0.0), 1.0) [1.0 => 2.0] (2)": "a motion of the hand is cut to what its store has, which is never below zero",
     },
     "services/recorder/listener.py": {
         "Listener: _last_batch_ns: int = 0 [0 => 1]": "read only after the first batch, which sets it",

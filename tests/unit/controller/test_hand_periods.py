@@ -50,3 +50,33 @@ def test_it_begins_anew_after_the_longest_pause_and_with_stamps_that_go_back(lat
     assert hand.counted(10**18 + later_ns) == periods
     if periods == ANEW:
         assert hand.clock == HandClock(10**18 + later_ns, 10**18 + later_ns)
+
+
+def test_what_stands_for_a_new_beginning_is_no_count() -> None:
+    assert ANEW < 0
+
+
+@pytest.mark.parametrize("first_ns", [0, 2 * PERIOD_NS, 10**18])
+def test_samples_that_are_never_late_count_one_period_each_and_leave_the_grid_where_it_is(first_ns: int) -> None:
+    hand = Counter(first_ns)
+    for number in range(1, 4):
+        assert hand.counted(first_ns + number * PERIOD_NS) == 1
+        assert hand.clock == HandClock(first_ns + number * PERIOD_NS, first_ns + number * PERIOD_NS)
+
+
+@pytest.mark.parametrize(
+    ("since_ns", "periods", "grid_ns"),
+    [
+        (PERIOD_NS // 2 - 1, 0, 7812),
+        (PERIOD_NS // 2, 1, PERIOD_NS - 7813),
+        (PERIOD_NS + 640, 1, PERIOD_NS + 10),
+        (3 * PERIOD_NS // 2 - 1, 1, PERIOD_NS + 7812),
+        (3 * PERIOD_NS // 2, 2, 2 * PERIOD_NS - 7813),
+    ],
+)
+def test_a_sample_counts_to_the_nearest_place_of_the_grid_and_moves_it_by_a_64th(
+    since_ns: int, periods: int, grid_ns: int
+) -> None:
+    hand = Counter(10**18)
+    assert hand.counted(10**18 + since_ns) == periods
+    assert hand.clock == HandClock(10**18 + since_ns, 10**18 + grid_ns)

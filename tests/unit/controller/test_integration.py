@@ -11,6 +11,7 @@ from services.controller.integration import (
     ANSWER_EARLY,
     GO_ON,
     NOTHING,
+    Heard,
     MasterTiming,
     Sampled,
     Settled,
@@ -20,16 +21,20 @@ from services.controller.integration import (
     master_heard,
     master_sampled,
     master_settled,
+    master_silenced,
     master_stalled,
     round_trip_periods,
+    silence_ns,
     slave_begin,
     slave_commanded,
     slave_measured,
     slave_signalled,
+    slave_silenced,
     slave_stalled,
     slave_stepped,
     slave_unanswered,
 )
+from services.controller.law import MOST_PERIODS_A_STEP
 
 MS = 1_000_000
 MASTER, SLAVE = TimingParams(MS, 50, 0), TimingParams(MS, 50, 50 * MS)
@@ -87,6 +92,31 @@ def test_the_round_trip_is_the_age_of_the_answered_sample_in_periods(due: Master
     assert round_trip_periods(master_heard(timing, BEGIN_NS + 5 * MS, BEGIN_NS + 9 * MS), MASTER) == 0
 
 
+def test_the_round_trip_is_rounded_to_the_nearest_period(due: MasterTiming) -> None:
+    for since_ns, periods in ((MS // 2 - 1, 0), (MS // 2, 1), (3 * MS // 2 - 1, 1), (3 * MS // 2, 2)):
+        heard = master_heard(due, BEGIN_NS, due.hand.sampled_ns - since_ns)
+        assert round_trip_periods(heard, MASTER) == periods
+
+
+def test_there_is_no_silence_before_a_signal_and_none_of_less_than_nothing() -> None:
+    assert silence_ns(Heard(BEGIN_NS, BEGIN_NS), BEGIN_NS + 1) == 1
+    # the reception is stamped after the time of the turn
+    assert silence_ns(Heard(BEGIN_NS + 1, BEGIN_NS), BEGIN_NS) == 0
+
+
+def test_a_half_that_waits_anew_keeps_what_is_due(due: MasterTiming) -> None:
+    heard = master_heard(due, BEGIN_NS, BEGIN_NS)
+    assert master_silenced(heard) == due
+    timing = signalled(slave_begin(), 0, 7)
+    silenced = slave_silenced(timing)
+    assert silenced.heard.received_ns < 0
+    assert silenced._replace(heard=timing.heard) == timing
+    # without a signal that counts it does not go on by itself
+    settled_timing, _ = measured(timing, 0, 7)
+    assert measured(settled_timing, 0, 7)[1].what == GO_ON
+    assert measured(slave_silenced(settled_timing), 0, 7)[1].what == NOTHING
+
+
 def signalled(timing: SlaveTiming, ms: int, number: int) -> SlaveTiming:
     """Return the timing after a signal of a sample that was taken at ms, and its command."""
     now_ns = BEGIN_NS + ms * MS
@@ -119,7 +149,82 @@ def test_an_instrument_that_steps_by_itself_takes_the_slave_along_while_the_sign
     own = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 3 * MS // 2, 0), 8, False)
     assert measured(own, 1.5, 8)[1] == Settled(ANSWER, 1, False)
     without = TimingParams(MS, 50, 0)
-    assert slave_measured(timing, without, BEGIN_NS + MS, 7, False, True)[1].what == NOTHING
+    for now_ns in (BEGIN_NS, BEGIN_NS + MS):
+        assert slave_measured(timing, without, now_ns, 7, False, True)[1].what == NOTHING
+
+
+def test_a_slave_that_waits_for_its_command_neither_goes_on_nor_takes_one_back() -> None:
+    timing = signalled(signalled(slave_begin(), 0, 7), 1, 8)
+    # the instrument has carried out the one before, and stands still while the law changes
+    assert measured(timing, 1, 7, held=True) == (timing, NOT_SETTLED)
+    accounted, settled = measured(timing, 1, 7)
+    assert settled == Settled(ACCOUNT, 1, False)
+    assert accounted.commands.waiting
+    assert measured(accounted, 1, 8)[1] == Settled(ANSWER, 1, True)
+
+
+@pytest.mark.parametrize("first", [0, 1, 7])
+def test_the_first_command_is_accounted_for_whatever_its_number_is(first: int) -> None:
+    timing = signalled(signalled(slave_begin(), 0, first), 1, first + 1)
+    assert measured(timing, 1, first + 1)[1] == Settled(ANSWER, 2, True)
+    assert measured(timing, 1, first)[1] == Settled(ACCOUNT, 1, False)
+
+
+def test_before_the_first_command_a_state_of_the_instrument_settles_nothing() -> None:
+    for number in (-1, 0, 1):
+        assert measured(slave_begin(), 0, number) == (slave_begin(), NOT_SETTLED)
+    assert slave_unanswered(slave_begin(), False) == (slave_begin(), NOT_SETTLED)
+
+
+def test_up_to_six_commands_back_are_told_apart_and_all_are_accounted_for_by_the_newest() -> None:
+    timing, ms = slave_begin(), 0
+    for number in range(20):
+        timing = signalled(timing, ms := ms + number % 3 + 1, number)
+    # the steps: 1, and then 2, 3, 1, 2, 3, ...
+    assert measured(timing, ms, 12) == (timing, NOT_SETTLED)
+    older, settled = measured(timing, ms, 13)
+    assert settled == Settled(ACCOUNT, 1 + sum(number % 3 + 1 for number in range(1, 14)), False)
+    assert measured(older, ms, 19)[1].periods == sum(number % 3 + 1 for number in range(14, 20))
+    assert measured(timing, ms, 19)[1].periods == 1 + sum(number % 3 + 1 for number in range(1, 20))
+
+
+def test_a_slave_between_two_signals_makes_up_for_each_whole_period_of_silence_once() -> None:
+    timing, _ = measured(signalled(slave_begin(), 0, 7), 0, 7)
+    for since_ns, periods in ((MS - 1, 0), (MS, 1), (2 * MS - 1, 1), (2 * MS, 2)):
+        assert slave_stepped(timing, SLAVE, BEGIN_NS + since_ns, 0).pacing.step == periods
+    ahead = slave_stepped(timing, SLAVE, BEGIN_NS + 2 * MS, 0)
+    assert slave_stepped(ahead, SLAVE, BEGIN_NS + 2 * MS, 0).pacing.step == 0
+    # the two signals that come after all bring the two periods again, and each is a step of at least one
+    late, begins = slave_signalled(ahead, SLAVE, BEGIN_NS + 2 * MS, BEGIN_NS + 2 * MS, True)
+    assert (begins, late.pacing.elapsed, late.pacing.behind) == (False, 2, -2)
+    assert slave_stepped(late, SLAVE, BEGIN_NS + 2 * MS, 2).pacing.step == 1
+
+
+def test_a_slave_that_begins_anew_owes_no_period_of_the_pause() -> None:
+    timing = slave_stepped(signalled(slave_begin(), 0, 7), SLAVE, BEGIN_NS + 5 * MS, 0)
+    assert timing.pacing.behind == -3
+    again, begins = slave_signalled(timing, SLAVE, BEGIN_NS + 60 * MS, BEGIN_NS + 60 * MS, True)
+    assert begins
+    assert (again.pacing.elapsed, again.pacing.behind) == (1, 0)
+    assert slave_stepped(again, SLAVE, BEGIN_NS + 60 * MS, 1).pacing[1:] == (0, 1)
+
+
+def test_a_slave_that_understands_no_signal_makes_the_longest_step() -> None:
+    timing, _ = slave_signalled(slave_begin(), SLAVE, BEGIN_NS, BEGIN_NS, False)
+    assert slave_stepped(timing, SLAVE, BEGIN_NS, 0).pacing.step == MOST_PERIODS_A_STEP
+    # one that was understood before counts on, and the other is silence
+    understood = signalled(slave_begin(), 0, 7)
+    other, _ = slave_signalled(understood, SLAVE, BEGIN_NS + MS, BEGIN_NS + MS, False)
+    assert other.heard == understood.heard
+    assert (other.hand.sampled_ns, other.pacing.elapsed) == (BEGIN_NS + MS, 1)
+
+
+def test_the_last_signal_counts_for_a_nanosecond_where_that_is_the_setting() -> None:
+    timing, _ = measured(signalled(slave_begin(), 0, 7), 0, 7)
+    found = [
+        slave_measured(timing, TimingParams(MS, 50, 1), BEGIN_NS + since, 7, False, True)[1].what for since in (1, 2)
+    ]
+    assert found == [GO_ON, NOTHING]
 
 
 def test_a_signal_before_the_instrument_has_answered_is_answered_and_accounted_for_once() -> None:

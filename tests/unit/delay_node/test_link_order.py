@@ -244,3 +244,23 @@ def test_settings_of_a_pattern_may_go_while_messages_wait_under_them() -> None:
         link.forward.submit(START, "own/a", bytes(100), seq)
     link.reconfigure(parse_settings({"forward": {}}), START + MS // 2)
     assert [release.fate.release_ns for release in finish(link.forward)] == [START + n * MS for n in (1, 2, 3)]
+
+
+def test_a_message_of_one_byte_can_be_corrupted_and_an_empty_one_cannot() -> None:
+    link = engine(corruption={"probability": 1.0})
+    for seq, payload in enumerate((b"\0", b"", b"\0")):
+        link.submit(START + seq * MS, TOPIC, payload, seq)
+    finish(link)
+    assert [fate.corrupted for fate in link.take_fates()] == [True, False, True]
+    assert link.stats().corrupted == 2
+
+
+def test_messages_of_one_slot_come_out_in_the_order_in_which_they_went_in() -> None:
+    link = engine(slots={"min_interval_s": 0.01})
+    for seq in range(4):
+        link.submit(START + (seq + 1) * MS, TOPIC, bytes([9 - seq]), seq)
+    released = finish(link)
+    # in that of the time and not of the content
+    assert [(release.fate.seq, release.fate.release_ns) for release in released] == [
+        (seq, START + 10 * MS) for seq in range(4)
+    ]

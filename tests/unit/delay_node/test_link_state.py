@@ -133,6 +133,16 @@ def test_a_message_that_waits_under_former_settings_has_no_form_until_it_has_gon
     assert link.capture()
 
 
+def test_what_has_left_its_queue_at_a_change_is_decided_under_the_former_settings() -> None:
+    link = LinkEngine(parse_settings({"forward": {"rate": {"rate_bytes_per_s": 1e5}}}), START)
+    for seq in range(4):
+        link.forward.submit(START, "teleop/forward", bytes(100), seq)
+    # the change is the first call since the last one has left, after 4 ms
+    link.reconfigure(changed(link.settings, {"forward.order": "topic"}), START + 10 * MS)
+    assert link.capture()
+    assert [fate.release_ns for fate in link.take_fates()] == [START + n * MS for n in (1, 2, 3, 4)]
+
+
 def test_the_state_has_the_names_of_what_is_in_flight_and_the_bytes_only_where_bits_were_flipped() -> None:
     for probability in (0.0, 1.0):
         tree = {"delay_s": 1.0, "corruption": {"probability": probability}}

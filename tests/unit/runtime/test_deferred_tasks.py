@@ -300,3 +300,11 @@ def test_what_is_not_needed_can_be_forgotten_and_is_no_turn_to_wait_for(ticking:
     ticking.add("settle", is_turn=True, within_ns=NEVER_NS)
     assert not ticking.tasks.has_turns
     assert ticking.tasks.take_turn() == ticking.named("settle")
+
+
+def test_a_task_is_no_turn_and_waits_for_20_ms_unless_something_else_is_said(loop: Loop) -> None:
+    loop.event(is_last=False)
+    loop.tasks.add(loop.named("a"))
+    assert not loop.tasks.has_turns
+    assert loop.tasks.take_turn() is None
+    assert loop.due_in_ns == PATIENCE_NS

@@ -9,6 +9,8 @@ from proto import TOPICS, encode
 from proto.contract import examples
 from proto.sequence import Arrival
 from proto.topics import LOOP_DEADLINE_S
+from services.delay_node.declared_delay import DeclaredDelay
+from services.delay_node.fate import Release, delayed
 from services.runtime.bus.bus import Received
 from services.runtime.loop.freshness import LOOP_DEADLINE_NS, Freshness
 
@@ -103,3 +105,19 @@ def test_what_waited_during_a_stall_is_rejected_without_a_report(fresh: Freshnes
 def test_what_has_no_deadline_is_never_too_old(fresh: Freshness) -> None:
     assert fresh.rejection(received("law/status", 3600 * 10**9)) is None
     assert fresh.rejection(received("session/control", 3600 * 10**9)) is None
+
+
+@pytest.mark.parametrize(("delay_ns", "told_ns"), [(MS - 1, 0), (MS, MS), (2 * MS - 1, MS), (3 * MS, 3 * MS)])
+def test_the_link_tells_its_delay_in_whole_milliseconds_so_that_an_age_is_too_great_by_less_than_one(
+    delay_ns: int, told_ns: int
+) -> None:
+    topic = "teleop/forward"
+    payload = encode(message(topic, hand_t_ns=NOW_NS - delay_ns))
+    fate = delayed("forward", topic, 0, len(payload), NOW_NS - delay_ns, NOW_NS, delay_ns, False, "controller@master")
+    declared, slave = DeclaredDelay(topic), Freshness("controller@slave", START_NS)
+    if declared.changed_by(Release(topic, payload, fate)):
+        told = message("link/delay", src="delay_node@master", direction="forward", **declared.current._asdict(),
+                       transit_ns=0, clock_ahead_ns=0)  # fmt: skip
+        slave.record(told)
+    assert declared.current.delay_ns == told_ns
+    assert slave.age_s(NOW_NS, NOW_NS - delay_ns) == pytest.approx((delay_ns - told_ns) * 1e-9, rel=1e-9, abs=0.0)

@@ -87,6 +87,17 @@ def test_the_messages_of_a_state_are_sent_one_at_a_time(monkeypatch: pytest.Monk
     assert not kept.publish()
 
 
+def test_a_batch_is_complete_with_4096_turns() -> None:
+    rig = journalled_rig(period_ns=10 * MS)
+    kept = rig.loop._journal
+    assert kept is not None
+    for _ in range(4095):
+        kept.record_turn(journal.DEADLINE)
+    assert not kept.full
+    kept.record_turn(journal.DEADLINE)
+    assert kept.full
+
+
 @pytest.mark.parametrize("value", [object(), 2**80, ValueError("a message waits"), AttributeError("no 'state'")])
 def test_a_state_that_cannot_be_kept_is_an_event_once(monkeypatch: pytest.MonkeyPatch, value: Any) -> None:
     def capture(node: Journalled) -> State:

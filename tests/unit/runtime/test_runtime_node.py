@@ -215,6 +215,14 @@ def test_a_process_reports_more_often_at_first() -> None:
     assert {h.rate_hz for h in rig.health[1:]} == {1000.0}
 
 
+def test_a_process_that_starts_on_a_machine_that_has_run_for_long_reports_as_often() -> None:
+    rig = Rig()
+    rig.clock.advance_ns(100_000 * MS)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, starting_period_ns=100 * MS)
+    rig.run_until(100_305 * MS)
+    assert [(h.t_ns - 10**18) // MS - 100_000 for h in rig.health] == [5, 105, 205, 305]
+
+
 def test_a_process_whose_session_runs_reports_twice_a_second() -> None:
     rig = Rig(period_ns=MS)
     rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, starting_period_ns=100 * MS)

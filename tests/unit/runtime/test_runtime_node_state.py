@@ -228,6 +228,73 @@ def test_a_state_of_another_version_or_with_other_fields_is_refused(change: tupl
         restore(renamed(source.replace(*change)), pack(node))
 
 
+class Tip(NamedTuple):
+    """A state of a part that is not that of the hand."""
+
+    depth_m: float
+
+
+class Law(NamedTuple):
+    """A state with samples of a declared kind beside a part of any kind."""
+
+    past: tuple[HandSample, ...] | None
+    part: Any
+
+
+class LawOfTips(NamedTuple):
+    """The same two fields, where the samples are of another kind."""
+
+    past: tuple[Tip, ...] | None
+    part: Any
+
+
+HAND = HandSample(1.0, 2.0, 3.0, True)
+
+
+@pytest.mark.parametrize(
+    ("state", "example", "sentence"),
+    [
+        (
+            Chosen(1.0, np.zeros(1), HAND),
+            Chosen(1.0, np.zeros(1), Tip(1.0)),
+            "it lacks sample.depth_m and has",
+        ),
+        (Law((), HAND), Law((), Tip(1.0)), "it lacks part.depth_m and has in addition part.position_m"),
+        (Law(None, HAND), LawOfTips(None, HAND), "it lacks past.depth_m and has in addition past.position_m"),
+        (Law((HAND,), 1.0), LawOfTips((), 1.0), "it lacks past.depth_m and has in addition past.position_m"),
+    ],
+)
+def test_a_part_with_other_fields_within_is_refused_and_they_are_named(state: Any, example: Any, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        part(state).like(example)
+
+
+def test_a_part_is_taken_as_one_of_a_class_whose_fields_it_has() -> None:
+    assert part(Law((HAND,), 1.0)).of_kind(Law) == Law((HAND,), 1.0)
+    with pytest.raises(ValueError, match=r"it lacks past\.depth_m and has in addition past\.position_m"):
+        part(Law((), 1.0)).of_kind(LawOfTips)
+
+
+def test_what_a_part_declares_fits_whether_there_is_something_in_it_or_not() -> None:
+    node = Probe()
+    for state, example in ((Law(None, HAND), Law((HAND,), HAND)), (Law((HAND, HAND), Tip(2.0)), Law(None, Tip(0.0)))):
+        node.state = node.state._replace(law=part(state))
+        found = restored(node).state.law
+        assert found is not None
+        assert found.like(example) == state
+
+
+def test_a_part_with_more_or_fewer_values_is_refused() -> None:
+    for values, example in (([1.0, 2.0], (1.0,)), ([1.0], (1.0, 2.0))):
+        with pytest.raises(ValueError, match="argument 2 is"):
+            Part((), values).like(example)
+    names, values = part(Law(None, 1.0))
+    for wrong in ([None], [None, 1.0, 2.0]):
+        with pytest.raises(ValueError, match="argument 2 is"):
+            Part(names, wrong).like(Law(None, 1.0))
+    assert Part(names, values).like(Law((), 0.0)) == Law(None, 1.0)
+
+
 @pytest.mark.parametrize("value", [object(), lambda: None, 2**70, {1.0: {object()}}])
 def test_what_cannot_be_kept_is_named(value: object) -> None:
     node = Probe()
