@@ -241,7 +241,7 @@ class Recording:
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
-                moved = order.get(block.offset)
+                moved, end = order.get(block.offset), 0
                 for opcode, start, end in records_of(content):
                     if opcode == Opcode.MESSAGE:
                         number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
@@ -259,6 +259,9 @@ class Recording:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         channels.read(opcode, content[start:end])
+                if end != len(content) and report is not None:
+                    rest = len(content) - end
+                    report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
 
     @cached_property
     def _order(self) -> dict[int, BlockOrder]:
