@@ -117,4 +117,4 @@ def test_a_count_of_a_peer_that_makes_up_numbers_is_reported_as_the_greatest(nod
             bus.take(_frames("haptic/command", seq=seq, t_ns=2 * number + (seq > 0), src="a@master"))
     (row,) = [row for row in bus.input_health() if row.src == "a@master"]
     assert row.lost == MOST_COUNTED
-    loop.publish_health(loop.node.clock.monotonic_ns())
+    loop.publish_health()

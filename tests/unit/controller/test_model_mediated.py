@@ -118,7 +118,8 @@ def test_guard_presses_no_harder_than_the_hand() -> None:
     for _ in range(300):
         force = 30.0 * (state.position_m - 9e-9)
         assert force <= 1e-8 * (1.0 + 1e-9)
-        state, _ = slave_receive(PARAMS, state, signal, tip._replace(force_n=force), T)
+        moved = tip._replace(force_n=force, base_position_m=state.position_m)
+        state, _ = slave_receive(PARAMS, state, signal, moved, T)
     assert force == pytest.approx(1e-8, rel=1e-6, abs=0.0)
 
 
