@@ -187,13 +187,15 @@ def test_somebody_finds_the_jump_to_contact_in_a_recording_that_has_ended(chromi
 def find_the_jump(page: Page, folder: Path) -> None:
     """Walk as somebody who opens a recording after its end: by keys to the jump, and with a cursor to its force."""
     page.until("telenano.scopes.plots[0].data[1]?.some((value) => value > 1.9)", "the curves of the whole")
-    assert page.page.inner_text("#hand-force") != "–"
+    page.until("document.querySelector('#hand-force').innerText !== '–'", "the force of the hand at the end")
     assert page.page.locator("#summary tbody tr").count() == len(page.value("telenano.cockpit.document.about.holds"))
     keyboard = page.page.keyboard
     keyboard.press("Home")
     page.until("telenano.cockpit.document.at(performance.now()) === 0", "the beginning")
     for _ in range(5):
+        place_s = page.value("telenano.cockpit.document.at(performance.now())")
         keyboard.press("e")
+        page.until(f"telenano.cockpit.document.at(performance.now()) > {place_s}", "the next event")
         page.page.wait_for_timeout(300.0)
         if "jumps into contact" in page.page.inner_text("#place-event"):
             break
