@@ -259,7 +259,8 @@ class Recording:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         channels.read(opcode, content[start:end])
-                if end != len(content) and report is not None:
+                # of a block that is cut off the end is missed already
+                if block.whole and end != len(content) and report is not None:
                     rest = len(content) - end
                     report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
 

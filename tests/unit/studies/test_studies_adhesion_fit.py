@@ -122,7 +122,9 @@ def test_the_intervals_cover_in_white_noise_under_drift_and_under_wander(curve, 
     assert max(radius, work) / seeds < most + slack
 
 
-@pytest.mark.parametrize("kind", ["white", "drift", "wander"])
+@pytest.mark.parametrize(
+    "kind", ["white", *(pytest.param(kind, marks=pytest.mark.endurance) for kind in ("drift", "wander"))]
+)
 def test_a_line_in_noise_that_may_wander_is_covered(kind):
     """The regression by itself, over 200 seeds: 10 misses are expected, and more than 30 by chance never."""
     index = np.arange(150.0)
