@@ -41,19 +41,21 @@ def _driver(config: AfmConfig) -> AfmDriver:
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
     """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
     try:
+        from services.afm_node.physics.dynamic import FINEST
         from services.afm_node.physics.dynamic_sim import dynamic_params, require_steps, resting_steps
     except ImportError as error:
         raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
     surface, friction = config.to_surface(), config.to_friction_params()
     try:
         # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
-        driven = config.to_dynamic(temperature_k=1.0)
-        require_steps(driven)
+        whole = config.cantilever.steps_per_period
+        driven = config.to_dynamic(temperature_k=1.0, finest=whole)
         rest = resting_steps(driven)
+        if rest > whole // 2:
+            # A millisecond of the bus has no time for more steps than the configuration and the contact ask for.
+            driven = config.to_dynamic(temperature_k=1.0, like=driven, finest=min(FINEST, max(whole, 2 * rest)))
+        require_steps(driven)
         resting = config.to_dynamic(steps_per_period=rest, temperature_k=1.0, like=driven, finest=rest)
-        # a millisecond of the bus has no time for more steps than those of the configuration, and what contact needs
-        finest = max(config.cantilever.steps_per_period, 2 * rest)
-        driven = config.to_dynamic(temperature_k=1.0, like=driven, finest=finest)
         tip = dynamic_params(config.to_params().plant, driven, resting)
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error

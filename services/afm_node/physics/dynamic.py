@@ -274,14 +274,15 @@ def advance(
             kick += 2
         part, low = 0, base + surface
         while part < whole:
-            at = p * whole + part
-            speed = v - towards - drive_m * turns[at, 2]
-            slope, bend = grid_slopes(cubics, start_m, cells_per_m, attraction, h, 2 * int(contact) + int(meniscus))
-            if viscous and (contact or h < viscosity.liquid_thickness_m):
-                change = _viscous_change(viscosity, h, speed, slope, bend, force - stiffness * z, mass)
-            else:
-                change = abs(bend * speed * speed + slope * (force - stiffness * z) / mass)
-            level = _level(flows, change, abs(speed), _way_m(passages, h, contact, meniscus), bound, part)
+            at, level = p * whole + part, 0
+            if whole > 1:
+                speed = v - towards - drive_m * turns[at, 2]
+                slope, bend = grid_slopes(cubics, start_m, cells_per_m, attraction, h, 2 * int(contact) + int(meniscus))
+                if viscous and (contact or h < viscosity.liquid_thickness_m):
+                    change = _viscous_change(viscosity, h, speed, slope, bend, force - stiffness * z, mass)
+                else:
+                    change = abs(bend * speed * speed + slope * (force - stiffness * z) / mass)
+                level = _level(flows, change, abs(speed), _way_m(passages, h, contact, meniscus), bound, part)
             size, dt = whole >> level, flows[level, 4]
             half = 0.5 * dt / mass
             v += force * half
