@@ -14,9 +14,9 @@ Phase = Literal["apart", "approach", "contact", "hold", "release", "released"]
 
 # the tip bounces when it lands: a contact that is lost for less is one contact [s]
 _LEAST_GAP_S = 0.02
-# what is shorter is no phase but the end of a series [s]
+# A stretch that is shorter than this is no phase but the end of a series [s].
 _SHORTEST_S = 0.005
-# of the greatest force of the hand: below it the hand does not press
+# Below this share of its greatest force the hand does not press.
 _PRESSING_SHARE = 0.05
 # a hand that has begun to move is away from where it began by this share of its way
 _MOVING_SHARE = 0.02

@@ -83,11 +83,11 @@ _RESIDUE_SHARE = 0.1
 _SEEN_CYCLES, _SLOW_CYCLES, _SEEN_SHARE, _SEEN_AT_END = 1.5, 8.0, 1.0 / 3.0, 0.25
 # The longest way of an approach is at least so many times the height that counts as a turn.
 _APPROACH_HEIGHTS = 4.0
-# where there is noise, turns are looked for in so many means
+# Where there is noise, turning points are looked for in so many means of neighbouring samples.
 _TURN_SAMPLES = 256
-# of the later half: a tip that touches for less was in the air
+# A tip that touches for less than this share of the later half was in the air.
 _AIR_SHARE = 0.25
-# of the hold, at its end: what has come to rest by then has settled
+# A motion that has come to rest by this last share of the hold has settled.
 _SETTLED_SHARE = 0.25
 # of the hand's force: what a hand sets in motion and what grows is larger, and a rest of rounding is not
 _NOTHING_SHARE = 1e-6

@@ -53,7 +53,7 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     try:
         return _export(recording, target, kind, selection)
     except FileExistsError as error:
-        # where a file stands in the place of its folder, that is what exists
+        # A file that stands in the place of the folder exists already as well.
         reason = "already exists and is not overwritten" if target.exists() else f"cannot be created: {error.strerror}"
         raise RecordingError(f"{target}: {reason}") from error
     except (OverflowError, ValueError) as error:

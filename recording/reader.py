@@ -259,7 +259,7 @@ class Recording:
                             report(Damage(block.offset, end - start, f"a message of the unknown channel {number}"))
                     elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         channels.read(opcode, content[start:end])
-                # of a block that is cut off the end is missed already
+                # The missing end of a block that is cut off was reported when the file was scanned.
                 if block.whole and end != len(content) and report is not None:
                     rest = len(content) - end
                     report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
@@ -270,7 +270,7 @@ class Recording:
         finder, table = OvertakenFinder(), self._recorded_channels()
 
         def is_numbered(number: int) -> bool:
-            # what was received at its publisher has the numbers of one process in the order of sending
+            # Messages that were received at their publisher have the numbers of one process in the order of sending.
             channel = table.known.get(number)
             return (
                 channel is not None and channel.via == "direct" and bool(channel.src) and channel.topic not in RECORDS
