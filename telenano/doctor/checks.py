@@ -376,14 +376,20 @@ def _endpoint_finding(node: str, endpoint: str, found: Endpoint) -> Finding:
 
 
 def check_keys(machine: str, others: Iterable[str], keyring: "Keyring") -> list[Finding]:
-    """Check whether a machine has its key, and knows those of the other machines of a rig."""
+    """Check whether a machine has its key, and knows those of the other machines of a rig, and when they expire."""
     try:
-        keyring.own(machine)
-        allowed = keyring.allowed()
+        keyring.own_in_force(machine)
+        allowed, expiring = keyring.allowed(), keyring.expiring()
     except ConfigError as error:
         # the text of the error names the command that helps
         return [Finding("keys", "problem", f"this machine is {machine}: {error}", "correct it with `telenano keys`")]
     unknown = [name for name in sorted(others) if allowed.of_machine(name) is None]
+    if expiring:
+        advice = (
+            "make a new key there (`telenano keys new NAME --replace`) and allow it on the other machines, or give "
+        )
+        advice += "the key another last day (`telenano keys allow NAME KEY --role ... --expires DATE`)"
+        return [Finding("keys", "warning", f"this machine is {machine}; {'; '.join(expiring)}", advice)]
     if not unknown:
         return [Finding("keys", "ok", f"this machine is {machine}; it knows the keys of {', '.join(sorted(others))}")]
     advice = f"copy the public key that `telenano keys show` prints there: `telenano keys allow {unknown[0]} ...`"

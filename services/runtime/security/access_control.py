@@ -2,20 +2,21 @@
 
 from proto.errors import ConfigError
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.security.keyring import ROLES, AllowList, Keyring, Role
+from services.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
 
 
 class AccessControl:
     """The keys of one machine in use; in a rig that requires none, every machine may do everything."""
 
     def __init__(self, machine: str, keyring: Keyring, *, requires_keys: bool) -> None:
-        """Read the keys of a machine if the rig requires keys; ConfigError when they are missing or invalid."""
+        """Read the keys of a machine if the rig requires keys; ConfigError when one is missing, invalid or expired."""
         self.machine = machine
         self.keyring = keyring
         self.requires_keys = requires_keys
-        self.own = keyring.own(machine) if requires_keys else None
+        self.own = keyring.own_in_force(machine) if requires_keys else None
         self._allowed = keyring.allowed() if requires_keys else AllowList()
         self._stamp = keyring.stamp() if requires_keys else None
+        self._expired = self._expired_keys()
 
     @property
     def public_key(self) -> str:
@@ -23,12 +24,17 @@ class AccessControl:
         return "" if self.own is None else self.own.public.decode()
 
     def reload(self) -> bool:
-        """Read the list again if it has changed, and return whether it has; ConfigError leaves the old one in force."""
+        """Read the list again if it has changed; ConfigError leaves the old one in force.
+
+        Returns:
+            Whether the list has changed, or a key of it has expired, since the last call.
+        """
         if not self.requires_keys:
             return False
         stamp = self.keyring.stamp()
         if stamp == self._stamp:
-            return False
+            before, self._expired = self._expired, self._expired_keys()
+            return self._expired != before
         # The stamp is set first, so that an error is reported once.
         self._stamp = stamp
         if stamp is None:
@@ -36,44 +42,62 @@ class AccessControl:
                 f"{self.keyring.allowed_path}: no longer exists; to exclude a machine, use `telenano keys revoke`"
             )
         self._allowed = self.keyring.allowed()
+        self._expired = self._expired_keys()
         return True
 
     def authorize(self, public_key: str) -> tuple[str, str]:
-        """Return the machine that a key belongs to and, where it is rejected, why: unlisted or revoked."""
+        """Return the machine that a key belongs to and, where it is rejected, why: unlisted, revoked or expired."""
         if public_key == self.public_key:
             return self.machine, ""
         entry = self._allowed.of_key(public_key)
         if entry is None:
             return "", "unlisted"
-        return entry.name, "revoked" if entry.revoked else ""
+        return entry.name, "revoked" if entry.revoked else "expired" if self._has_expired(entry) else ""
 
     def server_key(self, machine: str) -> bytes | None:
-        """Return the public key of a machine, None when it is not listed."""
+        """Return the public key of a machine, None when no valid one is listed."""
         if machine == self.machine:
             return self.public_key.encode()
-        entry = self._allowed.of_machine(machine)
+        entry = self._in_force(machine)
         return None if entry is None else entry.public_key.encode()
 
     def roles(self, machine: str) -> tuple[Role, ...]:
         """Return what a machine may do here."""
         if not self.requires_keys or machine == self.machine:
             return ROLES
-        entry = self._allowed.of_machine(machine)
+        entry = self._in_force(machine)
         return () if entry is None else entry.roles
+
+    def why_not(self, machine: str) -> str:
+        """Return in words why no valid key of a machine is listed here."""
+        entry = self._allowed.of_machine(machine)
+        if entry is not None and self._has_expired(entry):
+            return f"the key of {machine} in {self.keyring.allowed_path} expired at the end of {entry.expires} (UTC)"
+        return f"no valid key of {machine} is in {self.keyring.allowed_path}"
+
+    def _in_force(self, machine: str) -> AllowedKey | None:
+        entry = self._allowed.of_machine(machine)
+        return None if entry is None or self._has_expired(entry) else entry
+
+    def _has_expired(self, entry: AllowedKey) -> bool:
+        return entry.has_expired(self.keyring.today())
+
+    def _expired_keys(self) -> list[str]:
+        return [entry.public_key for entry in self._allowed.keys if self._has_expired(entry)]
 
 
 def check_keys(book: AddressBook, machine: str, keyring: Keyring) -> None:
     """Raise ConfigError naming the command that helps when a machine lacks keys that it needs to take part in a rig."""
     if not book.requires_keys:
         return
-    keyring.own(machine)
-    allowed = keyring.allowed()
+    access = AccessControl(machine, keyring, requires_keys=True)
     needed = {book.machine_of(node) for node in book.nodes if book.network_endpoint(node)} - {machine}
-    missing = sorted(name for name in needed if allowed.of_machine(name) is None)
+    missing = sorted(name for name in needed if access.server_key(name) is None)
     if missing:
         commands = "; ".join(f"`telenano keys allow {name} KEY {_roles_needed(book, name)}`" for name in missing)
+        expired = "".join(f" ({why})" for name in missing if "expired" in (why := access.why_not(name)))
         raise ConfigError(
-            f"{keyring.allowed_path}: the key of {', '.join(missing)} is not allowed here: run {commands}, "
+            f"{keyring.allowed_path}: the key of {', '.join(missing)} is not allowed here{expired}: run {commands}, "
             "with the KEY that `telenano keys show` prints there"
         )
 

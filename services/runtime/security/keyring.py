@@ -7,14 +7,15 @@ that only its owner can read.
 import os
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
 import yaml
 import zmq
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
 from proto.errors import ConfigError
@@ -31,6 +32,8 @@ _OTHERS = 0o077
 # a certificate as ZeroMQ's tools write and read it (ZPL)
 _CERTIFICATE = "# ZeroMQ CURVE {kind} certificate of the machine {name}\nmetadata\ncurve\n"
 _NAMED = re.compile(rb"certificate of the machine ([^\s]+)")
+# A key that expires within so many days is warned of before a rig is started.
+EXPIRES_SOON_DAYS = 14
 
 Role = Literal["data", "control", "observe"]
 ROLES: tuple[Role, ...] = ("data", "control", "observe")
@@ -48,14 +51,23 @@ def _check_key(text: str) -> str:
     return text
 
 
+def _as_day(value: object) -> object:
+    try:
+        return date.fromisoformat(value) if isinstance(value, str) else value
+    except ValueError as error:
+        raise ValueError(f"{value} is no date such as 2027-06-30") from error
+
+
 PublicKey = Annotated[str, AfterValidator(_check_key)]
+Day = Annotated[date, BeforeValidator(_as_day)]
 
 
 class KeyPair(NamedTuple):
-    """A CURVE key pair as Z85 text."""
+    """A CURVE key pair as Z85 text, and the last day (UTC) on which it is used; None for one that does not expire."""
 
     public: bytes
     secret: bytes
+    expires: date | None = None
 
 
 class AllowedKey(Settings):
@@ -67,6 +79,11 @@ class AllowedKey(Settings):
         min_length=1, description="data: its measurements and references are accepted; control: its commands; observe"
     )
     revoked: bool = Field(default=False, description="The key is rejected permanently")
+    expires: Day | None = Field(default=None, description="Last day (UTC) on which the key is accepted, if any")
+
+    def has_expired(self, today: date) -> bool:
+        """Return whether the key is no longer accepted because its last day is over."""
+        return self.expires is not None and today > self.expires
 
 
 class AllowList(Settings):
@@ -92,6 +109,11 @@ class AllowList(Settings):
         return next((key for key in self.keys if key.public_key == public_key), None)
 
 
+def utc_today() -> date:
+    """Return the day on which keys are judged: that of the machine's clock, in UTC."""
+    return datetime.now(UTC).date()
+
+
 def keys_directory() -> Path:
     """Return the folder of keys: TELENANO_KEYS_DIR, or `telenano/keys` in the user's configuration folder."""
     named = os.environ.get(KEYS_DIRECTORY_VARIABLE)
@@ -104,9 +126,10 @@ def keys_directory() -> Path:
 class Keyring:
     """The folder of keys of one machine; ConfigError names the file at fault and the command that helps."""
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self, folder: Path | None = None, today: Callable[[], date] = utc_today) -> None:
         self.folder = folder or keys_directory()
         self.allowed_path = self.folder / ALLOWED_NAME
+        self.today = today
 
     def names(self) -> list[str]:
         try:
@@ -127,9 +150,30 @@ class Keyring:
         public, secret = keys_in(data)
         if not _is_key_pair(public, secret):
             raise ConfigError(f"{path}: contains no valid key pair: {again}")
-        return KeyPair(public, secret)
+        return KeyPair(public, secret, expiry_in(data, path))
 
-    def create(self, name: str, *, replace: bool = False) -> KeyPair:
+    def own_in_force(self, name: str) -> KeyPair:
+        """Return the key pair of a machine as `own` does; ConfigError also when it has expired."""
+        pair = self.own(name)
+        if pair.expires is not None and self.today() > pair.expires:
+            raise ConfigError(
+                f"{self.folder / name}{_SECRET_SUFFIX}: the key of {name} expired at the end of {pair.expires} (UTC): "
+                f"`telenano keys new {name} --replace` creates a new one, which the other machines must allow"
+            )
+        return pair
+
+    def expiring(self, days: int = EXPIRES_SOON_DAYS) -> list[str]:
+        """Return a sentence for each key of this folder that has expired, or will within so many days."""
+        today = self.today()
+        own = [(f"the key of this machine, {name},", self.own(name).expires) for name in self.names()]
+        others = [(f"the key of {key.name}", key.expires) for key in self.allowed().keys if not key.revoked]
+        return [
+            f"{what} {'expired' if expires < today else 'expires'} at the end of {expires} (UTC)"
+            for what, expires in (*own, *others)
+            if expires is not None and (expires - today).days <= days
+        ]
+
+    def create(self, name: str, *, replace: bool = False, expires: date | None = None) -> KeyPair:
         """Create a key pair; ConfigError when there is one already, unless `replace`."""
         _check_name(name)
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
@@ -141,7 +185,10 @@ class Keyring:
         # on a command line, a key that begins with a dash would be taken for an option
         while pair.public.startswith(b"-"):
             pair = KeyPair(*zmq.curve_keypair())
-        public, secret = (f'    {half}-key = "{key.decode()}"\n' for half, key in zip(pair._fields, pair, strict=True))
+        public, secret = (
+            f'    {half}-key = "{key.decode()}"\n' for half, key in (("public", pair.public), ("secret", pair.secret))
+        )
+        public += f'    expires = "{expires}"\n' if expires is not None else ""
         with self._folder_for_writing():
             write_private(path, _CERTIFICATE.format(kind="secret", name=name) + public + secret)
             public_path = path.with_suffix(_PUBLIC_SUFFIX)
@@ -177,21 +224,23 @@ class Keyring:
             raise ConfigError(f"{self.allowed_path}: cannot be read: {error.strerror}") from error
         return validate(AllowList, parse_yaml(data, str(self.allowed_path)), str(self.allowed_path))
 
-    def allow(self, name: str, public_key: str, roles: Sequence[Role]) -> AllowedKey:
-        """Add a key to the list, or change the roles of one that is there."""
+    def allow(self, name: str, public_key: str, roles: Sequence[Role], expires: date | None = None) -> AllowedKey:
+        """Add a key to the list, or change roles and expiry of one that is there; it replaces one that has expired."""
         _check_name(name)
         known = self.allowed()
-        entry = validate(
-            AllowedKey, {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles))}, f"key of {name}"
-        )
+        given = {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles)), "expires": expires}
+        entry = validate(AllowedKey, given, f"key of {name}")
         listed, holder = known.of_key(public_key), known.of_machine(name)
+        gone = listed
+        if holder is not None and holder is not listed and holder.has_expired(self.today()):
+            gone, holder = holder, None
         if listed is not None and listed.revoked:
             raise ConfigError(f"{public_key} was revoked permanently: create a new key on {name}")
         if listed is not None and listed.name != name:
             raise ConfigError(f"{public_key} is already allowed, as {listed.name}")
         if holder is not None and holder.public_key != public_key:
             raise ConfigError(f"{name} is already listed with another key: run `telenano keys revoke {name}` first")
-        self._write([*(key for key in known.keys if key is not listed), entry])
+        self._write([*(key for key in known.keys if key not in (listed, gone)), entry])
         return entry
 
     def revoke(self, name_or_key: str) -> AllowedKey:
@@ -216,7 +265,9 @@ class Keyring:
         return found.st_mtime_ns, found.st_ino
 
     def _write(self, keys: Sequence[AllowedKey]) -> None:
-        document = {"keys": [key.model_dump(mode="json") for key in sorted(keys, key=lambda key: key.name)]}
+        document = {
+            "keys": [key.model_dump(mode="json", exclude_none=True) for key in sorted(keys, key=lambda key: key.name)]
+        }
         # The folder is whole at every moment, because a running node may read it.
         with self._folder_for_writing():
             write_private(self.allowed_path, yaml.safe_dump(document, sort_keys=False, width=120))
@@ -254,6 +305,17 @@ def keys_in(data: bytes) -> tuple[bytes, bytes]:
     lines = (line.strip().partition(b"=") for line in data.splitlines())
     found = {name.strip(): value.strip(b" \t'\"") for name, sign, value in lines if sign}
     return found.get(b"public-key", b""), found.get(b"secret-key", b"")
+
+
+def expiry_in(data: bytes, path: Path) -> date | None:
+    """Return the last day of a certificate, None where it has none; ConfigError where it is no date."""
+    found = re.search(rb'^\s*expires\s*=\s*"([^"]*)"', data, re.M)
+    if found is None:
+        return None
+    try:
+        return date.fromisoformat(found[1].decode())
+    except ValueError as error:
+        raise ConfigError(f"{path}: expires is {found[1]!r}, must be a date such as 2027-06-30") from error
 
 
 def key_text(raw: bytes) -> str:

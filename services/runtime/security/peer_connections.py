@@ -258,8 +258,8 @@ class PeerConnections:
         unreached = f"{peer.node} has not been reached at {peer.endpoint} for {waited_s:.0f} s"
         if not self._active:
             text = (
-                f"{peer.node} is not connected, no valid key of {self.machine} is in "
-                f"{self._access_control.keyring.allowed_path}: run `telenano keys allow {self.machine} KEY --role data`"
+                f"{peer.node} is not connected, {self._access_control.why_not(self.machine)}: run "
+                f"`telenano keys allow {self.machine} KEY --role data`"
             )
         elif peer.last_error:
             text = f"{unreached}: {peer.last_error}"

@@ -29,7 +29,7 @@ _ZAP_FRAMES = 9
 _BATCH = 4
 # attempts to bind an endpoint again in consecutive turns, without delay
 _FAST_REBINDS = 1000
-_REASONS = {"unlisted": "is not in the list", "revoked": "was revoked"}
+_REASONS = {"unlisted": "is not in the list", "revoked": "was revoked", "expired": "has expired"}
 
 
 @dataclass

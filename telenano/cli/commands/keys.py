@@ -1,5 +1,6 @@
 """`telenano keys`: the key of this machine, and the list of the keys of others with their roles."""
 
+from datetime import date, timedelta
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +8,7 @@ from typing import Annotated
 import typer
 
 from proto.errors import ConfigError
-from services.runtime.security.keyring import AllowedKey, Keyring, Role, keys_directory, keys_in
+from services.runtime.security.keyring import AllowedKey, Keyring, Role, expiry_in, keys_directory, keys_in, utc_today
 from services.runtime.security.private_files import read_regular
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -18,6 +19,12 @@ DirOption = Annotated[
     Path | None,
     typer.Option(
         "--dir", metavar="DIR", help="Folder of the keys; default: TELENANO_KEYS_DIR, or telenano/keys in ~/.config."
+    ),
+]
+ExpiresOption = Annotated[
+    str | None,
+    typer.Option(
+        "--expires", metavar="DATE|DAYS", help="Last day (UTC) of the key, such as 2027-06-30 or 90d; default: none."
     ),
 ]
 NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Machine of the site file, such as master or slave.")]
@@ -37,15 +44,18 @@ def new(
     replace: Annotated[
         bool, typer.Option("--replace", help="Replace an existing key; the other machines must allow the new one.")
     ] = False,
+    expires: ExpiresOption = None,
     folder: DirOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Make a key pair for a machine; the secret key stays in a file that only you can read."""
     with report_errors(as_json):
         ring = _ring(folder)
-        public = ring.create(name, replace=replace).public.decode()
+        pair = ring.create(name, replace=replace, expires=_last_day(expires))
+        public = pair.public.decode()
     if as_json:
-        print_json({"name": name, "public_key": public, "folder": str(ring.folder)})
+        until = {"expires": str(pair.expires)} if pair.expires else {}
+        print_json({"name": name, "public_key": public, "folder": str(ring.folder), **until})
         return
     typer.echo(f"made the key of {name} in {ring.folder}; its public key is\n\n  {public}\n")
     typer.echo(f"On each other machine:  telenano keys allow {name} '{public}' --role ...")
@@ -58,13 +68,13 @@ def show(folder: DirOption = None, as_json: JsonOption = False) -> None:
         ring = _ring(folder)
         own = {name: ring.own(name).public.decode() for name in ring.names()}
         allowed = ring.allowed().keys
-        warnings = [text for name in own if (text := ring.misplaced(name))]
+        warnings = [*(text for name in own if (text := ring.misplaced(name))), *ring.expiring()]
     if as_json:
         print_json(
             {
                 "folder": str(ring.folder),
                 "own": own,
-                "allowed": [key.model_dump(mode="json") for key in allowed],
+                "allowed": [key.model_dump(mode="json", exclude_none=True) for key in allowed],
                 **({"warnings": warnings} if warnings else {}),
             }
         )
@@ -88,13 +98,15 @@ def allow(
             "--role", help="data: accept its messages; control: its commands; observe: let it subscribe (repeatable)."
         ),
     ],
+    expires: ExpiresOption = None,
     folder: DirOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Allow a machine to connect, or change its roles; running nodes apply it within a second."""
     with report_errors(as_json):
         roles: list[Role] = [entry.value for entry in role]
-        entry = _ring(folder).allow(name, _public_key(key), roles)
+        public, until = _public_key(key)
+        entry = _ring(folder).allow(name, public, roles, _last_day(expires) or until)
     _print_entry(entry, f"{name} is allowed: {_roles_text(entry)}", as_json=as_json)
 
 
@@ -114,10 +126,24 @@ def _ring(folder: Path | None) -> Keyring:
     return Keyring(folder or keys_directory())
 
 
-def _public_key(text: str) -> str:
+def _last_day(text: str | None) -> date | None:
+    """Return the day that a date or a number of days from today names; None for none."""
+    if text is None:
+        return None
+    try:
+        day = utc_today() + timedelta(int(text[:-1])) if text.endswith("d") else date.fromisoformat(text)
+    except (ValueError, OverflowError) as error:
+        raise ConfigError(f"--expires: {text} is neither a date such as 2027-06-30 nor days such as 90d") from error
+    if day < utc_today():
+        raise ConfigError(f"--expires: {day} is over: the key would be refused at once")
+    return day
+
+
+def _public_key(text: str) -> tuple[str, date | None]:
+    """Return the public key that is given or in a file, and the last day that the file gives it."""
     path = Path(text)
     if not path.name.endswith(".key"):
-        return text
+        return text, None
     try:
         content, _ = read_regular(path)
     except OSError as error:
@@ -125,15 +151,16 @@ def _public_key(text: str) -> str:
     public, _ = keys_in(content)
     if not public:
         raise ConfigError(f"{path}: holds no public key")
-    return public.decode(errors="replace")
+    return public.decode(errors="replace"), expiry_in(content, path)
 
 
 def _roles_text(key: AllowedKey) -> str:
-    return "revoked" if key.revoked else ", ".join(key.roles)
+    until = f" until {key.expires}" if key.expires else ""
+    return "revoked" if key.revoked else ", ".join(key.roles) + until
 
 
 def _print_entry(entry: AllowedKey, text: str, *, as_json: bool) -> None:
     if as_json:
-        print_json(entry.model_dump(mode="json"))
+        print_json(entry.model_dump(mode="json", exclude_none=True))
     else:
         typer.echo(text)

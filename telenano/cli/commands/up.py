@@ -13,6 +13,7 @@ from recording.multi_file import open_recordings
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.run import Outcome, default_folder, report_of, run_rig
+from services.runtime.security.keyring import Keyring
 from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
@@ -67,6 +68,8 @@ def up(
             typer.echo(f"telenano: {text}; it is left out", err=True)
         if text := _clock_text(plan):
             typer.echo(f"telenano: warning: {text}", err=True)
+        for text in Keyring().expiring() if plan.book.requires_keys else ():
+            typer.echo(f"telenano: warning: {text}: `telenano doctor` says what to do", err=True)
         if plan.warning:
             typer.echo(f"telenano: {plan.warning}", err=True)
         if text := plan.stiffness_warning:

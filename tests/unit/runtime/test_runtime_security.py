@@ -1,6 +1,7 @@
 """Keys on disk: who can read them, what is refused of them, and what becomes of a list of other machines' keys."""
 
 import os
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -542,3 +543,96 @@ def test_a_rig_without_keys_lacks_none(ring: Keyring) -> None:
     check_keys(AddressBook.model_validate({"nodes": NODES, "insecure": True}), "slave", ring)
     check_keys(AddressBook.model_validate({"nodes": {"afm_node@slave": "ipc:///a"}}), "slave", ring)
     assert not ring.folder.exists()
+
+
+class Today:
+    """A clock that a test sets."""
+
+    def __init__(self) -> None:
+        self.day = date(2027, 3, 1)
+
+    def __call__(self) -> date:
+        return self.day
+
+
+def test_a_key_expires_at_the_end_of_its_last_day_while_a_process_runs(tmp_path: Path) -> None:
+    today = Today()
+    ring = Keyring(tmp_path / "keys", today)
+    ring.create("master")
+    ring.allow("slave", KEY, ["data", "control"], date(2027, 3, 2))
+    ring.allow("desk", OTHER, ["observe"])
+    access = AccessControl("master", ring, requires_keys=True)
+    today.day = date(2027, 3, 2)
+    assert not access.reload()
+    assert (access.authorize(KEY), access.server_key("slave")) == (("slave", ""), KEY.encode())
+    today.day = date(2027, 3, 3)
+    # the handlers of the network act on it as on a key that was revoked
+    assert access.reload()
+    assert (access.authorize(KEY), access.roles("slave"), access.server_key("slave")) == (
+        ("slave", "expired"),
+        (),
+        None,
+    )
+    assert "expired at the end of 2027-03-02 (UTC)" in access.why_not("slave")
+    assert not access.reload()
+    assert access.authorize(OTHER) == ("desk", "")
+    # a list with a new last day is taken at once
+    ring.allow("slave", KEY, ["data"], date(2027, 4, 1))
+    assert access.reload()
+    assert (access.authorize(KEY), access.roles("slave")) == (("slave", ""), ("data",))
+
+
+def test_the_own_key_is_used_to_its_last_day_and_then_names_the_command(tmp_path: Path) -> None:
+    today = Today()
+    ring = Keyring(tmp_path / "keys", today)
+    pair = ring.create("master", expires=date(2027, 3, 20))
+    assert pair.expires == ring.own("master").expires == date(2027, 3, 20)
+    assert ring.expiring() == []
+    today.day = date(2027, 3, 6)
+    assert ring.expiring() == ["the key of this machine, master, expires at the end of 2027-03-20 (UTC)"]
+    today.day = date(2027, 3, 20)
+    assert AccessControl("master", ring, requires_keys=True).own == pair
+    today.day = date(2027, 3, 21)
+    assert ring.expiring() == ["the key of this machine, master, expired at the end of 2027-03-20 (UTC)"]
+    text = refusal_of(AccessControl, "master", ring, requires_keys=True)
+    assert str(ring.folder / "master.key_secret") in text
+    assert "`telenano keys new master --replace`" in text
+    # what shows keys still can
+    assert ring.own("master") == pair
+
+
+def test_a_new_key_takes_the_place_of_one_that_has_expired(tmp_path: Path) -> None:
+    today = Today()
+    ring = Keyring(tmp_path / "keys", today)
+    ring.allow("slave", KEY, ["data"], date(2027, 3, 1))
+    assert "already listed with another key" in refusal_of(ring.allow, "slave", OTHER, ["data"])
+    today.day = date(2027, 3, 2)
+    ring.allow("slave", OTHER, ["data"])
+    assert [(key.public_key, key.expires) for key in ring.allowed().keys] == [(OTHER, None)]
+
+
+def test_lists_and_keys_of_before_are_read_and_written_as_before(ring: Keyring) -> None:
+    ring.create("master")
+    ring.allow("slave", KEY, ["data"])
+    assert "expires" not in ring.allowed_path.read_text() + (ring.folder / "master.key_secret").read_text()
+    assert ring.own("master").expires is None
+    assert ring.expiring() == []
+
+
+def test_a_day_that_is_none_names_the_file(ring: Keyring) -> None:
+    ring.create("master")
+    path = ring.folder / "master.key_secret"
+    path.write_text(path.read_text() + '    expires = "soon"\n')
+    assert f"{path}: expires" in refusal_of(ring.own, "master")
+    ring.allow("slave", KEY, ["data"])
+    ring.allowed_path.write_text(ring.allowed_path.read_text() + "  expires: tomorrow\n")
+    assert "tomorrow is no date such as 2027-06-30" in refusal_of(ring.allowed)
+
+
+def test_what_is_missing_because_it_has_expired_is_reported_as_that(tmp_path: Path) -> None:
+    ring = Keyring(tmp_path / "keys", Today())
+    ring.create("master")
+    ring.allow("slave", KEY, ["data"], date(2027, 2, 28))
+    text = refusal_of(check_keys, AddressBook.model_validate({"nodes": NODES}), "master", ring)
+    assert "the key of slave in" in text
+    assert "expired at the end of 2027-02-28 (UTC)" in text

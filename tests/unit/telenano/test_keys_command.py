@@ -2,6 +2,7 @@
 
 import json
 import os
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import zmq
 from typer.testing import CliRunner
 from zmq.utils import z85
 
-from services.runtime.security.keyring import Keyring
+from services.runtime.security.keyring import Keyring, utc_today
 from telenano.cli.commands.keys import app
 
 RUNNER = CliRunner()
@@ -193,3 +194,27 @@ def test_a_secret_beside_the_public_key_of_another_is_named(folder: Path) -> Non
     ring.create("master", replace=True)
     (folder / "master.key").write_text(public)
     assert "master.key beside it hold different keys" in run("show")[2]
+
+
+def test_a_last_day_goes_with_the_key_into_the_list_of_the_other_machine(tmp_path: Path, folder: Path) -> None:
+    until = utc_today() + timedelta(30)
+    assert document("new", "master", "--expires", "30d")["expires"] == str(until)
+    other = str(tmp_path / "other")
+    entry = document("allow", "master", str(folder / "master.key"), "--role", "data", "--dir", other)
+    assert entry["expires"] == str(until)
+    assert f"data until {until}" in run("show", "--dir", other)[1]
+    # what is given on the command line comes first
+    sooner = utc_today() + timedelta(3)
+    entry = document(
+        "allow", "master", str(folder / "master.key"), "--role", "data", "--expires", str(sooner), "--dir", other
+    )
+    assert entry["expires"] == str(sooner)
+    assert f"warning: the key of master expires at the end of {sooner} (UTC)" in run("show", "--dir", other)[2]
+
+
+@pytest.mark.parametrize("text", ["soon", "d", "2020-01-01", "-1d", "2027-13-01", "9999999999d"])
+def test_a_last_day_that_is_none_or_over_is_refused(folder: Path, text: str) -> None:
+    code, out, err = run("new", "master", f"--expires={text}")
+    assert (code, out) == (2, "")
+    assert "--expires: " in err
+    assert Keyring(folder).names() == []
