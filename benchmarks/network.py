@@ -4,11 +4,12 @@
 
 Two processes play the two machines on this one. Each sends checked messages as the rig does, at 1 kHz: the first sends
 teleop/forward, the second answers each with teleop/backward, and the first takes the time from its send to the answer.
-The four ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
+The five ways alternate in short runs, so that what else the machine does falls on all alike. The processor time is
 that of both processes, their ZeroMQ threads included.
 """
 
 import argparse
+import asyncio
 import json
 import multiprocessing
 import os
@@ -22,18 +23,28 @@ import numpy as np
 import zmq
 from link import ANSWER, SIGNAL
 
-from services.runtime.bus.address_book import AddressBook, LinkTransport
+from services.relay.server import Relay
+from services.relay.site_end import SiteEnd
+from services.runtime.bus.address_book import RELAY, AddressBook, LinkTransport
 from services.runtime.bus.transport import Transport, open_context
 from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.participant import Participant
-from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from services.runtime.loop.realtime import (
+    RealtimeConfig,
+    ahead_of_others,
+    apply_realtime,
+    freeze_garbage,
+    shallow_idle,
+)
+from services.runtime.relay.protocol import split_host_port
+from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
 
 PERIOD_NS = 1_000_000
 # the two ends of the link between machines
 MASTER, SLAVE = "delay_node@slave", "controller@slave"
-WAYS = ("ipc", "plain", "curve", "datagram")
+WAYS = ("ipc", "plain", "curve", "datagram", "relayed")
 WARM_UP = 200
 # an answer that takes longer than this will not come any more
 LOST_S = 1.0
@@ -44,8 +55,28 @@ def book_of(way: str, folder: Path, ports: tuple[int, int]) -> AddressBook:
     if way == "ipc":
         return AddressBook(nodes={node: f"ipc://{folder}/{node}" for node in (MASTER, SLAVE)})
     nodes = {node: f"tcp://127.0.0.1:{port}" for node, port in zip((MASTER, SLAVE), ports, strict=True)}
+    if way == "relayed":
+        # two ends on one machine would find the way past the relay at once
+        link = LinkTransport(transport="datagram", direct=False)
+        return AddressBook(nodes=nodes, link=link, relay=f"127.0.0.1:{free_port()}")
     link = LinkTransport(transport="datagram" if way == "datagram" else "stream")
     return AddressBook(nodes=nodes, insecure=way == "plain", link=link)
+
+
+def carry(book: AddressBook) -> None:
+    """Be the relay, and the ends of both machines that dial it, until killed."""
+    ahead_of_others()
+    asyncio.run(_carry(book))
+
+
+async def _carry(book: AddressBook) -> None:
+    relay = Relay(AccessControl(RELAY, Keyring(), requires_keys=True), StructuredLog(RELAY))
+    await relay.start(*split_host_port(book.relay))
+    ends = []
+    for machine in ("master", "slave"):
+        access = AccessControl(machine, Keyring(), requires_keys=True)
+        ends.append(SiteEnd(book, machine, access, StructuredLog(machine)).run())
+    await asyncio.gather(*ends)
 
 
 def exchange(node: str, peer: str, book: AddressBook, messages: int, pipe: Connection) -> None:
@@ -117,13 +148,16 @@ def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
         spawn.Process(target=exchange, args=(node, peer, book, messages if node == MASTER else 1 << 40, end))
         for (node, peer), (_, end) in zip(pairs, pipes, strict=True)
     ]
-    for process in processes:
+    relay = [spawn.Process(target=carry, args=(book,), daemon=True)] if book.relay else []
+    for process in (*relay, *processes):
         process.start()
     for mine, _ in pipes:
         mine.recv()
     trips, cpu_s = pipes[0][0].recv()
     pipes[1][0].send("stop")
     _, answering_s = pipes[1][0].recv()
+    for process in relay:
+        process.kill()
     for process in processes:
         process.join()
     return trips, cpu_s + answering_s
@@ -140,8 +174,8 @@ def make_keys(folder: Path) -> None:
     """Have both machines know each other."""
     os.environ[KEYS_DIRECTORY_VARIABLE] = str(folder)
     ring = Keyring(folder)
-    for name in ("master", "slave"):
-        ring.allow(name, ring.create(name).public.decode(), ["data"])
+    for name in ("master", "slave", RELAY):
+        ring.allow(name, ring.create(name).public.decode(), ["data", "relay"])
 
 
 def main() -> None:
@@ -178,6 +212,12 @@ def main() -> None:
             "p50": p50["datagram"] / p50["curve"],
             "p99": p99["datagram"] / p99["curve"],
             "cpu": (cpu_s["datagram"] / len(trips["datagram"])) / (cpu_s["curve"] / len(trips["curve"])),
+        },
+        # the processor time of the relay is not in this
+        "relayed_to_datagram": {
+            "p50": p50["relayed"] / p50["datagram"],
+            "p99": p99["relayed"] / p99["datagram"],
+            "cpu": (cpu_s["relayed"] / len(trips["relayed"])) / (cpu_s["datagram"] / len(trips["datagram"])),
         },
     }
     if given.json:

@@ -21,6 +21,7 @@ from services.launcher.session import SessionNode
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcFiles, Watchdog
+from services.runtime.bus.address_book import RELAY
 from services.runtime.bus.bus import ZmqBus
 from services.runtime.loop.kept_stop import forget
 from services.runtime.loop.log import configure_logging
@@ -68,7 +69,7 @@ def run_rig(
         show: Called with each line for the user.
         beside: What further processes inherit, by node. They run with the rig, which goes on without them.
     """
-    beside = beside or {}
+    beside = {**(beside or {}), **_end_of_relay(plan)}
     signals = StopSignals()
     with contextlib.ExitStack() as stack:
         participant = stack.enter_context(open_participant(plan.launcher, plan.book, signals.descriptor))
@@ -94,6 +95,11 @@ def run_rig(
         stack.callback(forget_stops, plan)
         _run(rig, bus, signals)
     return outcome_of(rig, plan)
+
+
+def _end_of_relay(plan: Plan) -> dict[str, Inherited]:
+    """Return what runs beside the nodes of a site that reaches the other one through a relay."""
+    return {f"{RELAY}@{plan.site}": Inherited()} if plan.book.relay and plan.nodes and plan.site else {}
 
 
 def forget_stops(plan: Plan) -> None:

@@ -78,6 +78,9 @@ LAZY_COMMANDS = {
         "telenano.cli.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."
     ),
     "keys": LazyCommand("telenano.cli.commands.keys", "app", "Make, show and list the keys that identify machines."),
+    "relay": LazyCommand(
+        "telenano.cli.commands.relay", "relay", "Run a relay between two sites that can only dial out."
+    ),
     "device": LazyCommand("telenano.cli.commands.device", "app", "List, probe and watch real devices; emulate some."),
     "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),
 }
@@ -88,7 +91,7 @@ GROUPS = {
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
     "Study": ("study", "law", "curve", "scan", "sample", "calibrate", "reproduce"),
-    "Set up": ("scenario", "param", "new", "device", "keys", "doctor"),
+    "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),
 }
 
 

@@ -26,6 +26,7 @@ from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.datagrams import check_datagrams
 from telenano.doctor.devices import check_instrument, check_serial_ports
+from telenano.doctor.relay import check_relay
 
 if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
@@ -169,7 +170,7 @@ def _addresses(book: "AddressBook") -> list[Finding]:
     keyring = Keyring()
     machine = this_machine(keyring)
     found = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
-    found += check_datagrams(book, machine)
+    found += check_datagrams(book, machine) if book.relay is None else check_relay(book, machine, keyring)
     if book.requires_keys:
         others = {book.machine_of(node) for node in book.nodes} - {machine}
         found += checks.check_keys(machine, others, keyring)

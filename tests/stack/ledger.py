@@ -49,6 +49,10 @@ FAULTS = {
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
+    "the relay is killed and started again": "hand let go, tip holds, then withdraws; joined again without a restart "
+    "of the sites, the tip waits to be armed",
+    "a relay that drops, repeats, holds back, forges and floods": "genuine samples alone are obeyed, none after "
+    "a newer one; the rest is refused and counted; the link stays with datagrams",
     "an arm that waited in a stopped AFM": "refused and answered; the tip stays in emergency stop",
     "an arm behind a stopped controller, then an emergency stop": "the arm is void, the tip stays in emergency stop",
     "an arm at a stopped AFM, then an emergency stop": "the arm is void, the tip stays in emergency stop",

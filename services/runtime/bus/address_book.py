@@ -23,6 +23,12 @@ from services.runtime.settings.config import Settings
 LINK_MACHINE = "master"
 BIND_ADDRESS_VARIABLE = "TELENANO_BIND_ADDRESS"
 HOST_VARIABLE_PREFIX = "TELENANO_HOST_"
+# the machine of the relay, by which its key is listed
+RELAY = "relay"
+# With a relay nodes of other machines are reached at addresses of this machine, one for each machine, and nodes bind
+# another one: both sites can be tried on one machine.
+_RELAYED, _RELAYED_BIND = "127.77.0.", "127.0.0.1"
+RELAY_VARIABLE = "TELENANO_RELAY"
 MACHINE_PATTERN = r"^[a-z][a-z0-9_]{0,31}$"
 _TCP = re.compile(r"tcp://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})")
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
@@ -73,6 +79,11 @@ class LinkTransport(Settings):
         default=False,
         description="Hold what arrives to a delay that hardly varies, for laws that want one; every sample is older",
     )
+    direct: bool = Field(
+        default=True,
+        description="With a relay: try to reach the other site past it, whose address each site then learns; else all "
+        "datagrams go through the relay",
+    )
     budget_kbit_per_s: float = Field(
         default=6000.0, ge=100.0, le=1e6, description="Most that each end sends in datagrams, network headers included"
     )
@@ -107,6 +118,11 @@ class AddressBook(Settings):
         description="Endpoint that each node binds: ipc://path or tcp://host:port, or both as local and network"
     )
     link: LinkTransport = Field(default=LinkTransport(), description="How the link crosses between two machines")
+    relay: str | None = Field(
+        default_factory=lambda: os.environ.get(RELAY_VARIABLE) or None,
+        description="host:port of a relay (`telenano relay`) between machines that can only dial out, in the place of "
+        "the addresses of `machines`; without it TELENANO_RELAY of the environment",
+    )
     insecure: bool = Field(default=False, description="Plain tcp:// without keys: whoever reaches a port can read it")
 
     @model_validator(mode="after")
@@ -114,6 +130,10 @@ class AddressBook(Settings):
         unused = sorted(set(self.bind) - {self.machine_of(node) for node in self.nodes})
         if unused:
             raise ValueError(f"bind.{unused[0]}: no node runs on this machine")
+        if self.relay is not None and self.insecure:
+            raise ValueError("relay: a relay carries what is encrypted only; remove `insecure: true`")
+        if self.relay is not None and not _is_tcp(f"tcp://{self.relay}"):
+            raise ValueError(f"relay: {self.relay} is not of the form host:port (1-65535), such as 198.51.100.7:5750")
         seen: dict[str, str] = {}
         for node in self.nodes:
             for endpoint in (self.local_endpoint(node), self.network_endpoint(node)):
@@ -168,6 +188,10 @@ class AddressBook(Settings):
         network = self._entry(node).network
         if network is None:
             return None
+        port = network.rpartition(":")[2]
+        if self.relay is not None and port.isdecimal():
+            machines = sorted({self.machine_of(other) for other in self.nodes})
+            return f"tcp://{_RELAYED}{machines.index(self.machine_of(node)) + 1}:{port}"
         named = {name: os.environ.get(HOST_VARIABLE_PREFIX + name.upper()) for name in self.machines}
         hosts = {name: named[name] or host for name, host in self.machines.items()}
         for name in _PLACEHOLDER.findall(network):
@@ -182,6 +206,8 @@ class AddressBook(Settings):
         match = _TCP.fullmatch(endpoint or "")
         if endpoint is None or match is None:
             return endpoint
+        if self.relay is not None:
+            return f"tcp://{_RELAYED_BIND}:{match.group(2)}"
         named = os.environ.get(BIND_ADDRESS_VARIABLE) or self.bind.get(self.machine_of(node))
         return f"tcp://{named or _numeric(node, match.group(1))}:{match.group(2)}"
 
@@ -294,6 +320,11 @@ def split_tcp(endpoint: str) -> tuple[str, int]:
     return match.group(1).strip("[]"), int(match.group(2))
 
 
+def is_relayed(endpoint: str) -> bool:
+    """Return whether an endpoint is one at which this machine reaches another one through a relay."""
+    return endpoint.startswith(f"tcp://{_RELAYED}")
+
+
 def may_carry(node: str, src: str) -> bool:
     """Return whether the socket of `node` may send a message of `src`: its own, or what the link bridges there."""
     name, _, site = node.partition("@")
@@ -334,9 +365,13 @@ def _check_endpoint(node: str, endpoint: str) -> None:
         if len(os.fsencode(path)) > _LONGEST_IPC_PATH:
             raise ValueError(f"nodes.{node}: {path} is longer than the {_LONGEST_IPC_PATH} bytes of a socket path")
         return
-    match = _TCP.fullmatch(endpoint)
-    if match is None or not 1 <= int(match.group(2)) <= 65535:
+    if not _is_tcp(endpoint):
         raise ValueError(f"nodes.{node}: {endpoint} {_NO_ENDPOINT}{_bracket_hint(endpoint)}")
+
+
+def _is_tcp(endpoint: str) -> bool:
+    match = _TCP.fullmatch(endpoint)
+    return match is not None and 1 <= int(match.group(2)) <= 65535
 
 
 def _bracket_hint(endpoint: str) -> str:

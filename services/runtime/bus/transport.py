@@ -173,6 +173,10 @@ class Transport:
             None,
         )
 
+    def is_connected_to(self, machine: str) -> bool:
+        """Return whether some node of another machine is connected now."""
+        return any(peer.up for peers in self._peers if peers.machine == machine for peer in peers.connections)
+
     def look_after(self, handler: NetworkHandler) -> None:
         """Have a further kind of connection take part in what is done from time to time."""
         self._handlers.append(handler)

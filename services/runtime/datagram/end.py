@@ -30,6 +30,7 @@ from services.runtime.datagram.report import network_report
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener, RejectedError
 from services.runtime.loop.clock import NEVER_NS, Clock
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
+from services.runtime.relay.path import RelayPath
 
 # The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64
@@ -41,6 +42,8 @@ _PUT_OFF_NS = 20_000_000
 # After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
 SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
+# Through a relay: after so long without a connection to the other machine no sample is sent or taken.
+_OUT_OF_TOUCH_NS = 1_000_000_000
 # The first datagrams may take so long from the first word of the other machine, or from the last change of keys.
 FIRST_NS = 3_000_000_000
 # After so long without an acknowledgement only a few datagrams are sent, to find out when they arrive again.
@@ -77,12 +80,16 @@ class Outlets(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where an end binds, and where it finds the other one: None until something of it was received."""
+    """Where an end binds, and where it finds the other one: None until something of it was received.
+
+    `relay`: the way to the other end where both can only dial out.
+    """
 
     family: socket.AddressFamily
     bind: Address
     peer: Address | None
     port: int
+    relay: RelayPath | None = None
 
 
 class DatagramEnd:
@@ -103,6 +110,7 @@ class DatagramEnd:
         machine: str,
         is_master: bool,
         is_allowed: Callable[[], bool] = lambda: True,
+        is_connected: Callable[[], bool] = lambda: True,
     ) -> None:
         """Open the socket; OSError where it cannot be bound.
 
@@ -115,6 +123,7 @@ class DatagramEnd:
             machine: The name of the other machine.
             is_master: Whether this is the end at the master's site.
             is_allowed: Whether the key of the other machine is still in the list.
+            is_connected: Whether the other machine is connected over TCP.
 
         Raises:
             OSError: The socket cannot be bound.
@@ -149,10 +158,14 @@ class DatagramEnd:
         self._falls_back = settings.transport == "auto"
         self._offers: list[LinkKey] = []
         self._is_allowed = is_allowed
+        self._is_connected = is_connected
+        # With a relay samples count only while commands, an emergency stop above all, could cross as well.
+        self._in_touch, self._connected_ns = True, now
         self._outlets = outlets
         self._budget = SendBudget(settings.budget_kbit_per_s, now)
         self._agreement = Agreement(now, is_master=is_master)
         self._peer = place.peer
+        self._relay = place.relay
         self._events: list[ConnectionEvent] = []
         incoming: Literal["forward", "backward"] = "backward" if is_master else "forward"
         self._incoming = incoming
@@ -177,12 +190,14 @@ class DatagramEnd:
         try:
             self.socket.setblocking(False)
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-            flood_filter.admit(self.socket, ())
+            flood_filter.admit(self.socket, self._tags())
             self.socket.bind(place.bind)
         except OSError:
             self.socket.close()
             raise
         self.descriptor = self.socket.fileno()
+        if self._relay is not None:
+            self._relay.send = self._send_plain
         subscriber.set_aside("link/key", self._hear_offer)
         self._subscribe(streaming=False)
 
@@ -196,6 +211,8 @@ class DatagramEnd:
     def carry(self, topic: str, payload: bytes) -> None:
         """Send a sample that was published, at once, if it is one of those that cross as datagrams."""
         if topic not in self._sent_topics or self._agreement.sealer is None or self._peer is None:
+            return
+        if not self._in_touch:
             return
         now = self._clock.monotonic_ns()
         if now - self._acknowledged_ns > _UNHEARD_NS:
@@ -226,6 +243,11 @@ class DatagramEnd:
         self._sent_ns = now_ns
         self.sent_bytes += len(datagram) + NETWORK_BYTES
         self._budget.spend(len(datagram))
+
+    def _send_plain(self, datagram: bytes, address: Address) -> None:
+        with contextlib.suppress(OSError):
+            self.socket.sendto(datagram, address)
+            self.sent_bytes += len(datagram) + NETWORK_BYTES
 
     # --- receiving ---
 
@@ -268,6 +290,9 @@ class DatagramEnd:
                 continue
             now = self._clock.now_ns()
             try:
+                if self._relay is not None and datagram[:TAG_BYTES] == self._relay.tag:
+                    self._relay.take(datagram, address)
+                    continue
                 if len(datagram) > MOST_BYTES:
                     raise RejectedError("oversized")
                 if len(datagram) < OVERHEAD_BYTES + REPORT.size:
@@ -281,6 +306,8 @@ class DatagramEnd:
                 self._refuse(error.cause, address)
                 continue
             self._note(opener, number, report, address, now)
+            if not self._in_touch:
+                continue
             # the oldest first, each once
             for topic, payload in reversed(samples):
                 if payload not in self._recent:
@@ -322,7 +349,7 @@ class DatagramEnd:
         if number == opener.window.newest:
             self._agreement.opened(opener)
             self._heard = (report.sent_ns, now_ns)
-            if self._peer is None or address[:2] != self._peer[:2]:
+            if self._relay is None and (self._peer is None or address[:2] != self._peer[:2]):
                 self._follow(address)
             if report.heard_sent_ns and report.expected != self._expected:
                 self._expected, self._acknowledged_ns = report.expected, monotonic_ns
@@ -338,10 +365,29 @@ class DatagramEnd:
             self._tell("info", text)
         self._peer = address
 
+    def _steer(self, relay: RelayPath, now_ns: int) -> None:
+        """Send where the relay, or the other end by its answers, says; samples wait while no command could cross."""
+        if self._is_connected():
+            self._connected_ns = now_ns
+        if self._in_touch != (now_ns - self._connected_ns < _OUT_OF_TOUCH_NS):
+            self._in_touch = not self._in_touch
+            if self._in_touch:
+                self._tell("info", f"{self.machine} is connected through the relay again: the link's datagrams go on")
+            else:
+                text = "no command can cross, and the link's datagrams wait"
+                self._tell("warning", f"{self.machine} is no longer connected through the relay: {text}")
+        relay.maintain(now_ns, now_ns - self._arrived_ns)
+        if relay.peer != self._peer and relay.peer is not None:
+            self._peer = relay.peer
+            way = f"directly to {self._peer[0]} port {self._peer[1]}" if relay.is_direct else "through the relay"
+            self._tell("info", f"the link's datagrams to {self.machine} go {way}")
+
     # --- what is due ---
 
     def maintain(self, now_ns: int) -> None:
         """Exchange keys, send a sign of life, choose the way to receive by, and report."""
+        if self._relay is not None:
+            self._steer(self._relay, now_ns)
         self._exchange_keys(now_ns)
         if self._agreement.sealer is not None and now_ns - self._sent_ns >= _MAINTAIN_NS:
             self._send(b"", now_ns)
@@ -395,7 +441,10 @@ class DatagramEnd:
     def _admit(self) -> None:
         # Where the kernel refuses a filter, messages of strangers are rejected here.
         with contextlib.suppress(OSError):
-            flood_filter.admit(self.socket, self._agreement.tags)
+            flood_filter.admit(self.socket, self._tags())
+
+    def _tags(self) -> list[bytes]:
+        return [*self._agreement.tags, *([] if self._relay is None else [self._relay.tag])]
 
     def _count_kernel_drops(self) -> None:
         with contextlib.suppress(OSError):

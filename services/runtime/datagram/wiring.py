@@ -5,11 +5,15 @@ import socket
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from proto.errors import ConfigError
 from proto.nodes import FAR_END, LINK
 from services.runtime.bus.address_book import AddressBook, split_tcp
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.datagram.end import DatagramEnd, Outlets, Place
+from services.runtime.relay.path import RelayPath
+from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
+from services.runtime.security.access_control import AccessControl, relay_key
 
 if TYPE_CHECKING:
     from services.runtime.loop.participant import Participant
@@ -36,15 +40,18 @@ def open_end(
     try:
         end = DatagramEnd(
             participant.clock,
-            place_of(book, network.machine, is_master=is_master),
+            place_of(book, network.machine, is_master=is_master)
+            if book.relay is None
+            else relayed_place(book.relay, access, machine, direct=book.link.direct),
             book.link,
             reader,
             Outlets(outgoing, reports),
             machine=machine,
             is_master=is_master,
             is_allowed=lambda: not access.requires_keys or bool(access.roles(machine)),
+            is_connected=lambda: network.is_connected_to(machine),
         )
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ConfigError) as error:
         log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
         return None
     outgoing.carry = end.carry
@@ -65,3 +72,27 @@ def place_of(book: AddressBook, machine: str, *, is_master: bool) -> Place:
     if is_master:
         return Place(family, (host, port), None, port)
     return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), (host, port), port)
+
+
+def relayed_place(relay: str, access: AccessControl, machine: str, *, direct: bool = True) -> Place:
+    """Return where an end binds that reaches the one at `machine` through a relay, given as host:port.
+
+    Raises:
+        ConfigError: A key that is needed is not listed here.
+        OSError: The name of the relay cannot be resolved here.
+    """
+    own, peer = access.own, access.server_key(machine)
+    if own is None or peer is None:
+        raise ConfigError(f"{access.why_not(machine)}, with which the relay joins the two sites")
+    host, port = split_host_port(relay)
+    family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    relay_public, peer_public = raw_key(relay_key(access)), raw_key(peer)
+    path = RelayPath(
+        address,
+        SharedKeys(own, relay_public, TO_RELAY),
+        SharedKeys(own, peer_public, TO_SITE),
+        raw_key(own.public),
+        peer_public,
+        direct=direct,
+    )
+    return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), None, port, path)

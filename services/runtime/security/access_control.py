@@ -1,7 +1,7 @@
 """Access control: the key of this machine, the list of allowed keys as last read, and what each machine may do."""
 
 from proto.errors import ConfigError
-from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.address_book import RELAY, AddressBook
 from services.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
 
 
@@ -46,13 +46,16 @@ class AccessControl:
         return True
 
     def authorize(self, public_key: str) -> tuple[str, str]:
-        """Return the machine that a key belongs to and, where it is rejected, why: unlisted, revoked or expired."""
+        """Return the machine that a key belongs to and why it may not subscribe: unlisted, revoked, expired, relay."""
         if public_key == self.public_key:
             return self.machine, ""
         entry = self._allowed.of_key(public_key)
         if entry is None:
             return "", "unlisted"
-        return entry.name, "revoked" if entry.revoked else "expired" if self._has_expired(entry) else ""
+        if entry.revoked or self._has_expired(entry):
+            return entry.name, "revoked" if entry.revoked else "expired"
+        # Whoever carries what is sealed is no reader of it.
+        return entry.name, "relay" if entry.roles == ("relay",) else ""
 
     def server_key(self, machine: str) -> bytes | None:
         """Return the public key of a machine, None when no valid one is listed."""
@@ -84,6 +87,17 @@ class AccessControl:
 
     def _expired_keys(self) -> list[str]:
         return [entry.public_key for entry in self._allowed.keys if self._has_expired(entry)]
+
+
+def relay_key(access: AccessControl) -> bytes:
+    """Return the public key of the relay; ConfigError names the command that lists it."""
+    key = access.server_key(RELAY) if "relay" in access.roles(RELAY) else None
+    if key is None:
+        raise ConfigError(
+            f"{access.why_not(RELAY)} with the role relay: run `telenano keys allow {RELAY} KEY --role relay`, with "
+            "the KEY that `telenano relay` shows where it runs"
+        )
+    return key
 
 
 def check_keys(book: AddressBook, machine: str, keyring: Keyring) -> None:

@@ -35,7 +35,8 @@ _NAMED = re.compile(rb"certificate of the machine ([^\s]+)")
 # A key that expires within so many days is warned of before a rig is started.
 EXPIRES_SOON_DAYS = 14
 
-Role = Literal["data", "control", "observe"]
+Role = Literal["data", "control", "observe", "relay"]
+# What a machine may do at itself; the role relay is about what is carried for others.
 ROLES: tuple[Role, ...] = ("data", "control", "observe")
 _KEY_LENGTH = 40
 
@@ -71,12 +72,14 @@ class KeyPair(NamedTuple):
 
 
 class AllowedKey(Settings):
-    """A key of another machine and what it may do here; every key listed and not revoked may observe."""
+    """A key of another machine and what it may do here; every valid key with more than the role relay may observe."""
 
     name: Annotated[str, Field(pattern=MACHINE_PATTERN)] = Field(description="Machine that the key belongs to")
     public_key: PublicKey = Field(description="Its public key, 40 characters of Z85")
     roles: tuple[Role, ...] = Field(
-        min_length=1, description="data: its measurements and references are accepted; control: its commands; observe"
+        min_length=1,
+        description="data: its measurements and references are accepted; control: its commands; observe; relay: it may "
+        "use the relay here, or is the relay",
     )
     revoked: bool = Field(default=False, description="The key is rejected permanently")
     expires: Day | None = Field(default=None, description="Last day (UTC) on which the key is accepted, if any")

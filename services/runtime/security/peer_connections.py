@@ -7,7 +7,7 @@ import zmq
 
 from proto import WireError
 from proto.nodes import is_visitor
-from services.runtime.bus.address_book import may_carry
+from services.runtime.bus.address_book import is_relayed, may_carry
 from services.runtime.bus.bus import ConnectionEvent, Subscriber
 from services.runtime.loop.clock import Clock
 from services.runtime.security.access_control import AccessControl
@@ -245,6 +245,8 @@ class PeerConnections:
                 f"the handshake with {peer.node} ({peer.endpoint}) keeps failing: is the key of {self.machine} in "
                 f"{self._access_control.keyring.allowed_path} the one it uses, and is {peer.endpoint} its endpoint?"
             )
+            if is_relayed(peer.endpoint):
+                text += f" Or the relay is out of reach, or {peer.node} does not run: the log of the relay's end says"
             self._report("error", text, peer, "refused")
 
     def _rejected_text(self, peer: PeerConnection) -> str:

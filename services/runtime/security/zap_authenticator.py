@@ -29,7 +29,12 @@ _ZAP_FRAMES = 9
 _BATCH = 4
 # attempts to bind an endpoint again in consecutive turns, without delay
 _FAST_REBINDS = 1000
-_REASONS = {"unlisted": "is not in the list", "revoked": "was revoked", "expired": "has expired"}
+_REASONS = {
+    "unlisted": "is not in the list",
+    "revoked": "was revoked",
+    "expired": "has expired",
+    "relay": "is that of a relay",
+}
 
 
 @dataclass

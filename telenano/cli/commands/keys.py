@@ -36,6 +36,7 @@ class RoleName(StrEnum):
     DATA = "data"
     CONTROL = "control"
     OBSERVE = "observe"
+    RELAY = "relay"
 
 
 @app.command()
@@ -95,7 +96,9 @@ def allow(
     role: Annotated[
         list[RoleName],
         typer.Option(
-            "--role", help="data: accept its messages; control: its commands; observe: let it subscribe (repeatable)."
+            "--role",
+            help="data: accept its messages; control: its commands; observe: let it subscribe; relay: it may use the "
+            "relay here, or is the relay (repeatable).",
         ),
     ],
     expires: ExpiresOption = None,

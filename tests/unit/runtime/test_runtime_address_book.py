@@ -9,7 +9,7 @@ import pytest
 from proto import TOPICS
 from proto.errors import ConfigError, EndpointError
 from proto.nodes import site_of
-from services.runtime.bus.address_book import AddressBook, NodeEntry, may_carry
+from services.runtime.bus.address_book import AddressBook, NodeEntry, is_relayed, may_carry
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.settings.config import read_yaml, validate
 
@@ -32,7 +32,7 @@ def book(*nodes: str, **more: Any) -> AddressBook:
 
 @pytest.fixture(autouse=True)
 def _no_address_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("TELENANO_HOST_MASTER", "TELENANO_HOST_SLAVE", "TELENANO_BIND_ADDRESS"):
+    for name in ("TELENANO_HOST_MASTER", "TELENANO_HOST_SLAVE", "TELENANO_BIND_ADDRESS", "TELENANO_RELAY"):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -209,7 +209,8 @@ def test_a_wrong_node_name_is_refused(node: str) -> None:
 
 def test_an_unknown_key_lists_the_known_ones() -> None:
     assert (
-        error_of({}, secure=True) == "site.yaml: secure: unknown key, known are machines, bind, nodes, link, insecure"
+        error_of({}, secure=True)
+        == "site.yaml: secure: unknown key, known are machines, bind, nodes, link, relay, insecure"
     )
     with pytest.raises(ConfigError, match=r"site\.yaml: nodes: is missing"):
         validate(AddressBook, {}, "site.yaml")
@@ -433,3 +434,45 @@ def test_a_wrong_name_of_a_machine_is_named() -> None:
 )
 def test_a_socket_carries_its_node_and_that_of_the_link_the_other_site(node: str, src: str, may: bool) -> None:
     assert may_carry(node, src) is may
+
+
+RELAYED = {
+    "haptic_node@master": "ipc:///h",
+    "delay_node@slave": {"local": "ipc:///l", "network": "tcp://{master}:5704"},
+    "afm_node@slave": {"local": "ipc:///a", "network": "tcp://10.0.0.2:5712"},
+}
+
+
+def test_with_a_relay_every_tcp_endpoint_is_one_of_this_machine() -> None:
+    rig = AddressBook.model_validate({"machines": {"master": "10.0.0.1"}, "nodes": RELAYED, "relay": "relay.org:5750"})
+    assert rig.requires_keys
+    assert [rig.network_endpoint(node) for node in RELAYED] == [
+        None,
+        "tcp://127.77.0.1:5704",
+        "tcp://127.77.0.2:5712",
+    ]
+    # Nodes bind elsewhere, so that both sites can be tried on one machine.
+    assert rig.bind_endpoint("afm_node@slave") == "tcp://127.0.0.1:5712"
+    assert rig.connect_endpoint("afm_node@slave", "master") == "tcp://127.77.0.2:5712"
+    assert rig.connect_endpoint("afm_node@slave", "slave") == "ipc:///a"
+    assert is_relayed("tcp://127.77.0.2:5712")
+    assert not is_relayed("tcp://127.0.0.1:5712")
+
+
+def test_a_relay_may_be_named_by_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RELAY", "198.51.100.7:5750")
+    assert AddressBook.model_validate({"nodes": {"afm_node@slave": "tcp://10.0.0.2:5712"}}).relay == "198.51.100.7:5750"
+    given = {"nodes": {"afm_node@slave": "tcp://10.0.0.2:5712"}, "relay": "[2001:db8::7]:5750"}
+    assert AddressBook.model_validate(given).relay == "[2001:db8::7]:5750"
+    monkeypatch.setenv("TELENANO_RELAY", "nonsense")
+    assert "relay: nonsense is not of the form host:port" in error_of({"afm_node@slave": "tcp://10.0.0.2:5712"})
+
+
+@pytest.mark.parametrize("relay", ["relay", "relay:0", "relay:70000", "2001:db8::7:5750", "relay:x", ""])
+def test_a_relay_that_is_none_is_refused(relay: str) -> None:
+    assert "relay" in error_of({"afm_node@slave": "tcp://10.0.0.2:5712"}, relay=relay)
+
+
+def test_a_relay_carries_nothing_that_is_not_encrypted() -> None:
+    text = error_of({"afm_node@slave": "tcp://10.0.0.2:5712"}, relay="relay:5750", insecure=True)
+    assert "remove `insecure: true`" in text

@@ -586,3 +586,37 @@ def test_repetitions_give_way_before_a_sample_is_left_out() -> None:
         assert ends.slave.seqs[-1] == ends.master.seq - 1
         rate_kbit_per_s = (ends.master.end.sent_bytes - sent) * 8e-3 / 4.0
         assert 0.8 * 650.0 < rate_kbit_per_s <= 650.0 + 1.0
+
+
+class RelayAlone:
+    """Stands for the way through a relay: it has no place to give, and takes nothing."""
+
+    tag, peer, is_direct = b"none", None, False
+
+    def maintain(self, now_ns: int, silence_ns: int) -> None:
+        """Do nothing."""
+
+
+def test_through_a_relay_no_sample_counts_while_no_command_could_cross(ends: Pair) -> None:
+    connected = [True]
+    for side in ends.sides:
+        side.end._relay = RelayAlone()  # type: ignore[assignment]
+        side.end._is_connected = lambda: connected[0]
+    ends.master.end._peer = ("127.0.0.1", ends.slave.port)
+    ends.joined()
+    before = len(ends.slave.seqs)
+    ends.turns(10)
+    assert len(ends.slave.seqs) - before == 10
+    connected[0] = False
+    ends.turns(120)
+    before = [len(side.seqs) for side in ends.sides]
+    ends.turns(50)
+    assert [len(side.seqs) for side in ends.sides] == before
+    # signs of life go on, so that nothing has to be found again
+    assert [side.end.receiving for side in ends.sides] == ["datagram", "datagram"]
+    connected[0] = True
+    ends.turns(20)
+    assert min(len(side.seqs) - count for side, count in zip(ends.sides, before, strict=True)) >= 10
+    texts = [event.text for side in ends.sides for event in side.events]
+    assert sum("no command can cross" in text for text in texts) == 2
+    assert sum("the link's datagrams go on" in text for text in texts) == 2

@@ -11,7 +11,7 @@ from zmq.utils import z85
 
 from proto.errors import ConfigError
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.security.access_control import AccessControl, check_keys
+from services.runtime.security.access_control import AccessControl, check_keys, relay_key
 from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
 
 
@@ -317,7 +317,7 @@ def test_what_is_no_key_is_refused(ring: Keyring, key: str) -> None:
 
 def test_a_key_without_a_role_is_of_no_use(ring: Keyring) -> None:
     assert "roles" in refusal_of(ring.allow, "slave", KEY, [])
-    assert "data', 'control' or 'observe', got 'admin'" in refusal_of(ring.allow, "slave", KEY, ["admin"])
+    assert "data', 'control', 'observe' or 'relay', got 'admin'" in refusal_of(ring.allow, "slave", KEY, ["admin"])
 
 
 def test_every_key_survives_the_file(ring: Keyring) -> None:
@@ -636,3 +636,18 @@ def test_what_is_missing_because_it_has_expired_is_reported_as_that(tmp_path: Pa
     text = refusal_of(check_keys, AddressBook.model_validate({"nodes": NODES}), "master", ring)
     assert "the key of slave in" in text
     assert "expired at the end of 2027-02-28 (UTC)" in text
+
+
+def test_a_relay_is_listed_without_a_right_to_read(access: AccessControl, ring: Keyring) -> None:
+    assert "telenano keys allow relay KEY --role relay" in refusal_of(relay_key, access)
+    ring.allow("relay", OTHER, ["relay"])
+    assert access.reload()
+    assert relay_key(access) == OTHER.encode()
+    # whoever carries what is sealed cannot subscribe to it
+    assert access.authorize(OTHER) == ("relay", "relay")
+    ring.allow("relay", OTHER, ["relay", "observe"])
+    assert access.reload()
+    assert access.authorize(OTHER) == ("relay", "")
+    ring.allow("relay", OTHER, ["observe"])
+    assert access.reload()
+    assert "with the role relay" in refusal_of(relay_key, access)

@@ -1,0 +1,55 @@
+"""The end of one site that reaches the other one through the relay of the site file: `python -m services.relay`."""
+
+import asyncio
+import contextlib
+import signal
+import sys
+from collections.abc import Coroutine, Sequence
+from typing import Any
+
+from proto.errors import ConfigError, TelenanoError
+from services.relay.site_end import SiteEnd
+from services.runtime.bus.address_book import AddressBook
+from services.runtime.loop.log import StructuredLog, configure_logging
+from services.runtime.loop.main import EXIT_BAD_START, load_site, parse_arguments
+from services.runtime.loop.realtime import ahead_of_others, die_with_parent, raise_file_limit
+from services.runtime.security.access_control import AccessControl
+from services.runtime.security.keyring import Keyring
+
+
+async def until_stopped(work: Coroutine[Any, Any, None]) -> None:
+    """Run until SIGINT or SIGTERM, or until the work ends by an error, which is raised."""
+    task = asyncio.ensure_future(work)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+
+
+async def run_site_end(book: AddressBook, site: str, log: StructuredLog) -> None:
+    """Run the end of a site; ConfigError where the site file has no relay, or a key is missing."""
+    if book.relay is None:
+        raise ConfigError("the site file has no `relay: host:port`")
+    access = AccessControl(site, Keyring(), requires_keys=True)
+    await SiteEnd(book, site, access, log).run()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the end of a site until it is stopped; return the exit code, 2 where it could not start."""
+    given = parse_arguments("relay", ("master", "slave"), arguments)
+    configure_logging()
+    log = StructuredLog(f"relay@{given.site}")
+    if given.with_parent:
+        die_with_parent(signal.SIGTERM)
+    raise_file_limit()
+    ahead_of_others()
+    try:
+        asyncio.run(until_stopped(run_site_end(load_site(given.site_file), given.site, log)))
+    except TelenanoError as error:
+        log.error(str(error))
+        return EXIT_BAD_START
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
