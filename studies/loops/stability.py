@@ -9,22 +9,12 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from proto.errors import ConfigError
-from services.haptic_node.config import ARMS, ArmConstants, DeviceConfig
-from services.haptic_node.physics.motor import closed_loop_coefficients
 from services.runtime.settings.option import Option
 from studies import option_values
 from studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions
+from studies.loops.linear_loop import linear_loop, not_linear
 from studies.loops.sweep import Sweep
-from studies.loops.theory import (
-    Arm,
-    Device,
-    LoopModel,
-    arm_response,
-    critical_delay_s,
-    critical_link_delay_s,
-    loop_model,
-    margin_of,
-)
+from studies.loops.theory import loop_model
 from studies.option_values import Jitter
 
 
@@ -235,20 +225,11 @@ def line_result(line: Line, cells: tuple[CellResult, ...], link_ms: float | None
 
 def theory_of(line: Line) -> tuple[float | None, float | None]:
     """Return T_c and T_d [s] of a line, where its law and environment make a linear loop with a constant delay."""
-    controller = line.cell(0.0).controller()
-    section = controller.law_config()
-    model = loop_model(line.law, section, line.stiffness_n_per_m)
-    if model is None or line.axes.environment != "spring" or line.jitter.value or line.loss or controller.clamp.enabled:
+    cell = line.cell(0.0)
+    if loop_model(line.law, cell.controller().law_config(), line.stiffness_n_per_m) is None:
         return None, None
-    devices_s = 1e-3 * line.axes.device_latency_ms
-    if line.axes.hand != "force":
-        # the arm and the device are not sampled, so the hold is taken to be worth half a period, as it is without them
-        critical_s = arm_margin_s(model, getattr(section, "force_gain", 1.0), ARMS[line.axes.hand])
-        return critical_s, max(0.0, critical_s - 0.5 * controller.period_s - devices_s)
-    return critical_delay_s(model), max(0.0, critical_link_delay_s(model, controller.period_s) - devices_s)
-
-
-def arm_margin_s(model: LoopModel, hand_gain: float, arm: ArmConstants) -> float:
-    """Return T_c [s] of a loop with an arm on the 30 Hz device; `hand_gain` as in `theory.arm_response`."""
-    device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
-    return margin_of(arm_response(model, hand_gain, Arm(*arm), device)).delay_s
+    if line.jitter.value or line.loss or not_linear(cell):
+        return None, None
+    loop = linear_loop(cell)
+    # the round trip of the loop at no delay of the link is that of the devices
+    return loop.critical_delay_s, max(0.0, loop.critical_link_delay_s - loop.round_trip_s)
