@@ -95,6 +95,7 @@ schemas: setup
 site: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[site]'
 	$(BIN)/mkdocs build --strict --quiet
+	$(BIN)/telenano study gallery --out out/site/gallery
 	@echo "out/site/index.html"
 
 lock: $(BIN)/uv

@@ -27,6 +27,7 @@ from studies.pages.compare import (
     z_width_of,
 )
 from studies.pages.page import Page, write_images
+from telenano.cli.commands.study_gallery import gallery_command
 from telenano.cli.commands.study_options import OutOption, SchedulerOption, WorkersOption
 from telenano.cli.commands.study_promises import promises
 from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
@@ -48,6 +49,7 @@ _VALIDATE = {"laws": "virtual_impedance", "environment": "contact", "delays_ms":
 
 app = command_group()
 app.command()(promises)
+app.command("gallery")(gallery_command)
 
 
 def _warn_of(doubts: list[str]) -> None:

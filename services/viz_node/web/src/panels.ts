@@ -1,4 +1,5 @@
 import type { Cockpit, PanelRow } from "./cockpit";
+import { DelayPanel } from "./panels/delay";
 import { EventsPanel } from "./panels/events";
 import { HandPanel } from "./panels/hand";
 import { ImagePanel } from "./panels/image";
@@ -28,6 +29,7 @@ export const PANELS: readonly PanelRow[] = [
   { id: "link", title: "Link", region: "controls", shows: isLive, make: (root, cockpit) => new LinkPanel(root, cockpit) },
   { id: "summary", title: "Summary", region: "dock", shows: isRecording, make: (root, cockpit) => new SummaryPanel(root, cockpit) },
   { id: "image", title: "Image", region: "dock", make: (root, cockpit) => new ImagePanel(root, cockpit) },
+  { id: "delay", title: "Delay", region: "dock", make: (root, cockpit) => new DelayPanel(root, cockpit) },
   { id: "settings", title: "Settings", region: "dock", shows: isLive, make: (root, cockpit) => new SettingsPanel(root, cockpit) },
   { id: "nodes", title: "Nodes", region: "watch", make: (root, cockpit) => new NodesPanel(root, cockpit) },
   { id: "events", title: "Events", region: "watch", make: (root, cockpit) => new EventsPanel(root, cockpit) },

@@ -1,0 +1,87 @@
+"""The gallery of delay in a real Chromium: the static page, and the tab of the view that shows the same."""
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_page import AXE, Page, View, browser, keep, needs_browser, open_page
+from made_sessions import Made, hand_force_n
+
+from studies.pages.gallery import FOLDER, page_of
+
+pytestmark = [pytest.mark.browser, needs_browser]
+
+SIZES = (("laptop", 1366, 768), ("desktop", 1920, 1080), ("tablet", 820, 1100), ("phone", 390, 844))
+SAID = "document.querySelector('.gallery-said').textContent"
+MOVE = """([law, place]) => {
+  document.querySelector(".gallery select").value = law;
+  const slider = document.querySelector(".gallery input");
+  slider.value = place;
+  slider.dispatchEvent(new Event("input"));
+}"""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as found:
+        yield found
+
+
+def move(page: Page, law: str, delay_ms: float) -> str:
+    """Choose a law and a round trip; return what the page says of them."""
+    page.page.evaluate(MOVE, [law, round(delay_ms / 5.0)])
+    return str(page.value(SAID))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_static_page_shows_when_a_root_crosses_and_fits_every_window(
+    chromium: Any, tmp_path: Path, scheme: str
+) -> None:
+    file = tmp_path / "gallery.html"
+    file.write_text(page_of(json.loads((FOLDER / "gallery.json").read_text())))
+    window = chromium.new_context(color_scheme=scheme)
+    page = Page(window.new_page())
+    page.page.goto(file.as_uri())
+    growing = "[...document.querySelectorAll('.gallery circle.bad')].length"
+    # the margin of theory, 45.0 ms, lies between these two
+    assert move(page, "virtual_impedance", 40.0).startswith("stable")
+    assert page.value(growing) == 0
+    assert move(page, "virtual_impedance", 50.0).startswith("diverged")
+    assert page.value(growing) == 2
+    assert move(page, "wave", 200.0).startswith("stable")
+    assert page.value(growing) == 0
+    assert move(page, "passivity", 200.0).startswith("stable")
+    assert "not linear" in page.value("document.querySelector('.gallery').textContent")
+    move(page, "virtual_impedance", 60.0)
+    page.value(f"{AXE.read_text()}; 0")
+    for name, width, height in SIZES:
+        page.page.set_viewport_size({"width": width, "height": height})
+        assert page.value("document.documentElement.scrollWidth - innerWidth") <= 0, name
+        found = page.value("axe.run({ runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa'] })")
+        assert [fault["id"] for fault in found["violations"]] == [], name
+        if (folder := os.environ.get("TELENANO_PICTURES")) and (name, scheme) == ("laptop", "light"):
+            keep(page.page.screenshot(), Path(folder) / "gallery.png")
+    assert page.faults == []
+    window.close()
+
+
+def test_the_tab_of_the_view_shows_the_same(chromium: Any, tmp_path: Path) -> None:
+    view = View(dict(os.environ), str(Made(tip_n=hand_force_n).write(tmp_path)))
+    try:
+        page = open_page(chromium, view.operator)
+        page.click("#tab-delay")
+        page.until("document.querySelector('#delay .gallery-said')?.textContent", "the gallery in its tab")
+        document = json.loads((FOLDER / "gallery.json").read_text())
+        for law in document["laws"]:
+            said = move(page, law["law"], 120.0)
+            assert law["cells"][24]["reason"] in said
+        assert page.value("document.documentElement.scrollWidth - innerWidth") <= 0
+        if folder := os.environ.get("TELENANO_PICTURES"):
+            keep(page.page.screenshot(), Path(folder) / "gallery-tab.png")
+        assert page.faults == []
+        page.page.context.close()
+    finally:
+        view.close()
