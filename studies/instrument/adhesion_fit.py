@@ -32,13 +32,13 @@ from services.afm_node.physics.contact.maugis_dugdale import (
     reduced_modulus_pa,
 )
 from services.numerics.compiled import compiled, compiled_form
-from studies.instrument.correlated_noise import Noise, candidates, correlated_noise
+from studies.instrument.correlated_noise import Noise, correlated_noise
 from studies.instrument.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
 
 # of the contact, and of the way from the sample after it
-_MOST_POINTS, _MOST_FREE_POINTS = 200, 100
+_MOST_POINTS, _MOST_FREE_POINTS = 200, 400
 _LEAST_POINTS = 12
 _GRID = 600
 _SHIFTS_NM = (-1.0, -0.3, 0.0, 0.3, 1.0)
@@ -51,6 +51,14 @@ _AT_BOUND = 0.02
 _FREE_SHARE = 0.6
 # steps of the fit with the noise that was found, and the change as a share of the errors at which they end
 _MOST_STEPS, _ENOUGH = 8, 0.02
+
+
+class Fitted(NamedTuple):
+    """The contact that was fitted: base [m], force as measured and of the model with the zero line [N], shape (n,)."""
+
+    base_m: Array
+    measured_n: Array
+    model_n: Array
 
 
 class AdhesionFit(NamedTuple):
@@ -69,9 +77,11 @@ class AdhesionFit(NamedTuple):
     transition: float
     wander_n: float
     wander_points: float
+    fitted: Fitted
 
     def as_dict(self) -> dict[str, Any]:
-        return self._asdict()
+        """Return the figures by name, without the points."""
+        return {name: value for name, value in self._asdict().items() if name != "fitted"}
 
 
 class _Model(NamedTuple):
@@ -141,7 +151,8 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
     except np.linalg.LinAlgError as error:
         raise ConfigError(refusal) from error
     radius, work = float(np.exp(free[0])), float(np.exp(free[1]))
-    scatter = scale * float(np.sqrt(np.mean((residuals(free) - noise.zero[: len(base)]) ** 2)))
+    drawn = Fitted(base, force, scale * (predicted(free) + noise.zero)[: len(base)])
+    scatter = float(np.sqrt(np.mean((drawn.measured_n - drawn.model_n) ** 2)))
     contact = _contact(model, radius, work)
     return AdhesionFit(
         radius,
@@ -153,6 +164,7 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
         contact.transition,
         scale * noise.wander,
         noise.points,
+        drawn,
     )
 
 
@@ -166,7 +178,6 @@ def _with_noise(
     """
     measured = np.concatenate([part.force_n, part.free_n]) / scale
     times = part.place / max(float(part.place[-1]), 1.0)
-    covariances = candidates(part.place)
     for _ in range(_MOST_STEPS):
         present = predicted(free)
         columns = [np.ones_like(times), times - times.mean()]
@@ -174,7 +185,7 @@ def _with_noise(
             ahead, behind = free.copy(), free.copy()
             ahead[i], behind[i] = ahead[i] + 1e-4, behind[i] - 1e-4
             columns.append((predicted(ahead) - predicted(behind)) / 2e-4)
-        noise = correlated_noise(measured - present, np.stack(columns, axis=1), covariances)
+        noise = correlated_noise(measured - present, np.stack(columns, axis=1), part.place)
         errors = np.sqrt(np.diag(noise.covariance))[2:]
         noise = noise._replace(zero=columns[0] * noise.coefficients[0] + columns[1] * noise.coefficients[1])
         # a step that is too long for the linear model is cut

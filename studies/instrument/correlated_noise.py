@@ -5,14 +5,16 @@ Ornstein and Uhlenbeck. The ratio r and the correlation T are weighted by the re
 Thompson, Biometrika 58 (1971) 545), which counts what the regression itself takes out of the noise. A drift slower than
 the record looks like a wander whose T is as long. A residual alone would be believed to be white, and the errors be too
 small by the square root of how many points hang together.
+
+A wander of this kind remembers its last value only. So each point less what those before it tell of it, over its own
+deviation (the innovations of R. E. Kalman, J. Basic Eng. 82 (1960) 35), is white, and takes one pass over the points.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 Array = npt.NDArray[np.float64]
 
@@ -20,8 +22,6 @@ Array = npt.NDArray[np.float64]
 _SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 _LEAST_POINTS = 2.0
 _RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0)
-# by how much a wander has to be likelier to weigh as much as none, as a logarithm: many are tried
-_WORTH = 5.0
 
 
 class Noise(NamedTuple):
@@ -38,28 +38,8 @@ class Noise(NamedTuple):
     zero: Array = np.zeros(0)
 
 
-class _Candidate(NamedTuple):
-    """Ratio of the variances, correlation in points, and the lower root of the covariance."""
-
-    ratio: float
-    points: float
-    root: Any
-
-
-def candidates(index: Array) -> list[_Candidate]:
-    """Return the covariances that are tried for points of an index (n,): white noise first."""
-    lags = np.abs(index[:, None] - index[None, :])
-    lengths = {max(share * float(np.ptp(index)), _LEAST_POINTS) for share in _SHARES}
-    one = np.eye(len(index))
-    found = [_Candidate(0.0, _LEAST_POINTS, one)]
-    for points in sorted(lengths):
-        kernel = np.exp(-lags / points)
-        found += [_Candidate(ratio, points, np.linalg.cholesky(one + ratio * kernel)) for ratio in _RATIOS]
-    return found
-
-
-def correlated_noise(values: Array, columns: Array, covariances: list[_Candidate]) -> Noise:
-    """Regress values, shape (n,), on columns, shape (n, p), in the likeliest noise of `candidates`.
+def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
+    """Regress values, shape (n,), on columns, shape (n, p), in white noise and a wander over an index that rises, (n,).
 
     Raises: numpy.linalg.LinAlgError where the columns do not tell the coefficients apart.
     """
@@ -67,41 +47,54 @@ def correlated_noise(values: Array, columns: Array, covariances: list[_Candidate
     size = np.sqrt((columns**2).sum(axis=0))
     if not (np.isfinite(size).all() and size.all()):
         raise np.linalg.LinAlgError("a column is nothing")
-    fits = [_generalized(values, columns / size, candidate.root) for candidate in covariances]
-    gains = np.array([fit.log_likelihood for fit in fits])
-    gains -= [_WORTH if one.ratio else 0.0 for one in covariances]
+    lengths = sorted({max(share * float(np.ptp(index)), _LEAST_POINTS) for share in _SHARES})
+    ratio, points = (np.ravel(one) for one in np.meshgrid(_RATIOS, lengths))
+    ratio, points = np.append(0.0, ratio), np.append(_LEAST_POINTS, points)
+    white, logs = _whitened(np.column_stack([columns / size, values]), index, ratio, points)
+    x, y = white[:, :, :-1], white[:, :, -1:]
+    turned = np.swapaxes(x, 1, 2)
+    normal = turned @ x
+    halves = np.linalg.cholesky(normal)
+    inverse = np.linalg.inv(normal)
+    coefficients = inverse @ (turned @ y)
+    freedom = len(values) - columns.shape[1]
+    variance = np.maximum(((y - x @ coefficients) ** 2).sum(axis=(1, 2)) / freedom, 1e-300)
+    gains = -0.5 * freedom * np.log(variance) - logs - np.log(np.diagonal(halves, axis1=1, axis2=2)).sum(axis=1)
+    # before the values are looked at, noise that wanders in some way is as likely as noise that does not
+    gains[1:] -= math.log(len(gains) - 1)
     # what the noise is like is known no better than the likelihood tells: the mean over all, each with its weight
     weights = np.exp(gains - gains.max())
     weights /= weights.sum()
-    mean = sum(weight * fit.coefficients for weight, fit in zip(weights, fits, strict=True))
-    covariance = np.zeros((len(size), len(size)))
-    for weight, fit in zip(weights, fits, strict=True):
-        apart = fit.coefficients - mean
-        covariance += weight * (fit.variance * fit.inverse + np.outer(apart, apart))
+    mean = np.tensordot(weights, coefficients[:, :, 0], 1)
+    apart = coefficients[:, :, 0] - mean
+    spread = variance[:, None, None] * inverse + apart[:, :, None] * apart[:, None, :]
     best = int(np.argmax(gains))
-    ratio, points = covariances[best].ratio, covariances[best].points
-    white = math.sqrt(fits[best].variance)
-    covariance /= np.outer(size, size)
-    return Noise(mean / size, covariance, white, white * math.sqrt(ratio), points if ratio else 0.0)
+    deviation = math.sqrt(float(variance[best]))
+    return Noise(
+        mean / size,
+        np.tensordot(weights, spread, 1) / np.outer(size, size),
+        deviation,
+        deviation * math.sqrt(float(ratio[best])),
+        float(points[best]) if best else 0.0,
+    )
 
 
-class _Fit(NamedTuple):
-    coefficients: Array
-    inverse: Array
-    variance: float
-    log_likelihood: float
+def _whitened(values: Array, index: Array, ratio: Array, points: Array) -> tuple[Array, Array]:
+    """Return values, shape (n, p), as they are in white noise of the variance 1, for each of m kinds of noise.
 
-
-def _generalized(values: Array, columns: Array, root: Array) -> _Fit:
-    """Return the fit for a covariance, given by its root but for its size, and its restricted log likelihood."""
-    white = solve_triangular(root, np.column_stack([columns, values]), lower=True, check_finite=False)
-    x, y = white[:, :-1], white[:, -1]
-    normal = x.T @ x
-    half = np.linalg.cholesky(normal)
-    inverse = np.linalg.inv(normal)
-    coefficients = inverse @ (x.T @ y)
-    left = y - x @ coefficients
-    freedom = len(y) - x.shape[1]
-    variance = max(float(left @ left) / freedom, 1e-300)
-    logs = float(np.log(np.diag(root)).sum() + np.log(np.diag(half)).sum())
-    return _Fit(coefficients, inverse, variance, -0.5 * freedom * math.log(variance) - logs)
+    Returns: those, shape (m, n, p), and half the logarithm of the determinant of the covariance, shape (m,).
+    """
+    count, width = values.shape
+    white, logs = np.empty((count, len(ratio), width)), np.zeros(len(ratio))
+    expected, uncertain = np.zeros((len(ratio), width)), ratio.copy()
+    kept = np.exp(-np.diff(index, prepend=index[0])[:, None] / points)
+    for i in range(count):
+        expected = expected * kept[i][:, None]
+        uncertain = kept[i] ** 2 * uncertain + ratio * (1.0 - kept[i] ** 2)
+        total = uncertain + 1.0
+        innovation = values[i] - expected
+        white[i] = innovation / np.sqrt(total)[:, None]
+        logs += 0.5 * np.log(total)
+        expected = expected + (uncertain / total)[:, None] * innovation
+        uncertain = uncertain / total
+    return np.swapaxes(white, 0, 1), logs

@@ -79,16 +79,18 @@ def curve(
         marks = curves.marks_of(found)
         other = None if measured is None else (measured, curves.marks_of(measured))
         fit: dict[str, Any] | None = None
+        contact = None
         if measured is not None:
             # a curve that this contact does not describe is worth a look all the same
             try:
-                fit = fit_adhesion(measured, config, reduced_modulus).as_dict()
+                contact = fit_adhesion(measured, config, reduced_modulus)
+                fit = contact.as_dict()
             except ConfigError as error:
                 fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
         pairs = [(found, marks), *([] if other is None else [other])]
         with results_in(out) as folder:
             curves.write_hdf5(folder / "curve.h5", found)
-            curve_figure(pairs).savefig(folder / "curve.png", dpi=130)
+            curve_figure(pairs, contact).savefig(folder / "curve.png", dpi=130)
     document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
     if other is not None:
         document["measured"] = {"stiffness_n_per_m": other[0].stiffness_n_per_m, **other[1].as_dict()}

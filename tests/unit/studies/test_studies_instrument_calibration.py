@@ -46,6 +46,15 @@ def test_the_stiffness_is_found_from_the_noise_also_above_a_floor():
         calibrate_stiffness(AfmConfig(), seconds=1e-3)
 
 
+@pytest.mark.endurance
+@pytest.mark.timeout(3000)
+def test_the_interval_of_the_sensitivity_covers_it():
+    found = [calibrate_sensitivity(AfmConfig(), seed=seed) for seed in range(1000)]
+    inside = [abs(one.sensitivity_per_m - 1e3) < 1.96 * one.standard_error_per_m for one in found]
+    assert 0.93 <= sum(inside) / 1000 <= 0.97
+    assert np.mean([one.sensitivity_per_m for one in found]) == pytest.approx(1e3, rel=5e-4, abs=0)
+
+
 def covered(config, seconds, floor, seeds):
     """Return the share of seeds whose interval of 95 % has the true stiffness in it, and the mean of what was found."""
     k = config.cantilever.stiffness_n_per_m
