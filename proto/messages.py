@@ -336,12 +336,21 @@ class LinkClock(Record):
     exchanges: Count = Field(description="Number of exchanges in view of the minimum filter")
 
 
-class LinkStatus(Message):
+class LinkStatus(_Extended):
     """The link, both directions."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"answer_sent_ns": 2, "answer_received_ns": 2}
 
     forward: LinkDirection = Field(description="From the master to the slave")
     backward: LinkDirection = Field(description="From the slave to the master")
     clock: LinkClock = Field(description="Offset between the clocks of the sites, past the impairments")
+    answer_sent_ns: Count | None = Field(
+        default=None, description="t_ns of the newest clock/pong, on the answering clock [ns]; absent before the first"
+    )
+    answer_received_ns: Count | None = Field(
+        default=None, description="When that clock/pong arrived at the link, on the asking clock [ns]"
+    )
 
 
 class LinkDelay(Message):

@@ -1,14 +1,13 @@
 """The clock of the slave's site against the master's over a recording, and all stamps of a recording on one clock.
 
-Two machines have two clocks. Their difference is in the recording: `link/status` has ten times a second the best of the
-last exchanges of four time stamps, with a bound of its error. That bound is half the round trip, because no exchange
-can tell a difference of the clocks from ways that differ there and back. So the difference is taken off only where the
-clocks are shown to differ: it is beyond its bound, they drift apart, or without it an answer would come before its
-question. One machine, or a link of 10 ms there and 70 ms back, shows none of these.
+Two machines have two clocks. What the link measured of their difference is in the recording: `link/status` has it ten
+times a second, with the bounds between which it lies, and `clock/pong` has when each question was sent and when it
+arrived. The lines through these bounds have offset and drift (`recording.clock_line`), a line for as long as one fits.
 
-The drift is that of the questions of these exchanges (`clock/pong`). By two clocks a question takes its way plus what
-the other clock is ahead, and no queue makes that less: a line through the lower envelope rises with the drift. It
-counts where the way back falls as much as the way there rises, which a queue that fills does not do.
+The bounds are half the round trip apart from the estimate, because no exchange can tell a difference of the clocks from
+ways that differ there and back. So the difference is taken off only where the clocks are shown to differ: it is beyond
+its bound, they drift apart, or without it an answer would come before its question. One machine, or a link of 10 ms
+there and 70 ms back, shows none of these.
 """
 
 import math
@@ -19,34 +18,25 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import RecordingError
-from proto.nodes import site_of
+from proto.nodes import LINK, name_of, site_of
 from recording.arrays import replay_shifts
+from recording.clock_course import Piece, knots, mean_drift, piece_of, stretches
+from recording.clock_line import Bound
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 _NS = 1_000_000_000
 _STATUS, _NETWORK, _ANSWER = "link/status", "link/network", "clock/pong"
-# a recording of more than a minute is looked at in eight windows of ten seconds, each longer than an exchange is kept
-_WINDOW_NS, _MOST_WINDOWS = 10 * _NS, 8
-# The tip's samples of so long a time are examined in each window.
-_CAUSALITY_NS = 2 * _NS
-# The fastest question of each block counts; ten are asked in a second.
-_BLOCK_NS = _NS
-# Each minute has a straight line of its own, because temperature and time services change the rate of a clock slowly.
-_SEGMENT_S = 60.0
-# A line needs at least so many blocks.
-_SEGMENT_BLOCKS = 8
-# a growth that is so many times the scatter about its line, and so large [ns], is no chance; over so many blocks
-_SURE_GROWTH, _LEAST_GROWTH_NS, _LEAST_BLOCKS = 10.0, 500_000, 5
-# The drift of the other way may differ by this share.
-_UNLIKE = 0.3
-# No clock of a computer drifts by more than this.
-_MOST_DRIFT = 2e-3
-# An exchange is recognised by its way there [s], because stamps are whole ns.
-_SAME_S = 2e-6
+# Of a recording of more than a minute and a half two seconds are read every one and a half minutes, or more seldom.
+_WHOLE_NS, _WINDOW_NS, _STEP_OF_WINDOWS_NS, _MOST_WINDOWS = 90 * _NS, 2 * _NS, 90 * _NS, 64
+# The tip's samples of so long a time are examined in so many windows.
+_CAUSALITY_NS, _MOST_EXAMINED = 2 * _NS, 8
+# Of what is read one line is tried for so long at first.
+_PIECE_NS = 4 * _NS
+# A report belongs to the exchange that it agrees with to this [ns], because stamps are whole ns.
+_SAME_NS = 2_000
 # Two clocks drift apart in this time by less than the error of their stamps.
 _STEP_NS = _NS // 1000
 # An answer may precede its question by so much, because of the error of the stamps [ns].
@@ -60,7 +50,7 @@ class SiteClock(NamedTuple):
 
     offset_s: in the middle of the recording [s]; uncertainty_s: bound of its error [s]; drift: what it gains [s/s];
     applied: whether it is taken off the slave's stamps, and the reason. knots_ns: times by the slave's clock [ns], with
-    ahead_s there [s]; a straight line between two.
+    ahead_s there [s]; a straight line between two, and two of one time where the clock was set.
     """
 
     offset_s: float
@@ -78,10 +68,10 @@ class SiteClock(NamedTuple):
         origin = self.knots_ns[0]
         x = np.array([knot - origin for knot in self.knots_ns], dtype=np.float64)
         at = (stamps_ns - origin).astype(np.float64)
-        part = np.clip(np.searchsorted(x, at) - 1, 0, len(x) - 2)
-        ahead, slopes = np.array(self.ahead_s), np.diff(self.ahead_s) / np.diff(x)
+        part = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
+        ahead, widths = np.array(self.ahead_s), np.maximum(np.diff(x), 1.0)
         # Beyond the ends the first and the last line are extended.
-        return np.asarray(np.rint((ahead[part] + slopes[part] * (at - x[part])) * _NS), dtype=np.int64)
+        return np.asarray(np.rint((ahead[part] + np.diff(ahead)[part] / widths[part] * (at - x[part])) * _NS), np.int64)
 
     def one_ahead_ns(self, stamp_ns: int) -> int:
         """Return the same for one stamp."""
@@ -147,33 +137,34 @@ class Timeline:
 
 def is_of_slave(src: str) -> bool:
     """Return whether a node stamps by the clock of the slave's site."""
-    return bool(src) and site_of(src) == "slave"
+    # The link's endpoint there belongs to a process at the master's.
+    return site_of(src) == "slave" and name_of(src) != LINK
 
 
 def read_site_clock(recording: RecordingSource) -> SiteClock | None:
     """Return the slave's clock as the link measured it; None where it was not measured."""
     windows = _windows(*recording.span_ns)
-    for topic in (_STATUS, _NETWORK):
-        reports = [report for window in windows for report in _reports(recording, topic, window)]
-        if reports:
-            return _judged(recording, windows, reports)
-    return None
+    found = (_judged(recording, windows, topic) for topic in (_STATUS, _NETWORK))
+    return next((clock for clock in found if clock is not None), None)
 
 
 def _windows(first_ns: int, last_ns: int) -> list[tuple[int, int]]:
     """Return the parts of a recording that are looked at [ns]: all of a short one."""
     length_ns = last_ns - first_ns
-    count = min(_MOST_WINDOWS, math.ceil(length_ns / _WINDOW_NS / 6))
-    if count <= 1:
+    if length_ns <= _WHOLE_NS:
         return [(first_ns, last_ns + 1)]
+    count = min(_MOST_WINDOWS, 1 + math.ceil(length_ns / _STEP_OF_WINDOWS_NS))
     step_ns = (length_ns - _WINDOW_NS) // (count - 1)
     return [(first_ns + n * step_ns, first_ns + n * step_ns + _WINDOW_NS) for n in range(count)]
 
 
 class _Report(NamedTuple):
+    """What a report says of the clocks; answer: when the newest answer was sent and received [ns], None if untold."""
+
     t_ns: int
     offset_s: float
     uncertainty_s: float
+    answer: tuple[int, int] | None
 
 
 def _reports(recording: RecordingSource, topic: str, window: tuple[int, int]) -> Iterator[_Report]:
@@ -190,59 +181,70 @@ def _reports(recording: RecordingSource, topic: str, window: tuple[int, int]) ->
             continue
         offset_s, uncertainty_s = clock.get("offset_s"), clock.get("uncertainty_s")
         if isinstance(offset_s, float) and isinstance(uncertainty_s, float):
-            yield _Report(message.publish_ns, offset_s, uncertainty_s)
+            sent_ns, received_ns = fields.get("answer_sent_ns"), fields.get("answer_received_ns")
+            answer = (sent_ns, received_ns) if isinstance(sent_ns, int) and isinstance(received_ns, int) else None
+            yield _Report(message.publish_ns, offset_s, uncertainty_s, answer)
 
 
-class _Questions(NamedTuple):
-    """Questions of the link to the other site, shape (n,) each.
-
-    asked_ns: by the master's clock [ns]; there_ns, back_ns: how long question and answer took by two clocks [ns], the
-    latter to the recorder, and empty where that is not at the master's site.
-    """
-
-    asked_ns: Ints
-    there_ns: Ints
-    back_ns: Ints
+def _piece(recording: RecordingSource, topic: str, window: tuple[int, int]) -> Piece | None:
+    """Return the bounds in a window: from above by the questions, or else by the reports, and from below by these."""
+    reports = list(_reports(recording, topic, window))
+    upper = _questions(recording, window)
+    if not upper:
+        upper = [(report.t_ns, round((report.offset_s + report.uncertainty_s) * _NS)) for report in reports]
+    lower = [(r.answer[1], r.answer[0] - r.answer[1]) for r in reports if r.answer is not None]
+    return piece_of(upper, lower or _told_lower(reports, upper))
 
 
-def _questions(recording: RecordingSource, windows: list[tuple[int, int]]) -> _Questions:
-    rows = []
-    for window in windows:
-        for message in recording.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window):
-            try:
-                fields = message.fields()
-                asked_ns, received_ns = int(fields["ping_t_ns"]), int(fields["received_ns"])
-            except (RecordingError, KeyError, TypeError, ValueError):
-                continue
-            rows.append((asked_ns, received_ns - asked_ns, message.log_ns - message.publish_ns))
-    rows.sort()
-    found = np.array(rows, dtype=np.int64).reshape(-1, 3)
-    return _Questions(found[:, 0], found[:, 1], found[:, 2] if _is_masters(recording) else found[:0, 2])
+def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
+    """Return the lower bounds that reports of an earlier version tell: each of one exchange, seconds before it."""
+    asked = {round(ahead_ns / _SAME_NS): asked_ns for asked_ns, ahead_ns in upper}
+    found = []
+    for report in reports:
+        place = round((report.offset_s + report.uncertainty_s) * _NS / _SAME_NS)
+        made = (asked[near] for near in (place, place - 1, place + 1) if near in asked)
+        found.append((next(made, report.t_ns), round((report.offset_s - report.uncertainty_s) * _NS)))
+    return found
 
 
-def _judged(recording: RecordingSource, windows: list[tuple[int, int]], reports: list[_Report]) -> SiteClock:
-    best = min(reports, key=lambda report: report.uncertainty_s)
-    questions = _questions(recording, windows)
-    origin_ns = reports[0].t_ns
-    middle_ns = (reports[-1].t_ns - origin_ns) // 2
-    knots, ahead, drift = _course(questions, best, origin_ns)
+def _questions(recording: RecordingSource, window: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return when questions were sent by the master's clock [ns], and how long they took by two clocks [ns]."""
+    found = []
+    for message in recording.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window):
+        try:
+            fields = message.fields()
+            asked_ns, received_ns = int(fields["ping_t_ns"]), int(fields["received_ns"])
+        except (RecordingError, KeyError, TypeError, ValueError):
+            continue
+        found.append((asked_ns, received_ns - asked_ns))
+    return found
+
+
+def _judged(recording: RecordingSource, windows: list[tuple[int, int]], topic: str) -> SiteClock | None:
+    pieces = _pieces(recording, topic, windows)
+    if not pieces:
+        return None
+    parts = stretches(pieces)
+    course = knots(parts, lambda first_ns, last_ns: _piece(recording, topic, (first_ns, last_ns)))
+    drift = mean_drift(parts)
+    middle_ns = (course[0][0] + course[-1][0]) // 2
     clock = SiteClock(
         offset_s=0.0,
-        uncertainty_s=best.uncertainty_s,
+        uncertainty_s=max(0.0, *(0.5 * part.line.round_trip_ns / _NS for part in parts)),
         drift=drift,
         applied=False,
         reason="",
-        knots_ns=tuple(origin_ns + round(at + off) for at, off in zip(knots.tolist(), ahead.tolist(), strict=True)),
-        ahead_s=tuple((ahead / _NS).tolist()),
+        knots_ns=tuple(at_ns for at_ns, _ in course),
+        ahead_s=tuple(ahead_ns / _NS for _, ahead_ns in course),
     )
-    clock = clock._replace(offset_s=clock.one_ahead_ns(origin_ns + middle_ns + round(best.offset_s * _NS)) / _NS)
-    beyond = next((report for report in reports if abs(report.offset_s) > report.uncertainty_s), None)
-    early_s, early_without_s = _earliest_s(recording, windows, clock)
+    clock = clock._replace(offset_s=clock.one_ahead_ns(middle_ns) / _NS)
+    is_beyond = max(map(abs, clock.ahead_s)) > clock.uncertainty_s
+    early_s, early_without_s = _earliest_s(recording, windows[:: math.ceil(len(windows) / _MOST_EXAMINED)], clock)
     limit_s = _EARLY_NS / _NS
     if early_s < -limit_s <= early_without_s:
         words = f"{_spoken(clock.offset_s)} was measured, but then an answer would come {-early_s:.3g} s too early"
         return clock._replace(reason=words)
-    if beyond is not None:
+    if is_beyond:
         words = f"the slave's clock is {_spoken(clock.offset_s)}, which is known to {clock.uncertainty_s:.2g} s"
     elif early_without_s < -limit_s:
         words = f"by the stamps as they are an answer came {-early_without_s:.3g} s before its question"
@@ -256,75 +258,18 @@ def _judged(recording: RecordingSource, windows: list[tuple[int, int]], reports:
     return clock._replace(applied=True, reason=words)
 
 
-def _course(questions: _Questions, best: _Report, origin_ns: int) -> tuple[Floats, Floats, float]:
-    """Return times since an origin [ns], what the slave's clock is ahead there [ns], and its drift; 0 if none is sure.
-
-    The lower envelope of the way there has the course, and the best exchange what the way itself takes of it.
-    """
-    flat = np.array([0.0]), np.array([best.offset_s * _NS]), 0.0
-    times, there = _envelope(questions.asked_ns - origin_ns, questions.there_ns)
-    _, back = _envelope(questions.asked_ns[: len(questions.back_ns)] - origin_ns, questions.back_ns)
-    if len(times) < _LEAST_BLOCKS or len(back) != len(times):
-        return flat
-    ends = times[[0, -1]]
-    lines = [_through(times, values, ends) for values in (there, back)]
-    growths = [float(line[1] - line[0]) for line in lines]
-    scatter = float(np.sqrt(np.mean((there - np.interp(times, ends, lines[0])) ** 2)))
-    drift = growths[0] / float(ends[1] - ends[0])
-    is_sure = abs(growths[0]) > max(_SURE_GROWTH * scatter, _LEAST_GROWTH_NS) and abs(drift) <= _MOST_DRIFT
-    if not is_sure or abs(growths[0] + growths[1]) > _UNLIKE * abs(growths[0]):
-        return flat
-    parts = max(1, min(int((ends[1] - ends[0]) * 1e-9 // _SEGMENT_S), len(times) // _SEGMENT_BLOCKS))
-    knots = np.unique(np.quantile(times, np.linspace(0.0, 1.0, parts + 1)))
-    course = _through(times, there, knots)
-    # The best report rests on this exchange, which may have been made seconds before.
-    off = np.abs(questions.there_ns * 1e-9 - (best.offset_s + best.uncertainty_s))
-    place = int(np.argmin(off))
-    made = float((questions.asked_ns[place] if off[place] < _SAME_S else best.t_ns) - origin_ns)
-    return knots, course - (float(np.interp(made, knots, course)) - best.offset_s * _NS), drift
-
-
-def _envelope(asked_ns: Ints, way_ns: Ints) -> tuple[Floats, Floats]:
-    """Return the fastest way of each block of a second, and when it was gone [ns]."""
-    if not asked_ns.size:
-        return np.empty(0), np.empty(0)
-    begins = np.flatnonzero(np.diff(asked_ns // _BLOCK_NS, prepend=-1) != 0)
-    parts = np.split(np.arange(asked_ns.size), begins[1:] if begins[0] == 0 else begins)
-    least = np.array([part[int(np.argmin(way_ns[part]))] for part in parts])
-    return asked_ns[least].astype(np.float64), way_ns[least].astype(np.float64)
+def _pieces(recording: RecordingSource, topic: str, windows: list[tuple[int, int]]) -> list[Piece]:
+    """Return the bounds in windows, of a long one in parts; there is a report in one of them."""
+    parts = [
+        (first_ns, min(first_ns + _PIECE_NS, end_ns))
+        for begin_ns, end_ns in windows
+        for first_ns in range(begin_ns, end_ns, _PIECE_NS)
+    ]
+    return [piece for part in parts if (piece := _piece(recording, topic, part)) is not None]
 
 
 def _spoken(offset_s: float) -> str:
     return f"{abs(offset_s):.4g} s {'ahead' if offset_s >= 0.0 else 'behind'}"
-
-
-def _through(times: Floats, values: Floats, knots: Floats) -> Floats:
-    """Return the values at knots of the broken line that is nearest to points, which lie in each of its parts.
-
-    A point depends on the two knots beside it, so the normal equations of least squares are tridiagonal. They are
-    solved by elimination in order: the digits of LAPACK would depend on the processor.
-    """
-    last = len(knots) - 1
-    left = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, last - 1)
-    share = (times - knots[left]) / (knots[left + 1] - knots[left])
-    middle = float(np.median(values))
-
-    def summed(at_left: Floats, at_right: Floats) -> list[float]:
-        # `bincount` adds in the order of the points, so the sums have the same bits on every processor.
-        sums = np.bincount(left, at_left, last + 1) + np.bincount(left + 1, at_right, last + 1)
-        return [float(value) for value in sums]
-
-    rest = 1.0 - share
-    diagonal, wanted = summed(rest * rest, share * share), summed(rest * (values - middle), share * (values - middle))
-    beside = [float(value) for value in np.bincount(left, rest * share, last)]
-    for i in range(last):
-        factor = beside[i] / diagonal[i]
-        diagonal[i + 1] -= factor * beside[i]
-        wanted[i + 1] -= factor * wanted[i]
-    found = [wanted[last] / diagonal[last]]
-    for i in reversed(range(last)):
-        found.append((wanted[i] - beside[i] * found[-1]) / diagonal[i])
-    return np.array(found[::-1]) + middle
 
 
 def _earliest_s(recording: RecordingSource, windows: list[tuple[int, int]], clock: SiteClock) -> tuple[float, float]:

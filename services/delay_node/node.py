@@ -17,14 +17,14 @@ from services.delay_node.engine import DirectionEngine, LinkEngine, LinkState
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus.bus import Received
 from services.runtime.bus.ends import publish_end
-from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter
+from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter, OffsetState
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.deferred import Task
 from services.runtime.loop.node import Node, NodeBus, NodeContext
 from services.runtime.loop.node_state import FindInput
 
 STATUS_PERIOD_NS = 100_000_000
-# exchanges of time stamps in view, one a report: the clocks of two sites drift by microseconds in this time
+# seconds of exchanges of time stamps in view, one a report
 _CLOCK_WINDOW = 64
 # So many rows of ground truth make a message worth sending.
 _FATES_AT_ONCE = 32
@@ -57,15 +57,17 @@ class DirectionPath(NamedTuple):
 class DelayNodeState(NamedTuple):
     """The state of the node.
 
-    Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps that it
-    follows from; when the next report is due [ns], and how many messages it has to tell of.
+    Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps by second
+    that it follows from; when the newest answer was sent and received [ns], 0 before it; when the next report
+    is due [ns], and how many messages it has to tell of.
     """
 
     engine: LinkState
     forward_delay: DeclaredDelay
     backward_delay: DeclaredDelay
     between: BetweenSites
-    exchanges: list[Exchange]
+    clock: OffsetState
+    answer: tuple[int, int]
     status_ns: int
     unreported: int
 
@@ -80,6 +82,7 @@ class DelayNode(Node):
     idle_after = "teleop/backward"
     acts_on_health = True
     state_kind = DelayNodeState
+    state_version = 2
     period_s = 0.0
 
     def __init__(
@@ -114,6 +117,7 @@ class DelayNode(Node):
         # The newest message that was sent on, by topic.
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
+        self._answer = (0, 0)
         self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
         self._between = ONE_MACHINE
         self._spans_machines = spans_machines
@@ -135,7 +139,8 @@ class DelayNode(Node):
         self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
         if type(received.message) is ClockPong:
             pong = received.message
-            self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, pong.t_ns, received.received_ns))
+            self._answer = (pong.t_ns, received.received_ns)
+            self._offset.record(Exchange(pong.ping_t_ns, pong.received_ns, *self._answer))
         direction = TOPICS[received.topic].bridged
         if direction is None:
             return
@@ -168,7 +173,8 @@ class DelayNode(Node):
             forward_delay=self._forward_delay,
             backward_delay=self._backward_delay,
             between=self._between,
-            exchanges=list(self._offset.exchanges),
+            clock=self._offset.capture(),
+            answer=self._answer,
             status_ns=self._status.deadline_ns,
             unreported=self._unreported,
         )
@@ -177,7 +183,8 @@ class DelayNode(Node):
         self.engine.restore(state.engine, find)
         self._forward_delay, self._backward_delay = state.forward_delay, state.backward_delay
         self._between, self._unreported = state.between, state.unreported
-        self._offset.exchanges.extend(state.exchanges)
+        self._offset.restore(state.clock)
+        self._answer = state.answer
         self._status.deadline_ns = state.status_ns
 
     def further_outputs(self) -> dict[str, int]:
@@ -252,6 +259,7 @@ class DelayNode(Node):
             forward=_direction(self._forward, settings, profile),
             backward=_direction(self._backward, settings, profile),
             clock=_clock(self._offset.estimate()),
+            **({"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}),
         )
 
 

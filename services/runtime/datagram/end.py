@@ -52,9 +52,8 @@ _UNOFFERED_NS = 5_000_000_000
 # The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
 # datagrams flow. An end that is started anew falls silent first.
 _OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
-# exchanges of time stamps in view, the best of each tenth of a second: the clocks drift by microseconds in this time
+# seconds of exchanges of time stamps in view
 _CLOCK_WINDOW = 64
-_EXCHANGE_NS = 100_000_000
 # payloads of the other end that a repetition is compared with
 _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
@@ -180,8 +179,6 @@ class DatagramEnd:
         self._tried_since_ns: int | None = None
         self._expected = 0
         self._acknowledged_counts = (0, 0)
-        self._best: Exchange | None = None
-        self._exchange_ns = now
         self._maintain_ns = self._report_ns = now
         self._offered_ns = now - _CALM_OFFER_NS
         self._next_reminder_ns = now + _UNOFFERED_NS
@@ -355,9 +352,7 @@ class DatagramEnd:
                 self._expected, self._acknowledged_ns = report.expected, monotonic_ns
                 self._acknowledged_counts = (report.expected, report.arrived)
         if report.heard_sent_ns:
-            exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
-            if self._best is None or exchange.round_trip_ns < self._best.round_trip_ns:
-                self._best = exchange
+            self.offset.record(Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns))
 
     def _follow(self, address: Address) -> None:
         if self._peer is not None:
@@ -392,9 +387,6 @@ class DatagramEnd:
         if self._agreement.sealer is not None and now_ns - self._sent_ns >= _MAINTAIN_NS:
             self._send(b"", now_ns)
         self._choose(now_ns)
-        if now_ns - self._exchange_ns >= _EXCHANGE_NS and self._best is not None:
-            self.offset.record(self._best)
-            self._best, self._exchange_ns = None, now_ns
         self.arrivals.settle(now_ns)
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS

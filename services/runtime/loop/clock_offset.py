@@ -1,23 +1,28 @@
-"""The offset between the clocks of the two sites, from exchanges of four time stamps.
+"""The clock of the other site against this one, from exchanges of four time stamps.
 
 A question leaves here at t1 (this clock), reaches the other site at t2 (its clock), the answer leaves there at t3 and
 arrives here at t4. With the delays d_there and d_back and the other clock ahead by the offset o,
 
     t2 = t1 + d_there + o,    t4 = t3 + d_back - o,
-    estimate  = ((t2 - t1) + (t3 - t4)) / 2 = o + (d_there - d_back) / 2,
-    round trip = (t4 - t1) - (t3 - t2)       = d_there + d_back        (RFC 5905, section 8).
+    t3 - t4 <= o <= t2 - t1,  round trip = (t4 - t1) - (t3 - t2) = d_there + d_back        (RFC 5905, section 8).
 
-Only the difference of the two delays enters, and no exchange can reveal it: an asymmetric path shifts the estimate by
-half of its asymmetry. Neither delay is below zero, so the error is never above half the round trip, which is the
-uncertainty that is given. Queues only ever add delay, so of the last exchanges the one with the shortest round trip
-is the one to believe (minimum filter).
+Queues only ever add delay, so the fastest question and the fastest answer of each second are kept, and the line between
+them has offset and drift (`recording.clock_line`). Only the difference of the two least delays enters, and no exchange
+can reveal it. Neither is below zero, so the error is never above half of their sum, the uncertainty that is given.
 """
 
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
-# Two clocks drift apart by less between two exchanges, and clocks are set by far more.
+from recording.clock_line import MOST_DRIFT, ClockLine, are_apart, fitted
+
+# Two clocks that are not set drift apart by less between two exchanges of a second.
 STEP_NS = 10_000_000
+BLOCK_NS = 1_000_000_000
+# Parts of so many seconds show a change of the rate.
+_LEAST_PART = 4
+_TURN_NS = 100_000_000
 
 
 class Exchange(NamedTuple):
@@ -48,14 +53,45 @@ class Offset(NamedTuple):
     exchanges: int
 
 
+class Block(NamedTuple):
+    """The exchanges of a second.
+
+    When the fastest question was sent, and its t2 - t1 [ns]; when the fastest answer arrived, and its t3 - t4 [ns]; how
+    many exchanges there were.
+    """
+
+    asked_ns: int
+    high_ns: int
+    answered_ns: int
+    low_ns: int
+    exchanges: int
+
+    def joined(self, other: "Block") -> "Block":
+        """Return the block of the exchanges of both."""
+        question = min((self.high_ns, self.asked_ns), (other.high_ns, other.asked_ns))
+        answer = max((self.low_ns, -self.answered_ns), (other.low_ns, -other.answered_ns))
+        return Block(question[1], question[0], -answer[1], answer[0], self.exchanges + other.exchanges)
+
+
+class OffsetState(NamedTuple):
+    """When the newest exchange was complete [ns], the drift that was shown last [s/s], and the blocks in view."""
+
+    newest_ns: int
+    drift: float
+    blocks: list[Block]
+
+
 class OffsetFilter:
-    """Minimum filter over the last exchanges."""
+    """The line through the exchanges of the last seconds."""
 
     def __init__(self, window: int) -> None:
-        """Keep the last `window` exchanges; ValueError if fewer than one."""
+        """Keep the last `window` seconds that had exchanges; ValueError if fewer than one."""
         if window < 1:
-            raise ValueError(f"window is {window}, must be at least 1 exchange")
-        self.exchanges: deque[Exchange] = deque(maxlen=window)
+            raise ValueError(f"window is {window}, must be at least 1 second")
+        self.blocks: deque[Block] = deque(maxlen=window)
+        self._newest_ns = 0
+        self._drift = 0.0
+        self._line: ClockLine | None = None
 
     def record(self, exchange: Exchange) -> None:
         """Record an exchange; one whose round trip is negative cannot be one of ours and is ignored.
@@ -65,17 +101,70 @@ class OffsetFilter:
         """
         if exchange.round_trip_ns < 0:
             return
-        if self.exchanges:
-            last = self.exchanges[-1]
-            explained_ns = 0.5 * (exchange.round_trip_ns + last.round_trip_ns) + STEP_NS
-            if abs(exchange.offset_ns - last.offset_ns) > explained_ns:
-                self.exchanges.clear()
-        self.exchanges.append(exchange)
+        sent_ns, there_ns, back_ns, received_ns = exchange
+        block = Block(sent_ns, there_ns - sent_ns, received_ns, back_ns - received_ns, 1)
+        if self.blocks and self._is_of_another_clock(block):
+            self.blocks.clear()
+        self._line = None
+        self._newest_ns = received_ns
+        if self.blocks and self.blocks[-1].answered_ns // BLOCK_NS == received_ns // BLOCK_NS:
+            self.blocks[-1] = self.blocks[-1].joined(block)
+        else:
+            self.blocks.append(block)
+
+    def line(self) -> ClockLine | None:
+        """Return the line of what the other clock is ahead, None before the first exchange.
+
+        Where the other clock has changed its rate, or was set by little, the newest seconds count alone.
+        """
+        if self._line is None and self.blocks:
+            self._line = self._fitted(self.blocks)
+            while len(self.blocks) > 1 and (newest := self._newest_apart(self._line)):
+                while len(self.blocks) > newest:
+                    self.blocks.popleft()
+                self._line = self._fitted(self.blocks)
+            self._drift = self._line.drift
+        return self._line
 
     def estimate(self) -> Offset | None:
-        """Return the estimate, None before the first exchange."""
-        if not self.exchanges:
+        """Return the estimate for the time of the newest exchange, None before the first one."""
+        line = self.line()
+        if line is None:
             return None
-        best = min(self.exchanges, key=lambda exchange: exchange.round_trip_ns)
-        round_trip_s = best.round_trip_ns * 1e-9
-        return Offset(best.offset_ns * 1e-9, 0.5 * round_trip_s, round_trip_s, len(self.exchanges))
+        round_trip_s = max(0.0, line.round_trip_ns * 1e-9)
+        count = sum(block.exchanges for block in self.blocks)
+        return Offset(line.at(self._newest_ns) * 1e-9, 0.5 * round_trip_s, round_trip_s, count)
+
+    def capture(self) -> "OffsetState":
+        """Return the state, for `restore`."""
+        return OffsetState(self._newest_ns, self._drift, list(self.blocks))
+
+    def restore(self, state: "OffsetState") -> None:
+        """Go on from a state."""
+        self._newest_ns, self._drift = state.newest_ns, state.drift
+        self.blocks.extend(state.blocks)
+
+    def _is_of_another_clock(self, block: Block) -> bool:
+        last = self.blocks[-1]
+        rise_ns = STEP_NS + MOST_DRIFT * abs(block.answered_ns - last.asked_ns)
+        fall_ns = STEP_NS + MOST_DRIFT * abs(block.asked_ns - last.answered_ns)
+        return block.low_ns > last.high_ns + rise_ns or block.high_ns < last.low_ns - fall_ns
+
+    def _newest_apart(self, whole: ClockLine) -> int:
+        """Return how many of the newest seconds are apart from those before; 0 where one line fits all of them."""
+        half = len(self.blocks) // 2
+        if whole.round_trip_ns < 0.0:
+            return half
+        # To try both parts at once would take a millisecond.
+        newest = half if self._newest_ns // _TURN_NS % 2 else _LEAST_PART
+        if min(newest, len(self.blocks) - newest - 1) < _LEAST_PART:
+            return 0
+        # The second before the newest part may have exchanges of both.
+        blocks = list(self.blocks)
+        older, newer = (self._fitted(part) for part in (blocks[: -newest - 1], blocks[-newest:]))
+        return newest if are_apart(whole, older, newer) else 0
+
+    def _fitted(self, blocks: Iterable[Block]) -> ClockLine:
+        kept = tuple(blocks)
+        upper = [(block.asked_ns, block.high_ns) for block in kept]
+        return fitted(upper, [(block.answered_ns, block.low_ns) for block in kept], self._drift)

@@ -171,4 +171,6 @@ class Made:
             assert estimate is not None and math.isfinite(estimate.offset_s)
             told = {**estimate._asdict(), "offset_s": estimate.offset_s + self.told_s, "valid": True}
             clock = example("link/status").clock.model_copy(update=told)
-            add("link/status", LINK, 0.1 * tenth, clock=clock)
+            answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns, "v": 2}
+            # an earlier version tells no answers
+            add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))

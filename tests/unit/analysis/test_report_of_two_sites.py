@@ -14,7 +14,7 @@ from analysis.report import write_report
 from recording.merge_sites import merge_sites
 from recording.reader import Recording
 from recording.sender_time import SenderClock
-from recording.site_clock import _course, _Questions, _Report, _windows, read_site_clock
+from recording.site_clock import read_site_clock
 from telenano.cli.output import clock_warning
 
 # what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
@@ -86,28 +86,6 @@ def test_a_drift_is_seen_within_the_bound_that_the_round_trip_sets(tmp_path: Pat
     truth_ns = stamps - BEGAN_NS - np.rint(times_s * NS).astype(np.int64)
     # the ways differ by their least jitter
     assert np.abs(clock.ahead_ns(stamps) - truth_ns).max() < 1e-4 * NS
-
-
-def test_a_clock_whose_rate_changes_in_an_hour_is_followed() -> None:
-    # what is read of an hour: eight windows of ten seconds; 20 ppm at its beginning and 24 at its end, 5 s ahead
-    windows = _windows(0, 3600 * NS)
-    assert len(windows) == 8
-    asked_s = np.concatenate([np.arange(first / NS, last / NS, 0.1) for first, last in windows])
-    jitter_s = np.random.default_rng(3).exponential(2e-4, asked_s.size)
-
-    def ahead_s(time_s: Any) -> Any:
-        return 5.0 + 2e-5 * time_s + 0.5 * 4e-6 / 3600.0 * time_s**2
-
-    there = np.rint((0.02 + jitter_s + ahead_s(asked_s)) * NS).astype(np.int64)
-    back = np.rint((0.02 - ahead_s(asked_s)) * NS).astype(np.int64)
-    best = int(np.argmin(jitter_s))
-    report = _Report(
-        round(asked_s[best] * NS), ahead_s(asked_s[best]) + 0.5 * jitter_s[best], 0.02 + 0.5 * jitter_s[best]
-    )
-    knots, ahead, drift = _course(_Questions(np.rint(asked_s * NS).astype(np.int64), there, back), report, 0)
-    assert drift == pytest.approx(2.2e-5, rel=0.05)
-    times_s = np.linspace(0.0, 3600.0, 200)
-    assert np.abs(np.interp(times_s * NS, knots, ahead) / NS - ahead_s(times_s)).max() < 3e-4
 
 
 def test_ways_that_differ_are_not_taken_for_clocks_and_both_readings_are_given(

@@ -1,6 +1,7 @@
 """Four time stamps: exact on a symmetric path, off by half the asymmetry, never by more than half the round trip."""
 
 import random
+from collections.abc import Callable
 
 import pytest
 
@@ -41,19 +42,19 @@ def test_uncertainty_is_reached_when_one_way_takes_no_time_and_never_passed() ->
         assert abs(estimate.offset_s - 0.123456789) <= estimate.uncertainty_s + 1e-12
 
 
-def test_minimum_filter_believes_the_shortest_round_trip_in_view() -> None:
+def test_the_fastest_question_and_the_fastest_answer_in_view_count() -> None:
     offsets = OffsetFilter(3)
-    offsets.record(exchange(1_000_000, 50_000, 50_000))
-    for extra in (9_000_000, 5_000_000):
-        offsets.record(exchange(1_000_000, 50_000 + extra, 50_000))
+    for second, (there_ns, back_ns) in enumerate([(50_000, 9_000_000), (9_000_000, 50_000), (5_000_000, 5_000_000)]):
+        offsets.record(exchange(1_000_000, there_ns, back_ns, second * 10**9))
     best = offsets.estimate()
     assert best is not None
-    assert (best.offset_s, best.exchanges) == (pytest.approx(1e-3, rel=1e-9, abs=0.0), 3)
-    offsets.record(exchange(1_000_000, 7_050_000, 50_000))
-    # the good one has left the window
+    assert best == (pytest.approx(1e-3, rel=1e-9), pytest.approx(5e-5), pytest.approx(1e-4), 3)
+    for second in (3, 4):
+        offsets.record(exchange(1_000_000, 5_000_000, 5_000_000, second * 10**9))
+    # the good ones have left the window
     later = offsets.estimate()
     assert later is not None
-    assert later.round_trip_s == pytest.approx(5.1e-3, rel=1e-9, abs=0.0)
+    assert later.round_trip_s == pytest.approx(1e-2, rel=1e-9, abs=0.0)
 
 
 def test_impossible_exchange_is_left_out() -> None:
@@ -90,3 +91,53 @@ def test_a_slow_network_is_no_other_clock() -> None:
 def test_window_holds_at_least_one() -> None:
     with pytest.raises(ValueError, match="window is 0"):
         OffsetFilter(0)
+
+
+def worst_error_s(course: Callable[[float], float], jitter_ms: tuple[float, float], base_ns: int = 20_000_000) -> float:
+    """Give the largest error of the live estimate in ten minutes, from the third second on [s]."""
+    draw, found, worst_s = random.Random(1), OffsetFilter(64), 0.0
+    for asked_ns in range(0, 600 * 10**9, 10**8):
+        there_ns, back_ns = (base_ns + round(draw.expovariate(1.0 / jitter) * 1e6) for jitter in jitter_ms)
+        arrived_ns = asked_ns + there_ns
+        stamps = (arrived_ns + round(course(arrived_ns * 1e-9) * 1e9) + late_ns for late_ns in (0, 100_000))
+        found.record(Exchange(asked_ns, *stamps, arrived_ns + 100_000 + back_ns))
+        if asked_ns % 10**9 == 0 and asked_ns > 3 * 10**9:
+            estimate = found.estimate()
+            assert estimate is not None
+            worst_s = max(worst_s, abs(estimate.offset_s - course((arrived_ns + back_ns) * 1e-9)))
+    return worst_s
+
+
+@pytest.mark.parametrize("drift", [5e-4, -5e-4, 2e-5, 0.0])
+@pytest.mark.parametrize("jitter_ms", [(5.0, 0.2), (0.2, 5.0), (0.05, 0.05)])
+def test_offset_is_kept_over_a_drift_and_asymmetric_jitter(drift: float, jitter_ms: tuple[float, float]) -> None:
+    assert worst_error_s(lambda time_s: 5.0 + drift * time_s, jitter_ms) < 1e-3
+    # ways of a fiftieth of a millisecond, as in one building
+    assert worst_error_s(lambda time_s: drift * time_s, (0.05, 0.05), 20_000) < 3e-4
+
+
+@pytest.mark.parametrize("stepped", [200, 203])
+def test_a_step_that_the_round_trip_hides_is_found_within_seconds(stepped: int) -> None:
+    found, errors_s = OffsetFilter(64), []
+    for turn in range(400):
+        ahead_ns = 0 if turn < stepped else 15_000_000
+        found.record(exchange(ahead_ns, 20_000_000, 20_000_000, turn * 10**8))
+        estimate = found.estimate()
+        assert estimate is not None
+        errors_s.append(abs(estimate.offset_s - ahead_ns * 1e-9))
+    assert max(errors_s[:200]) < 1e-9
+    assert max(errors_s[270:]) < 1e-9
+
+
+def test_a_state_goes_on_with_the_same_bits() -> None:
+    draw, whole = random.Random(4), OffsetFilter(16)
+    rest = None
+    for turn in range(500):
+        made = exchange(turn * 40_000, draw.randrange(10**7), draw.randrange(10**7), turn * 10**8)
+        whole.record(made)
+        if rest is not None:
+            rest.record(made)
+            assert rest.estimate() == whole.estimate()
+        elif turn == 237:
+            rest = OffsetFilter(16)
+            rest.restore(whole.capture())

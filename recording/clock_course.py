@@ -1,0 +1,120 @@
+"""What another clock is ahead over a whole recording: straight lines, one for as long as one fits the bounds."""
+
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+from recording.clock_line import Bound, ClockLine, are_apart, fitted
+
+_BLOCK_NS = 1_000_000_000
+# No line is longer, because temperature and time services change the rate of a clock slowly.
+_LONGEST_NS = 600 * _BLOCK_NS
+# Where two lines are further apart than this [ns], the clock was set in between, and the time is sought to this [ns].
+_SET_NS, _SOUGHT_NS = 2_000_000.0, 200_000_000
+
+
+class Piece(NamedTuple):
+    """Bounds of what the other clock is ahead in a short time, from above and from below; neither is empty."""
+
+    upper: list[Bound]
+    lower: list[Bound]
+
+
+class Stretch(NamedTuple):
+    """A line, and from when until when it holds by this clock [ns]."""
+
+    first_ns: int
+    last_ns: int
+    line: ClockLine
+
+
+# Reads the bounds of a part of the recording, by this clock [ns]; None where there are none.
+Read = Callable[[int, int], Piece | None]
+
+
+def piece_of(upper: Iterable[Bound], lower: Iterable[Bound]) -> Piece | None:
+    """Return the least upper and the greatest lower bound of each second; None where one side has none."""
+    least: dict[int, Bound] = {}
+    greatest: dict[int, Bound] = {}
+    for at_ns, value_ns in upper:
+        block = at_ns // _BLOCK_NS
+        if block not in least or value_ns < least[block][1]:
+            least[block] = (at_ns, value_ns)
+    for at_ns, value_ns in lower:
+        block = at_ns // _BLOCK_NS
+        if block not in greatest or value_ns > greatest[block][1]:
+            greatest[block] = (at_ns, value_ns)
+    return Piece(list(least.values()), list(greatest.values())) if least and greatest else None
+
+
+def stretches(pieces: Sequence[Piece]) -> list[Stretch]:
+    """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits."""
+    found: list[Stretch] = []
+    upper, lower = list(pieces[0].upper), list(pieces[0].lower)
+    line = fitted(upper, lower)
+    for piece in pieces[1:]:
+        both = fitted(upper + piece.upper, lower + piece.lower, line.drift)
+        alone = fitted(piece.upper, piece.lower, line.drift)
+        if are_apart(both, line, alone) or piece.upper[0][0] - upper[0][0] > _LONGEST_NS:
+            found.append(_stretch(upper, lower, line))
+            upper, lower, line = list(piece.upper), list(piece.lower), alone
+        else:
+            upper, lower, line = upper + piece.upper, lower + piece.lower, both
+    return [*found, _stretch(upper, lower, line)]
+
+
+def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:
+    """Return times by the other clock [ns], and what it is ahead there [ns]; two of one time where it was set.
+
+    Args:
+        parts: The lines, in the order of time.
+        read: Reads more of the recording, to find when the clock was set between two lines.
+    """
+    found = [(parts[0].first_ns, parts[0].line.at(parts[0].first_ns))]
+    for part, after in itertools.pairwise(parts):
+        between_ns = (part.last_ns + after.first_ns) // 2
+        if abs(part.line.at(between_ns) - after.line.at(between_ns)) <= _SET_NS:
+            found.append((between_ns, 0.5 * (part.line.at(between_ns) + after.line.at(between_ns))))
+            continue
+        last_ns, first_ns = _sought(part, after, read)
+        found += [(last_ns, part.line.at(last_ns)), (first_ns, after.line.at(first_ns))]
+    found.append((max(parts[-1].last_ns, found[-1][0] + 1), parts[-1].line.at(parts[-1].last_ns)))
+    stamped = [(at_ns + round(ahead_ns), ahead_ns) for at_ns, ahead_ns in found]
+    for place in range(1, len(stamped)):
+        if stamped[place][0] < stamped[place - 1][0]:
+            # The clock was set back by more than the site was silent, and has some stamps twice: each has one half.
+            middle_ns = (stamped[place][0] + stamped[place - 1][0]) // 2
+            stamped[place - 1 : place + 1] = [(middle_ns, ahead_ns) for _, ahead_ns in stamped[place - 1 : place + 1]]
+    return stamped
+
+
+def mean_drift(parts: Sequence[Stretch]) -> float:
+    """Return the mean of the drifts of lines, by the times for which they hold [s/s]."""
+    lengths = [max(1, part.last_ns - part.first_ns) for part in parts]
+    return sum(length * part.line.drift for length, part in zip(lengths, parts, strict=True)) / sum(lengths)
+
+
+def _stretch(upper: Sequence[Bound], lower: Sequence[Bound], line: ClockLine) -> Stretch:
+    times = [at_ns for at_ns, _ in (*upper, *lower)]
+    return Stretch(min(times), max(times), line)
+
+
+def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:
+    """Return until when the one line holds and from when the other does [ns]."""
+    begin_ns, end_ns = last_ns, first_ns = part.last_ns, after.first_ns
+    while end_ns - begin_ns > 2 * _SOUGHT_NS:
+        middle_ns = (begin_ns + end_ns) // 2
+        piece = read(middle_ns, middle_ns + _SOUGHT_NS) or read(middle_ns, end_ns)
+        if piece is None:
+            end_ns = middle_ns
+            continue
+        at_ns, high_ns = min(piece.upper)
+        if abs(high_ns - _high(part.line, at_ns)) < abs(high_ns - _high(after.line, at_ns)):
+            begin_ns = last_ns = at_ns
+        else:
+            end_ns = first_ns = at_ns
+    return last_ns, first_ns
+
+
+def _high(line: ClockLine, at_ns: int) -> float:
+    return line.at(at_ns) + 0.5 * line.round_trip_ns

@@ -1,0 +1,111 @@
+"""The straight line of what another clock is ahead, from the fastest messages of both ways.
+
+A message sent at t1 by this clock and received at t2 by the other one took t2 - t1 by two clocks, its way plus what the
+other clock is ahead there: the clock is ahead by no more than that. An answer sent at t3 and received at t4 says that
+it is ahead by no less than t3 - t4. No queue makes a way shorter. So what the other clock is ahead lies below all of
+the former and above all of the latter, and two parallel lines that touch both from inside, as far apart as they can be,
+have its drift as their slope (the convex hull method). The middle between them is the estimate, and half of their
+distance, which is half of the shortest round trip, bounds its error: no exchange tells a clock from ways that differ.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+# A time by this clock [ns], and a bound at that time of what the other one is ahead [ns].
+Bound = tuple[int, int]
+
+# No clock of a computer gains more than this in a second [s].
+MOST_DRIFT = 2e-3
+# A drift that brings the lines apart by no more than this [ns] is not shown.
+LEAST_GAIN_NS = 500_000.0
+# Of so many points on each side, chance brings the lines apart by about what the points scatter; of more, by less.
+_FEW = 8
+
+
+class ClockLine(NamedTuple):
+    """What the other clock is ahead: ahead_ns [ns] at origin_ns by this clock [ns], growing by drift [s/s].
+
+    round_trip_ns: distance of the two lines [ns], below zero where no line lies between the bounds; chance_ns: how far
+    chance may bring lines apart through so many points with their scatter [ns].
+    """
+
+    origin_ns: int
+    ahead_ns: float
+    drift: float
+    round_trip_ns: float
+    chance_ns: float
+
+    def at(self, time_ns: int) -> float:
+        """Return what the other clock is ahead at a time by this one [ns]."""
+        return self.ahead_ns + self.drift * (time_ns - self.origin_ns)
+
+
+def fitted(upper: Sequence[Bound], lower: Sequence[Bound], expected_drift: float = 0.0) -> ClockLine:
+    """Return the line between bounds from above and from below, neither of them empty.
+
+    The best of each second are enough points. A drift other than the expected one has to bring the lines apart by more
+    than chance does; a queue that fills on one way does not.
+
+    Args:
+        upper: What the other clock is ahead by no more than.
+        lower: What it is ahead by no less than.
+        expected_drift: The drift where these points show no other one [s/s].
+    """
+    origin_ns, base_ns = upper[0]
+    # Both clouds become points above a line: those from below change their sign, and so does the slope.
+    above = [(at_ns - origin_ns, value_ns - base_ns) for at_ns, value_ns in upper]
+    below = [(at_ns - origin_ns, base_ns - value_ns) for at_ns, value_ns in lower]
+    highs, lows = _hull(above), _hull(below)
+
+    def distance_ns(slope: float) -> float:
+        return _least(highs, slope) + _least(lows, -slope)
+
+    slopes = [slope for slope in (*_slopes(highs), *(-s for s in _slopes(lows))) if abs(slope) <= MOST_DRIFT]
+    widest = max((expected_drift, *slopes), key=distance_ns)
+    scatter_ns = _scatter(above, highs, widest) + _scatter(below, lows, -widest)
+    expected_ns = distance_ns(expected_drift)
+    chance_ns = max(LEAST_GAIN_NS, scatter_ns * _FEW / len(upper))
+    is_shown = expected_ns < 0.0 or distance_ns(widest) - expected_ns > chance_ns
+    drift = widest if is_shown else expected_drift
+    ahead_ns = base_ns + 0.5 * (_least(highs, drift) - _least(lows, -drift))
+    return ClockLine(origin_ns, ahead_ns, drift, distance_ns(drift), chance_ns)
+
+
+def are_apart(whole: ClockLine, *parts: ClockLine) -> bool:
+    """Return whether a line for each part of some points fits them better than one for all of them.
+
+    The other clock has changed its rate or was set in between then; a network that has become slower does not do that.
+    """
+    shared_ns = min(part.round_trip_ns for part in parts)
+    return whole.round_trip_ns < 0.0 or shared_ns - whole.round_trip_ns > LEAST_GAIN_NS + whole.chance_ns
+
+
+def _hull(points: Iterable[Bound]) -> list[Bound]:
+    """Return the corners of the lower convex hull of points, from left to right (Andrew's monotone chain)."""
+    corners: list[Bound] = []
+    for x, y in sorted(points):
+        while len(corners) > 1:
+            (x1, y1), (x2, y2) = corners[-2:]
+            if (x2 - x1) * (y - y1) > (y2 - y1) * (x - x1):
+                break
+            corners.pop()
+        if corners and corners[-1][0] == x:
+            continue
+        corners.append((x, y))
+    return corners
+
+
+def _slopes(corners: Sequence[Bound]) -> list[float]:
+    return [(y2 - y1) / (x2 - x1) for (x1, y1), (x2, y2) in itertools.pairwise(corners)]
+
+
+def _least(corners: Sequence[Bound], slope: float) -> float:
+    """Return where the highest line of a slope below the corners is at the origin [ns]."""
+    return min(y - slope * x for x, y in corners)
+
+
+def _scatter(points: Sequence[Bound], corners: Sequence[Bound], slope: float) -> float:
+    """Return the median distance of points from the line of a slope that touches their hull [ns]."""
+    off = sorted(y - slope * x for x, y in points)
+    return off[len(off) // 2] - _least(corners, slope)
