@@ -1,8 +1,8 @@
 """What a network did to the datagrams of the link, as a trace that the link replays (`telenano link probe`).
 
 Each end reports of the direction that it receives when every datagram arrived, how long it took and which were lost
-(`link/network`). Here these become, for each direction, a course of delay and one of loss over the time of sending, in
-the format of `delay_trace` and `loss_trace` of the link.
+(`link/network`). Here these become, for each direction, delay and loss by the number of the datagram, in the format of
+`delay_trace` and `loss_trace` of the link.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from proto.errors import TelenanoError
 from proto.network_messages import LinkNetwork
+from recording.clock_line import ClockLine, fitted
 from services.runtime.datagram.arrivals import SETTLE_NS
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 Direction = Literal["forward", "backward"]
 DIRECTIONS: tuple[Direction, ...] = ("forward", "backward")
 QUANTILES = (0.5, 0.9, 0.99, 0.999)
+# The fastest datagram of each tenth of a second counts for the clocks [ns].
+_BLOCK_NS = 100_000_000
 # fewer than this say nothing of a network
 _FEWEST = 100
 
@@ -74,20 +77,77 @@ def longest_run(lost: npt.NDArray[np.bool_]) -> int:
 def traces_of(reports: Iterable[LinkNetwork]) -> dict[Direction, NetworkTrace]:
     """Return the trace of each direction of which there are reports; TelenanoError when one has too few datagrams.
 
-    Reports from before the clocks were compared have no delays, and are left out.
+    Reports from before the clocks were compared have no delays, and are left out. The delays rest on one line of what
+    the slave's clock is ahead, through the fastest datagrams of both directions (`recording.clock_line`): what each
+    report knew of the clocks when it was made differs from one to the next. Where one direction lacks, they stay as
+    they were reported.
     """
     found: dict[Direction, list[LinkNetwork]] = {}
     for report in reports:
         if report.clock.valid:
             found.setdefault(report.direction, []).append(report)
-    return {direction: _trace(direction, found[direction]) for direction in DIRECTIONS if direction in found}
-
-
-def _trace(direction: Direction, reports: Sequence[LinkNetwork]) -> NetworkTrace:
-    columns = {
-        name: np.concatenate([np.asarray(getattr(report, name).to_numpy()) for report in reports])
-        for name in ("number", "arrived_ns", "delay_ns", "lost_flag")
+    columns = {direction: _columns(found[direction]) for direction in DIRECTIONS if direction in found}
+    line = _clock_line(columns)
+    return {
+        direction: _trace(direction, found[direction], _on_one_clock(direction, rows, line), line)
+        for direction, rows in columns.items()
     }
+
+
+Columns = dict[str, npt.NDArray[Any]]
+
+
+def _columns(reports: Sequence[LinkNetwork]) -> Columns:
+    """Return the rows of reports, with `transit_ns`: arrival less sending, by two clocks [ns]."""
+    names = ("number", "arrived_ns", "delay_ns", "lost_flag")
+    rows = {
+        name: np.concatenate([np.asarray(getattr(report, name).to_numpy()) for report in reports]) for name in names
+    }
+    # A report has added what it took the other clock to be ahead.
+    added_ns = [np.full(len(report.number.to_numpy()), round(report.clock.offset_s * 1e9)) for report in reports]
+    rows["transit_ns"] = rows["delay_ns"] - np.concatenate(added_ns)
+    return rows
+
+
+def _clock_line(columns: Mapping[Direction, Columns]) -> ClockLine | None:
+    """Return what the slave's clock is ahead of the master's, by the master's; None without both directions."""
+    bounds: dict[Direction, list[tuple[int, int]]] = {}
+    for direction, rows in columns.items():
+        arrived = rows["lost_flag"] == 0
+        at_ns, transit_ns = rows["arrived_ns"][arrived], rows["transit_ns"][arrived]
+        is_there = direction == "forward"
+        # A datagram to the slave left at the master when it arrived there less its transit by two clocks.
+        here_ns = at_ns - transit_ns if is_there else at_ns
+        best: dict[int, tuple[int, int]] = {}
+        for at, value in zip(here_ns.tolist(), transit_ns.tolist(), strict=True):
+            block = at // _BLOCK_NS
+            if block not in best or value < best[block][1]:
+                best[block] = (at, value)
+        bounds[direction] = [(at, value if is_there else -value) for at, value in best.values()]
+    if not all(bounds.get(direction) for direction in DIRECTIONS):
+        return None
+    line = fitted(bounds["forward"], bounds["backward"])
+    # The very fastest datagram of each way is a matter of chance; the fastest of a usual tenth of a second is not.
+    off_ns = [
+        float(np.median([abs(value - line.at(at)) for at, value in bounds[direction]])) for direction in DIRECTIONS
+    ]
+    return line._replace(ahead_ns=line.ahead_ns + 0.5 * (off_ns[0] - off_ns[1]), round_trip_ns=sum(off_ns))
+
+
+def _on_one_clock(direction: Direction, rows: Columns, line: ClockLine | None) -> Columns:
+    """Return rows whose times are by one clock, that of the receiver, and whose delays rest on a line."""
+    if line is None:
+        return rows
+    sign = -1.0 if direction == "forward" else 1.0
+    here_ns = rows["arrived_ns"] - (rows["transit_ns"] if direction == "forward" else 0)
+    ahead_ns = line.ahead_ns + line.drift * (here_ns - line.origin_ns).astype(np.float64)
+    delay_ns = np.rint(rows["transit_ns"] + sign * ahead_ns).astype(np.int64)
+    return {**rows, "delay_ns": np.where(rows["lost_flag"] == 0, np.maximum(delay_ns, 0), 0)}
+
+
+def _trace(
+    direction: Direction, reports: Sequence[LinkNetwork], columns: Columns, line: ClockLine | None
+) -> NetworkTrace:
     # A message that was given up and came after all has two rows; the one with its arrival counts.
     order = np.lexsort((columns["lost_flag"], columns["number"]))
     number = columns["number"][order]
@@ -121,33 +181,30 @@ def _trace(direction: Direction, reports: Sequence[LinkNetwork]) -> NetworkTrace
         np.where(lost, 0.0, delay_ns * 1e-9),
         lost,
         reports[-1].late - reports[0].late,
-        max(report.clock.uncertainty_s for report in reports),
+        max(report.clock.uncertainty_s for report in reports) if line is None else 0.5e-9 * line.round_trip_ns,
     )
 
 
 def write_traces(traces: Mapping[Direction, NetworkTrace], folder: Path) -> dict[str, Any]:
-    """Write FOLDER/DIRECTION.delay and .loss, and give the section `delay_node` that replays them, names relative."""
+    """Write FOLDER/DIRECTION.delay and .loss, and give the section `delay_node` that replays them, names relative.
+
+    They go by the number of the datagram: neighbouring delays and runs of losses are those of the network whatever is
+    sent at which rate.
+    """
     section: dict[str, Any] = {}
     for direction, trace in traces.items():
-        period_s = float(trace.sent_s[-1])
-        delays, losses = [], []
-        last = -1.0
-        for sent, delay, lost in zip(trace.sent_s.tolist(), trace.delay_s.tolist(), trace.lost.tolist(), strict=True):
-            # The times are rounded to the microsecond, strictly increasing, and not beyond the time after which the
-            # trace repeats.
-            at = round(sent, 6)
-            if at <= last:
-                continue
-            last = at
-            losses.append(f"{at:.6f} {int(lost)}")
-            if not lost:
-                delays.append(f"{at:.6f} {delay:.6f}")
-        head = f"# {direction}: measured, {period_s:.1f} s; time of sending [s]"
+        lost, delay_s = trace.lost.tolist(), trace.delay_s.tolist()
+        delays = [f"{number} {delay_s[number]:.6f}" for number in range(len(lost)) if not lost[number]]
+        losses = [f"{number} {int(is_lost)}" for number, is_lost in enumerate(lost)]
+        # After the last number the trace repeats.
+        delays.append(f"{len(lost)} {delays[0].split()[1]}")
+        losses.append(f"{len(lost)} 0")
+        head = f"# {direction}: measured, {trace.sent_s[-1]:.1f} s; number of the datagram"
         (folder / f"{direction}.delay").write_text("\n".join([f"{head}, delay [s]", *delays, ""]), encoding="utf-8")
         (folder / f"{direction}.loss").write_text("\n".join([f"{head}, lost", *losses, ""]), encoding="utf-8")
         section[direction] = {
-            "delay_trace": {"file": f"{direction}.delay"},
-            "loss_trace": {"file": f"{direction}.loss"},
+            "delay_trace": {"file": f"{direction}.delay", "by": "number"},
+            "loss_trace": {"file": f"{direction}.loss", "by": "number"},
         }
     return section
 

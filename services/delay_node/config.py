@@ -54,18 +54,28 @@ class Jitter(Settings):
     table_file: str | None = Field(default=None, description="file of samples, any count per line, # begins a comment")
 
 
+By = Annotated[
+    Literal["time", "number"],
+    Field(
+        description="what the first column is: time [s], or the number of the message in its block, reliable ones aside"
+    ),
+]
+
+
 class DelayTrace(Settings):
-    """A delay that follows a recorded course of time; adds to delay_s."""
+    """A recorded delay, by time or by number; adds to delay_s."""
 
     file: str | None = Field(default=None, description="file of lines `time_s delay_s`, times strictly increasing")
+    by: By = "time"
     interpolation: Literal["hold", "linear"] = Field(default="linear", description="course between two lines")
     repeat: bool = Field(default=True, description="start again after the last line; otherwise keep its delay")
 
 
 class LossTrace(Settings):
-    """A loss that follows a recorded course of time, as `telenano link probe` writes it."""
+    """A recorded loss, by time or by number."""
 
     file: str | None = Field(default=None, description="file of lines `time_s lost`, times strictly increasing")
+    by: By = "time"
     repeat: bool = Field(default=True, description="start again after the last line; otherwise keep what it says")
 
 
@@ -178,7 +188,11 @@ class Outage(Settings):
     """Times without any connection, by schedule, at random, or both."""
 
     schedule: Annotated[tuple[tuple[Seconds, Interval], ...], BeforeValidator(_schedule)] = Field(
-        default=(), description="pairs (start_s after the settings came into force, duration_s), in order"
+        default=(), description="pairs (start_s after the origin, duration_s), in order"
+    )
+    origin: Literal["settings", "session"] = Field(
+        default="settings",
+        description="where the schedule counts from: when the settings came into force, or the start of the session",
     )
     period_s: Interval | None = Field(default=None, description="the schedule repeats after this time [s], none: once")
     mean_up_s: Interval | None = Field(default=None, description="mean of the exponential time between random outages")

@@ -181,6 +181,10 @@ class DirectionEngine:
                 if follower is not None:
                     follower.wait_until(shared.queue.free_ns)
 
+    def begin_session(self, now_ns: int) -> None:
+        """Count the schedules that are given in session time from now on [ns]."""
+        self._pipeline.begin_session(now_ns)
+
     def capture(self) -> DirectionState:
         """Return the state; ValueError while a message waits that came under an order or slots no longer in force."""
         return DirectionState(
@@ -298,11 +302,12 @@ class DirectionEngine:
     def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> None:
         # All draws come first: whether one model draws may not depend on what another has decided.
         applies = pipeline.applies is None or pipeline.applies()
-        lost_by = pipeline.lost_by(now_ns)
+        number = pipeline.next_number()
+        lost_by = pipeline.lost_by(now_ns, number)
         corrupted = pipeline.corruptor is not None and pipeline.corruptor.happens() and len(payload) > 0
         duplicated = pipeline.duplicates is not None and pipeline.duplicates()
         overtakes = pipeline.overtakes is not None and pipeline.overtakes()
-        fixed_ns = pipeline.fixed_delay_ns(now_ns)
+        fixed_ns = pipeline.fixed_delay_ns(now_ns, number)
         delay_ns = _random_delay_ns(fixed_ns, pipeline.jitter)
         copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
 
@@ -435,6 +440,11 @@ class LinkEngine:
         self.settings = settings
         self._changed_settings = settings.model_dump(exclude_unset=True)
 
+    def begin_session(self, now_ns: int) -> None:
+        """Count the schedules that are given in session time from now on [ns]."""
+        self.forward.begin_session(now_ns)
+        self.backward.begin_session(now_ns)
+
     def capture(self) -> LinkState:
         """Return the state; ValueError as for a direction."""
         return LinkState(self._changed_settings, self.forward.capture(), self.backward.capture())
@@ -474,7 +484,7 @@ def fates_of(
     """Return the fate of each message of a stream (and of each copy), sorted by seq, without running anything.
 
     For simulations that need the delays of the link beforehand: seq counts from 0, the origin of traces and
-    schedules is the first arrival, arrivals_ns must not decrease.
+    schedules, and the start of the session, is the first arrival, arrivals_ns must not decrease.
 
     Raises:
         ConfigError: A file cannot be used.
@@ -483,6 +493,7 @@ def fates_of(
     if not arrivals:
         return []
     engine = DirectionEngine(direction, settings, arrivals[0], folder=folder)
+    engine.begin_session(arrivals[0])
     for seq, arrived_ns in enumerate(arrivals):
         engine.submit(arrived_ns, topic, bytes(size_bytes), seq)
     while (next_ns := engine.next_release_ns()) is not None:

@@ -58,8 +58,8 @@ class DelayNodeState(NamedTuple):
     """The state of the node.
 
     Of its engine; the delays that readers know; what lies between the sites, and the exchanges of time stamps by second
-    that it follows from; when the newest answer was sent and received [ns], 0 before it; when the next report
-    is due [ns], and how many messages it has to tell of.
+    that it follows from; when the newest answer was sent and received [ns], 0 before it; the command that began the
+    session; when the next report is due [ns], and how many messages it has to tell of.
     """
 
     engine: LinkState
@@ -68,6 +68,7 @@ class DelayNodeState(NamedTuple):
     between: BetweenSites
     clock: OffsetState
     answer: tuple[int, int]
+    session_id: str
     status_ns: int
     unreported: int
 
@@ -118,6 +119,7 @@ class DelayNode(Node):
         self._newest: dict[str, dict[str, Fate]] = {way.endpoint: {} for way in self._ways}
         self._offset = OffsetFilter(_CLOCK_WINDOW)
         self._answer = (0, 0)
+        self._session_id = ""
         self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
         self._between = ONE_MACHINE
         self._spans_machines = spans_machines
@@ -145,6 +147,10 @@ class DelayNode(Node):
         if direction is None:
             return
         message = received.message
+        if type(message) is SessionControl and message.command == "start" and message.id != self._session_id:
+            # The hand's programme begins with the first of the repetitions, at this side of the link.
+            self._session_id = message.id
+            self.engine.begin_session(received.received_ns)
         for way in self._ways:
             if direction in (way.name, "both"):
                 due = way.engine.submit(
@@ -175,6 +181,7 @@ class DelayNode(Node):
             between=self._between,
             clock=self._offset.capture(),
             answer=self._answer,
+            session_id=self._session_id,
             status_ns=self._status.deadline_ns,
             unreported=self._unreported,
         )
@@ -184,7 +191,7 @@ class DelayNode(Node):
         self._forward_delay, self._backward_delay = state.forward_delay, state.backward_delay
         self._between, self._unreported = state.between, state.unreported
         self._offset.restore(state.clock)
-        self._answer = state.answer
+        self._answer, self._session_id = state.answer, state.session_id
         self._status.deadline_ns = state.status_ns
 
     def further_outputs(self) -> dict[str, int]:

@@ -17,7 +17,7 @@ from services.delay_node.fate import Direction
 from services.delay_node.models.events import Corruptor, Overtaking
 from services.delay_node.models.jitter import JitterSource
 from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
-from services.delay_node.models.outages import Outages
+from services.delay_node.models.outages import NO_SESSION_NS, Outages
 from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
 from services.delay_node.models.traces import (
     DelayCourse,
@@ -53,6 +53,15 @@ class LatestRelease(msgspec.Struct, eq=False, array_like=True):
     order: int = -1
 
 
+class MessageCount:
+    """The number of the next message under a block of settings, where a trace goes by it."""
+
+    __slots__ = ("state",)
+
+    def __init__(self) -> None:
+        self.state = 0
+
+
 class SharedModels(NamedTuple):
     """What the topics under the same settings share; None stands for a model that does nothing."""
 
@@ -61,6 +70,7 @@ class SharedModels(NamedTuple):
     latest_release: LatestRelease
     course_origin_ns: int
     losses_origin_ns: int
+    counter: "MessageCount | None"
     queue: "ServedQueue[InFlight] | None"
     slot_gate: SlotGate | None
     outages: Outages | None
@@ -84,21 +94,32 @@ class TopicPipeline(NamedTuple):
     jitter: JitterSource | None
     copy_jitter: JitterSource | None
 
-    def fixed_delay_ns(self, now_ns: int) -> int:
-        """Return fixed and recorded delay [ns] of a message that arrives now."""
+    def next_number(self) -> int:
+        """Return the number of a message that arrives now, 0 where none counts; reliable ones do not count."""
+        counter = self.shared.counter
+        if counter is None:
+            return 0
+        number = counter.state
+        if not self.reliable:
+            counter.state += 1
+        return number
+
+    def fixed_delay_ns(self, now_ns: int, number: int) -> int:
+        """Return fixed and recorded delay [ns] of a message that arrives now, with its number."""
         course, trace = self.shared.files.course, self.shared.settings.delay_trace
         if course is None:
             return self.fixed_ns
-        elapsed_ns = now_ns - self.shared.course_origin_ns
+        elapsed_ns = number * NS_PER_S if trace.by == "number" else now_ns - self.shared.course_origin_ns
         return self.fixed_ns + delay_at(course, elapsed_ns, interpolation=trace.interpolation, repeat=trace.repeat)
 
-    def lost_by(self, now_ns: int) -> str:
+    def lost_by(self, now_ns: int, number: int) -> str:
         """Return the first model that loses a message that arrives now; each draws, whatever the others decide."""
         lost = [cause for cause, loses in self.losses if loses()]
         course = self.shared.files.losses
         if course is not None and not self.reliable and not lost:
-            repeat = self.shared.settings.loss_trace.repeat
-            if lost_at(course, now_ns - self.shared.losses_origin_ns, repeat=repeat):
+            trace = self.shared.settings.loss_trace
+            elapsed_ns = number * NS_PER_S if trace.by == "number" else now_ns - self.shared.losses_origin_ns
+            if lost_at(course, elapsed_ns, repeat=trace.repeat):
                 return "loss_trace"
         return lost[0] if lost else ""
 
@@ -142,10 +163,11 @@ def _read(block: Impairment, folder: Path, prefix: str) -> Files:
     try:
         if trace.file is not None:
             key = "delay_trace.file"
-            course = parse_delay_trace(read_text(folder / trace.file), trace.file)
-        if block.loss_trace.file is not None:
+            course = parse_delay_trace(read_text(folder / trace.file), trace.file, by_number=trace.by == "number")
+        lost = block.loss_trace
+        if lost.file is not None:
             key = "loss_trace.file"
-            losses = parse_loss_trace(read_text(folder / block.loss_trace.file), block.loss_trace.file)
+            losses = parse_loss_trace(read_text(folder / lost.file), lost.file, by_number=lost.by == "number")
         if delivery.file is not None:
             key = "delivery_trace.file"
             delivery_ns = parse_delivery_trace(read_text(folder / delivery.file), delivery.file, delivery.unit_s)
@@ -158,11 +180,15 @@ def _read(block: Impairment, folder: Path, prefix: str) -> Files:
 
 
 class PipelineState(NamedTuple):
-    """By their keys: how many numbers were drawn of a stream, the states of the models, and the latest releases."""
+    """By their keys: how many numbers were drawn of a stream, the states of the models, and the latest releases.
+
+    session_ns: when the newest session began [ns].
+    """
 
     drawn: list[tuple[tuple[str, ...], int]]
     models: list[tuple[tuple[str, ...], Part]]
     latest_release: list[tuple[tuple[str, str], LatestRelease]]
+    session_ns: int
 
 
 class Pipeline:
@@ -175,6 +201,7 @@ class Pipeline:
         self._used: set[tuple[str, ...]] = set()
         self._progress: dict[tuple[str, str], LatestRelease] = {}
         self.shared_models: dict[str, SharedModels] = {}
+        self._session_ns = NO_SESSION_NS
         self._adopt(settings, files, now_ns)
 
     def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
@@ -188,6 +215,13 @@ class Pipeline:
         self._used.clear()
         self._adopt(settings, files, now_ns)
 
+    def begin_session(self, now_ns: int) -> None:
+        """Count the schedules that are given in session time from now on."""
+        self._session_ns = now_ns
+        for shared in self.shared_models.values():
+            if shared.outages is not None:
+                shared.outages.begin_session(now_ns)
+
     def forget_unused(self) -> None:
         """Forget the models that the settings in force, and the topics opened under them, do not have."""
         self._models = {key: model for key, model in self._models.items() if key in self._used}
@@ -198,6 +232,7 @@ class Pipeline:
             [(names, stream.drawn) for names, stream in self._streams.items() if stream.drawn],
             [(key, part(getattr(model, "state", model))) for key, (_, model) in self._models.items()],
             list(self._progress.items()),
+            self._session_ns,
         )
 
     def restore(self, state: PipelineState, settings: LinkSettings, files: dict[str, Files]) -> None:
@@ -207,6 +242,7 @@ class Pipeline:
             KeyError: The state is not one of a pipeline with these settings and topics; ValueError and TypeError mean
                 the same.
         """
+        self._session_ns = state.session_ns
         for names, drawn in state.drawn:
             self._stream(*names).advance_to(drawn)
         for key, kept in state.models:
@@ -270,11 +306,18 @@ class Pipeline:
             files,
             latest_release=self._progress.setdefault(("block", pattern), LatestRelease()),
             course_origin_ns=self._kept(("shared", "course", pattern), (s.delay_trace, files.course), lambda: now_ns),
+            counter=self._counter(pattern, s, files),
             losses_origin_ns=self._kept(("shared", "losses", pattern), (s.loss_trace, files.losses), lambda: now_ns),
             queue=self._queue(pattern, s, files.delivery_ns, now_ns),
             slot_gate=self._gate(pattern, s.slots, now_ns),
             outages=self._outages(pattern, s.outage, now_ns),
         )
+
+    def _counter(self, pattern: str, s: Impairment, files: Files) -> MessageCount | None:
+        if "number" not in (s.delay_trace.by, s.loss_trace.by):
+            return None
+        definition = (s.delay_trace, files.course, s.loss_trace, files.losses)
+        return self._kept(("shared", "count", pattern), definition, MessageCount)
 
     def _queue(
         self, pattern: str, s: Impairment, delivery_ns: tuple[int, ...] | None, now_ns: int
@@ -309,7 +352,8 @@ class Pipeline:
         draw = self._stream("shared", "outage", pattern)
         # Whether an outage drops or holds does not move it.
         definition = outage.model_copy(update={"mode": "drop"})
-        return self._kept(("shared", "outage", pattern), definition, lambda: Outages(outage, now_ns, draw))
+        session_ns = self._session_ns
+        return self._kept(("shared", "outage", pattern), definition, lambda: Outages(outage, now_ns, draw, session_ns))
 
     def _event(self, topic: str, name: str, probability: float, correlation: float) -> Occurrence | None:
         if probability == 0.0:

@@ -25,7 +25,7 @@ def _line(
     return {
         "delay_s": delay_s,
         "jitter": {"scale_s": jitter_s, "distribution": "pareto", "correlation": 0.99},
-        "order": "topic",
+        "order": "link",
         "rate": {"rate_bytes_per_s": rate_bytes_per_s, "overhead_bytes": 54},
         "queue": {"limit_messages": None, "limit_bytes": int(rate_bytes_per_s * buffer_s), "drop": "tail"},
         **others,

@@ -9,6 +9,8 @@ from services.delay_node.random_streams import SMALLEST, Draw
 
 # outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
 _LONGEST_WALK = 10_000
+# No session has begun.
+NO_SESSION_NS = 2**62
 
 
 class OutageState(NamedTuple):
@@ -22,21 +24,29 @@ class OutageState(NamedTuple):
 
 
 class Outages:
-    """When the connection is down; `origin_ns` is the moment the settings came into force.
+    """When the connection is down.
 
+    `origin_ns` is the moment the settings came into force; the schedule counts from `session_ns` instead where it is
+    given in session time, and is not there before.
     Random outages alternate exponential times up and down, starting up. They are drawn in the order of time, so
     the same seed gives the same outages whatever messages pass.
     """
 
-    __slots__ = ("_down_ns", "_draw", "_period_ns", "_schedule", "_up_ns", "state")
+    __slots__ = ("_down_ns", "_draw", "_is_of_session", "_period_ns", "_schedule", "_up_ns", "state")
 
-    def __init__(self, settings: Outage, origin_ns: int, draw: Draw) -> None:
+    def __init__(self, settings: Outage, origin_ns: int, draw: Draw, session_ns: int = NO_SESSION_NS) -> None:
         self._draw = draw
+        self._is_of_session = settings.origin == "session"
         self._schedule = [(round(start * 1e9), round((start + length) * 1e9)) for start, length in settings.schedule]
         self._period_ns = None if settings.period_s is None else round(settings.period_s * 1e9)
         self._up_ns = None if settings.mean_up_s is None else settings.mean_up_s * 1e9
         self._down_ns = 0.0 if settings.mean_down_s is None else settings.mean_down_s * 1e9
-        self.state = OutageState(origin_ns, [(origin_ns, origin_ns)])
+        self.state = OutageState(session_ns if self._is_of_session else origin_ns, [(origin_ns, origin_ns)])
+
+    def begin_session(self, session_ns: int) -> None:
+        """Count the schedule from here on, where it is given in session time."""
+        if self._is_of_session:
+            self.state = self.state._replace(origin_ns=session_ns)
 
     def end_ns(self, now_ns: int) -> int | None:
         """Return when the outage that covers now ends, or None while connected; now_ns must not decrease."""
@@ -50,7 +60,7 @@ class Outages:
 
     def _scheduled_end(self, at_ns: int) -> int:
         elapsed = at_ns - self.state.origin_ns
-        if self._period_ns is not None:
+        if self._period_ns is not None and elapsed >= 0:
             elapsed %= self._period_ns
         index = bisect_right(self._schedule, (elapsed, math.inf)) - 1
         return at_ns + max(0, self._schedule[index][1] - elapsed) if index >= 0 else at_ns

@@ -53,8 +53,10 @@ def read_text(path: Path) -> str:
         raise ConfigError(f"{path}: is not UTF-8 text") from error
 
 
-def parse_delay_trace(text: str, name: str) -> DelayCourse:
+def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> DelayCourse:
     """Return the course of a delay trace: lines `time_s delay_s`, times from 0 on, strictly increasing.
+
+    A number of messages in the place of the time counts a second for each.
 
     Raises:
         ConfigError: A line is wrong; the message names file and line.
@@ -65,7 +67,7 @@ def parse_delay_trace(text: str, name: str) -> DelayCourse:
         place = f"{name}, line {number}"
         if len(words) != 2:
             raise ConfigError(f"{place}: is not a pair `time_s delay_s`")
-        time_ns = round(_number(words[0], place, 0.0, _LONGEST_TRACE_S) * 1e9)
+        time_ns = _place_ns(words[0], place, by_number=by_number)
         delay_ns = round(_number(words[1], place, 0.0, _LONGEST_DELAY_S) * 1e9)
         if times_ns and time_ns <= times_ns[-1]:
             raise ConfigError(f"{place}: the time is not later than the one before it")
@@ -76,8 +78,10 @@ def parse_delay_trace(text: str, name: str) -> DelayCourse:
     return DelayCourse(tuple(times_ns), tuple(delays_ns))
 
 
-def parse_loss_trace(text: str, name: str) -> LossCourse:
+def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCourse:
     """Return the course of a loss trace: lines `time_s lost`, times from 0 on, strictly increasing, lost 0 or 1.
+
+    A number of messages in the place of the time counts a second for each.
 
     Raises:
         ConfigError: A line is wrong; the message names file and line.
@@ -88,7 +92,7 @@ def parse_loss_trace(text: str, name: str) -> LossCourse:
         place = f"{name}, line {number}"
         if len(words) != 2 or words[1] not in ("0", "1"):
             raise ConfigError(f"{place}: is not a pair `time_s lost`, with 1 for lost and 0 for not")
-        time_ns = round(_number(words[0], place, 0.0, _LONGEST_TRACE_S) * 1e9)
+        time_ns = _place_ns(words[0], place, by_number=by_number)
         if times_ns and time_ns <= times_ns[-1]:
             raise ConfigError(f"{place}: the time is not later than the one before it")
         times_ns.append(time_ns)
@@ -142,6 +146,13 @@ def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
         words = line.split("#", 1)[0].replace(",", " ").split()
         if words:
             yield number, words
+
+
+def _place_ns(word: str, place: str, *, by_number: bool) -> int:
+    value = _number(word, place, 0.0, _LONGEST_TRACE_S)
+    if by_number and not value.is_integer():
+        raise ConfigError(f"{place}: by number, the first column counts messages and is a whole number")
+    return round(value * 1e9)
 
 
 def _number(word: str, place: str, low: float, high: float) -> float:

@@ -12,6 +12,7 @@ from proto.messages import Array, LinkClock
 from proto.network_messages import LinkNetwork
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
+from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 
 NS_PER_MS = 1_000_000
 BEGAN_NS = 10**18
@@ -59,7 +60,8 @@ def test_the_link_replays_the_delays_and_losses_that_were_measured(tmp_path: Pat
         assert np.all(np.diff(trace.sent_s) > 0.0)
         assert 0.02 < trace.lost.mean() < 0.08
         assert trace.summary()["longest_loss"] == longest_run(trace.lost) >= 3
-        sent_ns = np.round(trace.sent_s * 1e9).astype(int).tolist()[:-1]
+        # whatever is sent when, in the place of what was measured
+        sent_ns = (np.arange(len(trace.sent_s) - 1) * 1_300_000).tolist()
         fates = fates_of(settings, direction, "teleop/forward", sent_ns, 300, folder=tmp_path)
         fates = [fate for fate in fates if fate.copy == 0]
         assert [fate.dropped == "loss_trace" for fate in fates] == trace.lost[:-1].tolist()
@@ -103,3 +105,72 @@ def test_what_was_lost_in_the_last_second_counts_before_it_is_reported() -> None
     assert np.array_equal(found.lost, expected.lost)
     assert np.array_equal(found.delay_s, expected.delay_s)
     assert np.allclose(found.sent_s, expected.sent_s, rtol=0.0, atol=1e-6)
+
+
+AHEAD_S, DRIFT = 0.3, 2e-4
+
+
+def measured(jitter: str) -> tuple[list[LinkNetwork], dict[str, np.ndarray]]:
+    """Give the reports of both ends of a network of 20 ms with jitter in order, over 12 s, and the delays of each way.
+
+    The slave's clock is ahead and drifts. Each end reports what its own exchanges of time stamps tell until then.
+    """
+    draw = np.random.default_rng(11)
+    count, step_s = 12_000, 1e-3
+    sent_s = np.arange(count) * step_s
+    delays = {}
+    for way in DIRECTIONS:
+        spread = {"normal": draw.normal(0.0, 3e-3, count), "uniform": draw.uniform(-6e-3, 6e-3, count)}[jitter]
+        arrived = np.maximum.accumulate(sent_s + np.maximum(0.02 + spread, 0.0))
+        delays[way] = arrived - sent_s
+
+    def slave_s(time_s: np.ndarray) -> np.ndarray:
+        return time_s + AHEAD_S + DRIFT * time_s
+
+    there = np.rint((slave_s(sent_s + delays["forward"]) - sent_s) * 1e9).astype(np.int64)
+    back = np.rint((sent_s + delays["backward"] - slave_s(sent_s)) * 1e9).astype(np.int64)
+    filters = {way: OffsetFilter(64) for way in DIRECTIONS}
+    made = []
+    for seq, first in enumerate(range(0, count, 500)):
+        rows = slice(first, first + 500)
+        for k in range(first, first + 500):
+            asked_ns = BEGAN_NS + k * NS_PER_MS
+            # the newest datagram of the other way, some 21 ms before
+            other = max(0, k - 30)
+            other_ns = BEGAN_NS + other * NS_PER_MS
+            arrived_ns = asked_ns + int(back[k]) + round(1e9 * (AHEAD_S + DRIFT * k * step_s))
+            slave_ns = asked_ns + round(1e9 * (AHEAD_S + DRIFT * k * step_s))
+            filters["backward"].record(Exchange(other_ns, other_ns + int(there[other]), slave_ns, arrived_ns))
+            other_slave_ns = other_ns + round(1e9 * (AHEAD_S + DRIFT * other * step_s))
+            filters["forward"].record(
+                Exchange(other_slave_ns, other_slave_ns + int(back[other]), asked_ns, asked_ns + int(there[k]))
+            )
+        for way, transit in (("forward", there), ("backward", back)):
+            estimate = filters[way].estimate()
+            assert estimate is not None
+            clock = LinkClock(valid=True, **estimate._asdict())
+            number = np.arange(first, first + 500)
+            left_ns = BEGAN_NS + number * NS_PER_MS
+            if way == "backward":
+                left_ns = left_ns + np.rint(1e9 * (AHEAD_S + DRIFT * number * step_s)).astype(np.int64)
+            delay_ns = np.maximum(transit[rows] + round(estimate.offset_s * 1e9), 0)
+            (template,) = reports(way, 1, 1)
+            columns = {"number": number, "arrived_ns": left_ns + transit[rows], "delay_ns": delay_ns}
+            arrays = {key: Array.from_numpy(values) for key, values in columns.items()}
+            lost = Array.from_numpy(np.zeros(500, dtype="u1"))
+            made.append(template.model_copy(update={"seq": seq, "clock": clock, "lost_flag": lost, **arrays}))
+    return made, delays
+
+
+@pytest.mark.parametrize("jitter", ["normal", "uniform"])
+def test_delays_of_a_probe_are_those_of_the_wire_with_jitter_and_two_clocks(jitter: str) -> None:
+    made, delays = measured(jitter)
+    for direction, trace in traces_of(made).items():
+        places = np.sort(np.concatenate([trace.arrived_s, delays[direction]]))
+        shares = [
+            np.searchsorted(np.sort(values), places, side="right") / len(values)
+            for values in (trace.arrived_s, delays[direction])
+        ]
+        assert np.abs(shares[0] - shares[1]).max() <= 0.05
+        # neighbours keep what they have in common
+        assert np.corrcoef(trace.arrived_s, delays[direction][: len(trace.arrived_s)])[0, 1] > 0.99

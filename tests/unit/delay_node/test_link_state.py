@@ -36,6 +36,11 @@ MODELS: dict[str, dict[str, Any]] = {
     },
     "delivery": {"delivery_trace": {"file": "delivery.txt", "bytes_per_opportunity": 400}},
     "delay_trace": {"delay_trace": {"file": "course.txt"}},
+    "by_number": {
+        "delay_trace": {"file": "numbers.txt", "by": "number"},
+        "loss_trace": {"file": "numbered_losses.txt", "by": "number"},
+    },
+    "outage_session": {"outage": {"schedule": [[0.01, 0.02]], "period_s": 0.05, "origin": "session"}},
     "loss_trace": {"loss_trace": {"file": "losses.txt"}, "delay_s": 0.003},
     "slots": {"slots": {"min_interval_s": 0.002, "max_interval_s": 0.009, "max_messages": 4, "max_bytes": 900}},
     "outage": {"outage": {"mean_up_s": 0.03, "mean_down_s": 0.02, "mode": "hold"}},
@@ -91,6 +96,8 @@ def give(link: LinkEngine, messages: list[Any]) -> list[Any]:
 @pytest.mark.parametrize("models", MODELS)
 def test_an_engine_goes_on_from_a_captured_state(tmp_path: Any, models: str, change: dict[str, Any] | None) -> None:
     (tmp_path / "course.txt").write_text("0 0.001\n0.02 0.006\n0.05 0.002\n")
+    (tmp_path / "numbers.txt").write_text("0 0.001\n3 0.004\n11 0.002\n")
+    (tmp_path / "numbered_losses.txt").write_text("0 0\n4 1\n5 0\n7 0\n")
     (tmp_path / "losses.txt").write_text("0 0\n0.01 1\n0.014 0\n0.04 0\n")
     (tmp_path / "delivery.txt").write_text("1\n3\n4\n9\n")
     settings = parse_settings({"seed": 3, "forward": MODELS[models]})
