@@ -17,6 +17,17 @@ class LinkKey(Message):
     )
 
 
+class RecordingPiece(Message):
+    """A piece of a recording of the other site, sent on request (ADR 0075)."""
+
+    file: str = Field(max_length=255, description="Name of the file, without any folder")
+    size_bytes: Count = Field(description="Size of the file when the piece was read [bytes]")
+    head_sha256: str = Field(max_length=64, description="Digest of the first 1024 bytes, which identify the file")
+    offset_bytes: Count = Field(description="Place of the piece in the file [bytes]")
+    sha256: str = Field(max_length=64, description="Digest of the piece")
+    data: Array = Field(description="u1: the piece, empty at the end of the file")
+
+
 class LinkNetwork(Message):
     """What the network between two machines did to the datagrams of one direction, as their receiver saw it.
 

@@ -64,7 +64,7 @@ PLAYER = "player@master"
 # the process that serves the page, and the force of an operator at it
 PAGE = "viz_node@master"
 VIEW = "view@master"
-RECORDER = "recorder@master"
+RECORDER, FAR_RECORDER = "recorder@master", "recorder@slave"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"
 # The link ends in this node at the slave's site when messages cross as datagrams.

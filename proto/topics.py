@@ -57,6 +57,7 @@ _ROWS = (
     Topic("session/control", m.SessionControl, _COMMANDERS, "lossless", None, None, "forward"),
     Topic("session/event", m.SessionEvent, ("*",), "lossless", None, None, "backward"),
     Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
+    Topic("recording/piece", network.RecordingPiece, ("launcher@slave",), "lossless", None, None, None, recorded=False),
     Topic(
         "node/journal",
         NodeJournal,

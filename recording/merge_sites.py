@@ -5,33 +5,36 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from proto.errors import RecordingError
-from proto.nodes import site_of
+from proto.nodes import LINK, name_of, site_of
 from recording.mcap_scan import describe_damage
 from recording.messages import RawChannel, RawMessage
+from recording.multi_file import RecordingSource, open_recordings
 from recording.reader import Recording
 from recording.rewrite import CopyResult, CopyWriter
 from recording.site_clock import ClockShift, SiteClock, read_site_clock
 
 
 def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
-    """Merge the recordings of the master's site (first) and of the slave's.
+    """Merge the recordings of the master's site (first) and of the slave's, of each one or more parts.
 
     Times of reception at the slave are put on the master's clock, offset and drift, where the clocks differ
     (`recording.site_clock`, which report and replay go by as well); messages are copied byte by byte, so that what is
-    in them stays on the clock of who sent it. A channel that both have is taken from the recorder at the site of the
-    channel, who received it nearby.
+    in them stays on the clock of who sent it. A channel that both have is taken from the recorder that received it
+    nearby.
 
     Raises:
         RecordingError: The sources are not of two sites, no offset was measured, or the target exists.
     """
     recordings = [Recording(source) for source in sources]
     sites = [site_of(recording.metadata.get("recording", {}).get("node", "")) for recording in recordings]
-    if sites[:1] != ["master"] or set(sites[1:]) != {"slave"}:
+    if sites != sorted(sites) or set(sites) != {"master", "slave"}:
         found = ", ".join(f"{source} of {site or 'no site'}" for source, site in zip(sources, sites, strict=True))
         raise RecordingError(f"recordings of the master's site and then of the slave's are needed, these are {found}")
-    clock = slave_clock(recordings[0])
-    of_slave = {_identity(channel) for r in recordings[1:] for channel in _channels(r)}
-    of_master = {_identity(channel) for channel in _channels(recordings[0])}
+    clock = slave_clock(open_recordings([Path(source) for source in sources[: sites.count("master")]]))
+    of_slave, of_master = (
+        {_identity(channel) for r, at in zip(recordings, sites, strict=True) if at == site for channel in _channels(r)}
+        for site in ("slave", "master")
+    )
     skipped = [part for recording in recordings for part in recording.structural_damage]
 
     def wanted(recording: Recording, site: str) -> Iterator[RawMessage]:
@@ -42,7 +45,10 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
             known = taken.get(id(message.channel))
             if known is None:
                 channel = _identity(message.channel)
-                known = taken[id(message.channel)] = (message.channel, channel not in others or channel[2] == site)
+                known = taken[id(message.channel)] = (
+                    message.channel,
+                    channel not in others or _nearer(channel) == site,
+                )
             if known[1]:
                 shift_ns = shift_of(message.log_ns)
                 yield message if not shift_ns else message._replace(log_ns=max(0, message.log_ns + shift_ns))
@@ -57,7 +63,7 @@ def merge_sites(sources: Sequence[Path], target: Path) -> CopyResult:
     return CopyResult(path=str(target), messages=writer.messages, skipped=describe_damage(skipped))
 
 
-def slave_clock(recording: Recording) -> SiteClock:
+def slave_clock(recording: RecordingSource) -> SiteClock:
     """Return the slave's clock as the link measured it; RecordingError where it did not."""
     clock = read_site_clock(recording)
     if clock is None:
@@ -71,6 +77,12 @@ def _channels(recording: Recording) -> Iterator[RawChannel]:
         if id(message.channel) not in seen:
             seen.add(id(message.channel))
             yield message.channel
+
+
+def _nearer(channel: tuple[str, str, str]) -> str:
+    """Return the site whose recorder is near to a channel; both ends of the link are in a process at the master's."""
+    _, src, site = channel
+    return "master" if site_of(src) == "master" or name_of(src) == LINK else site
 
 
 def _identity(channel: RawChannel) -> tuple[str, str, str]:

@@ -41,6 +41,8 @@ _SAME_NS = 2_000
 _STEP_NS = _NS // 1000
 # An answer may precede its question by so much, because of the error of the stamps [ns].
 _EARLY_NS = 1_000_000
+# No two clocks are further apart than this [s]: some 300 years.
+_LONGEST_S = 1e10
 # This stands for a delay of which nothing is known [ns].
 _LONG_NS = 2**60
 
@@ -180,7 +182,9 @@ def _reports(recording: RecordingSource, topic: str, window: tuple[int, int]) ->
         if not isinstance(clock, dict) or clock.get("valid") is not True:
             continue
         offset_s, uncertainty_s = clock.get("offset_s"), clock.get("uncertainty_s")
-        if isinstance(offset_s, float) and isinstance(uncertainty_s, float):
+        if not isinstance(offset_s, float) or not isinstance(uncertainty_s, float):
+            continue
+        if abs(offset_s) + abs(uncertainty_s) < _LONGEST_S:
             sent_ns, received_ns = fields.get("answer_sent_ns"), fields.get("answer_received_ns")
             answer = (sent_ns, received_ns) if isinstance(sent_ns, int) and isinstance(received_ns, int) else None
             yield _Report(message.publish_ns, offset_s, uncertainty_s, answer)
@@ -191,6 +195,8 @@ def _piece(recording: RecordingSource, topic: str, window: tuple[int, int]) -> P
     reports = list(_reports(recording, topic, window))
     upper = _questions(recording, window)
     if not upper:
+        # Reports alone are as good as the best of them.
+        reports = sorted(reports, key=lambda report: report.uncertainty_s)[:1]
         upper = [(report.t_ns, round((report.offset_s + report.uncertainty_s) * _NS)) for report in reports]
     lower = [(r.answer[1], r.answer[0] - r.answer[1]) for r in reports if r.answer is not None]
     return piece_of(upper, lower or _told_lower(reports, upper))

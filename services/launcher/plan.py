@@ -10,10 +10,22 @@ from pydantic import Field
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario, site_file_named
 from proto.errors import ConfigError, RigError
-from proto.nodes import LAUNCHER, LINK, OPTIONAL_NODES, RECORDER, SERVICES, START_ORDER, Site, name_of, site_of
+from proto.nodes import (
+    FAR_RECORDER,
+    LAUNCHER,
+    LINK,
+    OPTIONAL_NODES,
+    RECORDER,
+    SERVICES,
+    START_ORDER,
+    Site,
+    name_of,
+    site_of,
+)
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
+from services.recorder.config import RecorderConfig
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site, node_kind
 from services.runtime.settings.config import (
@@ -152,6 +164,21 @@ class Plan:
         return controller.stiffness_doubts(stiffness) if stiffness is not None else ""
 
     @property
+    def fetches(self) -> bool:
+        """Whether the other site records what it sends, to be fetched after the session."""
+        far = self._recorder.far == "fetch" and FAR_RECORDER in self.book.nodes
+        return self.site == "master" and not self.attach and self.book.spans_machines and far
+
+    @property
+    def fetch_kbit_per_s(self) -> float:
+        """Most that is fetched after a session [kbit/s]."""
+        return self._recorder.fetch_kbit_per_s
+
+    @property
+    def _recorder(self) -> RecorderConfig:
+        return self.loaded.section("recorder", RecorderConfig)
+
+    @property
     def launcher(self) -> str:
         return f"launcher@{self.site or 'master'}"
 
@@ -172,7 +199,8 @@ class Plan:
         # a recorder that runs elsewhere may be writing to this very folder
         recordings = () if self.attach else ("session*.mcap",)
         patterns = (*recordings, "fig12.png", "fig12.pdf", "fig12.svg", "summary.json")
-        return sorted(path for pattern in patterns for path in self.out.glob(pattern))
+        far = () if self.attach else ("far.json", "far/*", "both.mcap")
+        return sorted(path for pattern in (*patterns, *far) for path in self.out.glob(pattern))
 
     def prepare_folder(self) -> None:
         """Create the folder, delete the files of an earlier session if `overwrite`, and write the scenario.
@@ -277,6 +305,9 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
     if not request.attach:
         _reject_recording_place(settings)
         flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}
+        if request.site is not None:
+            # Each of two launchers has a recorder of its own site, where the site file has a place for it.
+            flags["recorder"]["far"] = (document.get("recorder") or {}).get("far", "fetch")
     document = merge(document, flags)
     return LoadedScenario(validate(Scenario, document, origin), origin, document)
 

@@ -4,16 +4,17 @@ import contextlib
 import logging
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
-from proto.errors import RecordingError, RigError
-from proto.nodes import DEVICES, LINK, RECORDER, STOP_ORDER
+from proto.errors import RecordingError, RigError, TelenanoError
+from proto.nodes import DEVICES, FAR_RECORDER, LINK, RECORDER, STOP_ORDER
 from recording.reader import Recording
 from services.launcher.disk_space import disk_warning
 from services.launcher.external_recording import ExternalRecording, readable_here
+from services.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
 from services.launcher.plan import RECORDING_NAME, Plan
 from services.launcher.processes import Inherited, NodeProcesses, node_command
 from services.launcher.rig_node import RigNode
@@ -112,7 +113,7 @@ def forget_stops(plan: Plan) -> None:
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
     """Make the node that supervises the processes of a plan, and conducts the session unless another site does."""
     if plan.site == "slave":
-        return SiteNode(context, supervisor, link=f"{LINK}@slave", site="slave", other_site="master")
+        return SiteNode(context, supervisor, link=f"{LINK}@slave", site="slave", other_site="master", folder=plan.out)
     return SessionNode(
         context,
         supervisor,
@@ -122,6 +123,8 @@ def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNod
         other_site="slave" if plan.site == "master" and not plan.attach else "",
         wait_s=plan.wait_s,
         recording=ExternalRecording(context.clock, RECORDER) if plan.attach else None,
+        far=ExternalRecording(context.clock, FAR_RECORDER) if plan.fetches else None,
+        on_far=lambda files: note_files(plan.out, files),
     )
 
 
@@ -144,14 +147,14 @@ def outcome_of(rig: RigNode, plan: Plan) -> Outcome:
     if isinstance(rig, SessionNode) and rig.recording is not None:
         recordings, note = _found(rig, rig.recording, plan) if ran else ((), "")
     else:
-        recordings, unreadable = _own_recordings(plan.out)
+        recordings, unreadable = own_recordings(plan.out)
         missing += unreadable
         missing += rig.not_recorded if isinstance(rig, SessionNode) else ()
     restarts, bad_start = rig.supervisor.restarts(), rig.supervisor.bad_start
     return Outcome(rig.failure, rig.interrupted, ran, recordings, note, restarts, tuple(missing), bad_start)
 
 
-def _own_recordings(folder: Path) -> tuple[tuple[Path, ...], list[str]]:
+def own_recordings(folder: Path) -> tuple[tuple[Path, ...], list[str]]:
     """Return the parts of the recording in a folder, and a sentence for each that cannot be read."""
     stem, suffix = Path(RECORDING_NAME).stem, Path(RECORDING_NAME).suffix
     numbered = {
@@ -197,6 +200,27 @@ def own_log(path: Path) -> Iterator[IO[str]]:
         # on a full disk the last lines cannot be written
         with contextlib.suppress(OSError):
             log.close()
+
+
+def with_far_recording(outcome: Outcome, plan: Plan, show: Callable[[str], None]) -> Outcome:
+    """Return the outcome with the recording of both sites; what is missing of it, and how to have it, is said.
+
+    A session whose fetch fails keeps the own recording, and a later fetch goes on.
+    """
+    if not (plan.fetches and outcome.ran and outcome.recordings):
+        return outcome
+    if not (plan.out / LIST_NAME).exists():
+        text = "the slave's site did not record the session: what it sends fast is missing"
+        return replace(outcome, missing=(*outcome.missing, text))
+    again = f"`telenano bag fetch {plan.out} --site-file {plan.site_file}` goes on"
+    try:
+        sites = Sites(outcome.recordings, noted_files(plan.out))
+        whole = fetch_and_merge(plan.book, plan.out, sites, plan.fetch_kbit_per_s, show)
+    except TelenanoError as error:
+        return replace(outcome, missing=(*outcome.missing, f"the slave's recording was not fetched: {error}; {again}"))
+    except KeyboardInterrupt:
+        return replace(outcome, missing=(*outcome.missing, f"the fetch of the slave's recording was ended; {again}"))
+    return replace(outcome, recordings=(whole,))
 
 
 def report_of(

@@ -1,6 +1,6 @@
 """The session of a rig, as the launcher conducts it: wait, arm, start, run, stop."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from proto.messages import NodeHealth, SessionEvent
 from proto.nodes import HAND, RECORDER, TIP, name_of
@@ -44,6 +44,8 @@ class SessionNode(RigNode):
         other_site: str = "",
         wait_s: float | None = None,
         recording: ExternalRecording | None = None,
+        far: ExternalRecording | None = None,
+        on_far: Callable[[Sequence[str]], None] = lambda files: None,
     ) -> None:
         """Prepare a session of `duration_s` [s].
 
@@ -56,12 +58,17 @@ class SessionNode(RigNode):
             other_site: The site of the others if all of them are beyond the link.
             wait_s: The longest time to wait until they are ready [s]; None is without a limit.
             recording: The recording of a recorder that runs elsewhere; None where the own one records.
+            far: The recording of the other site's recorder, beside the own one; None where there is none.
+            on_far: Called with the files of the session there whenever they are known anew.
         """
         optional = (recording.recorder,) if recording is not None else ()
         seen = (*optional, *others)
         super().__init__(context, supervisor, LivenessMonitor(context.clock, seen, other_site), seen, site)
         self.duration_s = duration_s
         self.recording = recording
+        self.far = far
+        self._on_far = on_far
+        self._is_far_ended = False
         self.start_id = ""
         self._needed = [node for node in self.nodes if node not in optional]
         self._others = tuple(others)
@@ -74,8 +81,8 @@ class SessionNode(RigNode):
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
-        far = () if self.attached or not other_site else others
-        self._last_messages = LastMessages(context.clock, RECORDER, far, self._publishes, self.reports.append)
+        beyond = () if self.attached or not other_site else others
+        self._last_messages = LastMessages(context.clock, RECORDER, beyond, self._publishes, self.reports.append)
         # Commands for a remote recorder, sent once it has caught up.
         self._last_steps: list[Command] = []
 
@@ -94,6 +101,10 @@ class SessionNode(RigNode):
     def ran(self) -> bool:
         """Whether the operator's programme was started."""
         return self._running_ns is not None
+
+    @property
+    def _external(self) -> tuple[ExternalRecording, ...]:
+        return tuple(recording for recording in (self.recording, self.far) if recording is not None)
 
     @property
     def not_recorded(self) -> tuple[str, ...]:
@@ -139,12 +150,12 @@ class SessionNode(RigNode):
         if isinstance(received.message, NodeHealth):
             self._wait.record(received.message)
             self._last_messages.record(received.message)
-            if self.recording is not None:
-                self.recording.on_health(received.message)
+            for recording in self._external:
+                recording.on_health(received.message)
 
     def on_event(self, event: SessionEvent) -> None:
-        if self.recording is not None:
-            self.recording.on_event(event)
+        for recording in self._external:
+            recording.on_event(event)
         # Warnings of a device while it is armed are for the person who starts the session.
         if self.phase == "arming" and (event.kind, event.level) == ("fault", "warning"):
             self.reports.append(f"{event.src}: {event.text}")
@@ -169,7 +180,7 @@ class SessionNode(RigNode):
 
     def _advance_start(self) -> None:
         if not self.waiting():
-            if self.recording is None or self.recording.settled():
+            if all([recording.settled() for recording in self._external]):
                 self._arm()
             return
         limit_s, late = self._readiness.overdue(self.health)
@@ -182,8 +193,7 @@ class SessionNode(RigNode):
         self.phase = "arming"
         # a device that a replay stands in for is not armed from here, and its operator starts by itself
         steps = [step for step in BEGIN if set(step.expected) <= set(self._needed)]
-        if self.recording is not None:
-            steps = [*self.recording.begin_steps(), *steps]
+        steps = [*(step for recording in self._external for step in recording.begin_steps()), *steps]
         self._commands = CommandClient(
             self.clock,
             self.publish,
@@ -231,6 +241,11 @@ class SessionNode(RigNode):
             self.recording.confirm_start(commands.tolerated_failures.get(self.recording.recorder))
             if self.recording.fault:
                 self.report("warning", f"the session is not recorded: {self.recording.fault}")
+        if self.far is not None:
+            self.far.confirm_start(commands.tolerated_failures.get(self.far.recorder))
+            if self.far.fault:
+                self.report("warning", f"what the slave's site sends fast is not recorded: {self.far.fault}")
+            self._on_far(self.far.files)
         self.event("node", "info", "the session is running", answer_to="", duration_s=self.duration_s)
 
     def _end(self) -> None:
@@ -260,6 +275,13 @@ class SessionNode(RigNode):
             self._last_steps = []
             return
         if self.ran and not self.failure and not self._last_messages.over():
+            return
+        if self.ran and self.far is not None and not self._is_far_ended:
+            # What was sent until now is in the file of the session there, which is whole then.
+            self._is_far_ended = True
+            files = list(self.far.files)
+            self._commands = CommandClient(self.clock, self.publish, self.far.end_steps(), retry_ns=_REFUSAL_RETRY_NS)
+            self._on_far(files)
             return
         ends = "the nodes keep running" if self.attached else "the nodes are stopped"
         text = f"the session is over, {ends}"

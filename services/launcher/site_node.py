@@ -1,10 +1,13 @@
 """The site of the slave, whose nodes are kept running for a session that is conducted at the master's."""
 
+from pathlib import Path
 from typing import ClassVar
 
-from proto.messages import ClockPing
+from proto.errors import RefusedError
+from proto.messages import ClockPing, SessionControl
 from proto.nodes import TIP
 from services.launcher.liveness import LivenessMonitor
+from services.launcher.piece_sender import PieceSender
 from services.launcher.readiness import READY_DEADLINE_S, unmet
 from services.launcher.rig_node import RigNode
 from services.launcher.supervisor import Supervisor
@@ -13,14 +16,30 @@ from services.runtime.loop.node import NodeContext
 
 
 class SiteNode(RigNode):
-    """Keeps the nodes of the slave's site running for a session that the master's conducts; arms and starts nothing."""
+    """Keeps the nodes of the slave's site running for a session that the master's conducts; arms and starts nothing.
+
+    On request it sends the recording of its site, in pieces.
+    """
 
     # clock/ping comes from the link itself, past its impairments: the heartbeat of the master's machine
-    inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping")
+    inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping", "session/control")
+    named_commands: ClassVar[tuple[str, ...]] = ("set",)
 
-    def __init__(self, context: NodeContext, supervisor: Supervisor, *, link: str, site: str, other_site: str) -> None:
-        """Prepare a site from the endpoint of the link at it (node@site) and the names of both sites."""
+    def __init__(
+        self, context: NodeContext, supervisor: Supervisor, *, link: str, site: str, other_site: str, folder: Path
+    ) -> None:
+        """Prepare a site.
+
+        Args:
+            context: The context of the node.
+            supervisor: Supervises the nodes of this launcher.
+            link: The endpoint of the link at this site, node@site.
+            site: The site of this launcher.
+            other_site: The site that conducts the session.
+            folder: The folder that the recorder of this site records to.
+        """
         super().__init__(context, supervisor, LivenessMonitor(context.clock, (link,), other_site), (), site)
+        self._pieces = PieceSender(folder, self.publish)
         self._deadline_ns = context.clock.monotonic_ns() + round(READY_DEADLINE_S * 1e9)
 
     def waiting(self) -> dict[str, str]:
@@ -42,6 +61,22 @@ class SiteNode(RigNode):
         super().on_message(received)
         if isinstance(received.message, ClockPing):
             self.liveness.record(received.message.src)
+
+    def on_deadline(self, now_ns: int) -> None:
+        super().on_deadline(now_ns)
+        self._pieces.send_due(now_ns)
+
+    def on_control(self, control: SessionControl) -> str:
+        """Send a part of the recording of this site; RefusedError says what is wrong with the command."""
+        if control.command != "set":
+            return super().on_control(control)
+        if not control.parameters:
+            raise RefusedError("set needs what is to be sent: recording.file, .offset, .bytes and .kbit_per_s")
+        return self._pieces.request(control.parameters, self.clock.monotonic_ns())
+
+    def make_safe(self) -> None:
+        self._pieces.close()
+        super().make_safe()
 
     def _hints(self, *nodes: str) -> str:
         # The tip is at this site, whichever side was lost.

@@ -2,8 +2,8 @@
 
 import sys
 
-from proto.nodes import site_of
-from services.recorder.config import RecorderConfig
+from proto.nodes import FAR_RECORDER, site_of
+from services.recorder.config import RecorderConfig, is_bulk
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
 from services.recorder.live import accept_batches, connect
@@ -21,6 +21,7 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
     sources = listeners(wiring, config)
     held_s = accept_batches(sources, wiring, config)
     bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network)
+    intake.obeys_link = wiring.book.spans_machines and site_of(wiring.key) == "slave"
     own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
     return RecorderNode(wiring.context(bus), config, intake, sites=own, on_end=bus.end, held_s=held_s), bus
 
@@ -29,11 +30,17 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     """Connect to each node for all that is to be recorded of it; at the slave to its own site only.
 
     What the slave receives of the master's comes through the link, and a network between must not carry it a second
-    time.
+    time. What a node on another machine sends fast is recorded there, where that site has a recorder (ADR 0075).
     """
-    site = site_of(wiring.key)
-    sites = SITES if site == "master" or not wiring.book.spans_machines else (site,)
-    return [*connect(wiring, sites, config.subscribes), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
+    site, book = site_of(wiring.key), wiring.book
+    sites = SITES if site == "master" or not book.spans_machines else (site,)
+    is_shared = book.spans_machines and config.far == "fetch" and FAR_RECORDER in book.nodes
+
+    def wanted(topic: str, node: str) -> bool:
+        is_near = not is_shared or book.machine_of(node) == wiring.network.machine
+        return config.subscribes(topic, site_of(node)) and (is_near or not is_bulk(topic))
+
+    return [*connect(wiring, sites, wanted), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
 
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from proto.nodes import site_of
 from services.recorder.config import RecorderConfig
 from services.recorder.live import accept_batches, connect
 from services.recorder.node import RecorderBus, RecorderNode
@@ -46,7 +47,7 @@ def run_record(
     book, signals = load_site(site_file), StopSignals()
     with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
         clock = participant.clock
-        listeners = connect(participant, wanted=config.subscribes)
+        listeners = connect(participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)))
         held_s = accept_batches(listeners, participant, config)
         intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
         publisher = NullPublisher(clock, OBSERVER)

@@ -4,12 +4,23 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from proto import TOPICS
 from proto.ends import END_TOPIC
 from proto.errors import ConfigError
 from recording.channel_filter import Selection
 from recording.writer import FileSettings
 
 _Size = Annotated[int, Field(ge=65_536, le=1 << 50)]
+
+
+# Samples from this rate on [Hz] are bulk, and so is what comes seldom and is large.
+_BULK_HZ = 100.0
+_LARGE = ("node/journal", "afm/scanline")
+
+
+def is_bulk(topic: str) -> bool:
+    """Return whether a topic takes so much of a network between two machines that it is recorded where it is sent."""
+    return (TOPICS[topic].rate_hz or 0.0) >= _BULK_HZ or topic in _LARGE
 
 
 class RecorderConfig(FileSettings):
@@ -23,6 +34,14 @@ class RecorderConfig(FileSettings):
         default=(), description="Record only these: globs of channel names, or /regular expressions/; none = all"
     )
     exclude: tuple[str, ...] = Field(default=(), description="Do not record these: the same patterns")
+    far: Literal["fetch", "stream"] = Field(
+        default="stream",
+        description="What the other machine of two sends fast: stream it over the network, or fetch it from there "
+        "after the session, which `up --site` has by default",
+    )
+    fetch_kbit_per_s: Annotated[float, Field(ge=64.0, le=1e6)] = Field(
+        default=50_000.0, description="Most that is fetched after a session [kbit/s]; no loop runs then"
+    )
     split_size_bytes: _Size | None = Field(
         default=None, description="Begin a new file at this size [bytes]; none = never"
     )

@@ -84,6 +84,8 @@ class Intake:
         """Record into a writer; without one and without a snapshot buffer nothing is recorded, and `fault` is why."""
         self.writer = writer
         self.fault = fault
+        # At the slave's site of two the commands of the master's come by the link only.
+        self.obeys_link = False
         self.received = 0
         self.gaps = 0
         self.lost = 0
@@ -153,7 +155,7 @@ class Intake:
                 self._ended.discard(src)
             if fields is not None:
                 self._interpret(listener, stream, fields, received_ns)
-                if topic == "session/control" and stream.direct:
+                if topic == "session/control" and (stream.direct or self.obeys_link):
                     return Received(topic, decode(topic, payload), payload, received_ns, arrival)
         except WireError as error:
             self._reject(listener, frames, received_ns, error)

@@ -24,13 +24,13 @@ _WAIT_MS = 100
 def connect(
     participant: Participant,
     sites: Sequence[str] = SITES,
-    wanted: Callable[[str, str], bool] = lambda topic, site: True,
+    wanted: Callable[[str, str], bool] = lambda topic, node: True,
 ) -> list[Listener]:
     """Subscribe at each node at `sites` to every recorded topic that it publishes.
 
-    `wanted(topic, site)` selects among them: what is not subscribed to is not even sent.
+    `wanted(topic, node)` selects among them: what is not subscribed to is not even sent.
     """
-    readers = participant.observe(lambda topic, site: TOPICS[topic].recorded and wanted(topic, site), sites)
+    readers = participant.observe(lambda topic, node: TOPICS[topic].recorded and wanted(topic, node), sites)
     return [Listener(node, reader) for node, reader in readers.items()]
 
 

@@ -31,7 +31,7 @@ class LiveSource(NoTransport):
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self._subscribers = participant.observe(lambda topic, site: topic in TOPICS_SHOWN)
+        self._subscribers = participant.observe(lambda topic, node: topic in TOPICS_SHOWN)
         self._watched = True
         self._watch(False)
 

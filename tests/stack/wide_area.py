@@ -170,7 +170,8 @@ def fig12(
     folder.mkdir(parents=True, exist_ok=True)
     cable = WideAreaCable(0.0 if injected else delay_ms * 1e-3, 0.0 if injected else loss, seed)
     rig = TwoSites(folder, cable=cable, transport=transport)
-    law_of = ["--set", f"controller.law={law}"]
+    # over a network that loses packets TCP would take a minute to fetch what the slave recorded
+    law_of = ["--set", f"controller.law={law}", "--set", "recorder.far=stream"]
     chosen = {site: [*law_of, "--set", f"recorder.exclude={json.dumps(EXCLUDED[site])}"] for site in EXCLUDED}
     network = {
         f"{way}.{key}": value
@@ -179,7 +180,10 @@ def fig12(
     }
     if measured is not None:
         section = yaml.safe_load((measured / "delay_node.yaml").read_text())
-        network = {key: measured.absolute() / name for key, name in flatten(section).items()}
+        network = {
+            key: measured.absolute() / value if key.endswith(".file") else value
+            for key, value in flatten(section).items()
+        }
         chosen["master"][-1] = f"recorder.exclude={json.dumps([t for t in EXCLUDED['master'] if t != 'link/fates'])}"
     if probe_into is not None:
         # its imports take longer than the programme where the rig has the processors

@@ -57,7 +57,7 @@ class Observer:
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self.subscribers = participant.observe(lambda topic, site: topic in wanted)
+        self.subscribers = participant.observe(lambda topic, node: topic in wanted)
         self._poller = zmq.Poller()
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)

@@ -9,7 +9,7 @@ from pathlib import Path
 import zmq
 
 from proto.errors import EndpointError
-from proto.nodes import DEVICES, FAR_END, site_of
+from proto.nodes import DEVICES, FAR_END
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Bus, Subscriber, ZmqBus
 from services.runtime.bus.outgoing_batch import OutgoingBatch
@@ -78,9 +78,9 @@ class Participant:
         return [self.resources.enter_context(contextlib.closing(subscriber)) for subscriber in opened]
 
     def observe(self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES) -> dict[str, Subscriber]:
-        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of its site."""
+        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of it."""
         topics_of = self.book.observed(self.network.machine, sites)
-        plan = {node: [topic for topic in topics if wanted(topic, site_of(node))] for node, topics in topics_of.items()}
+        plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
         plan = {node: topics for node, topics in plan.items() if topics}
         return dict(zip(plan, self.subscribers(plan, apart=True), strict=True))
 

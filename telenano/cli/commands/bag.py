@@ -12,6 +12,7 @@ from pydantic import BaseModel
 
 from analysis.plot import draw, read_traces, save_png
 from analysis.rerun import rerun as run_again
+from presets import TWO_SITES_FILE
 from proto.errors import RecordingError
 from recording.channel_filter import Selection
 from recording.diff import diff_recordings
@@ -27,7 +28,14 @@ from recording.tolerance import Tolerances
 from recording.verify import verify as check
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import CountOption, ExcludeOption, JsonOption, TopicsOption, command_group
+from telenano.cli.options import (
+    CountOption,
+    ExcludeOption,
+    JsonOption,
+    SiteFileOption,
+    TopicsOption,
+    command_group,
+)
 from telenano.cli.output import console, print_document, print_json, print_rows, report_errors
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
@@ -202,6 +210,36 @@ def merge(
     """Merge recordings in the order of time."""
     with report_errors(as_json):
         _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
+
+
+@app.command()
+def fetch(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a session, as at the master.")],
+    site_file: SiteFileOption = TWO_SITES_FILE,
+    files: Annotated[
+        list[str] | None,
+        typer.Option("--file", metavar="NAME", help="Part of the recording there, instead of those that DIR names."),
+    ] = None,
+    kbit_per_s: Annotated[
+        float | None,
+        typer.Option("--kbit-per-s", min=64.0, max=1e6, metavar="R", help="Most that is fetched; 1000 beside a rig."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
+    with report_errors(as_json):
+        # The import needs POSIX, and the other commands work without it.
+        from services.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
+        from services.launcher.run import own_recordings
+        from services.runtime.loop.main import load_site
+
+        names = noted_files(folder) if files is None else checked_names(files, "--file")
+        own, faults = own_recordings(folder)
+        if not own:
+            raise RecordingError(f"{folder}: has no recording of the master's site: {'; '.join(faults) or 'no file'}")
+        show = (lambda text: None) if as_json else (lambda text: typer.echo(text, err=True))
+        whole = fetch_and_merge(load_site(site_file), folder, Sites(own, names), kbit_per_s, show)
+        _print_model(open_recordings([whole]).info(), as_json)
 
 
 @app.command()

@@ -45,7 +45,8 @@ class RecordKeyBindings:
 
 
 # These are options of the command's own, and settings that only the recorder of a rig has.
-_OWN = ("directory", "file_name", "topics", "exclude", "sync_to_disk", "chunk_size_bytes", "snapshot_size_bytes")
+_FILES = ("directory", "file_name", "sync_to_disk", "chunk_size_bytes", "snapshot_size_bytes")
+_OWN = (*_FILES, "topics", "exclude", "far", "fetch_kbit_per_s")
 
 
 @with_options(RecorderConfig, _OWN, units=SECONDS)

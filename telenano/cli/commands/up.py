@@ -12,7 +12,7 @@ from proto.errors import ReportError
 from recording.multi_file import open_recordings
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.run import Outcome, default_folder, report_of, run_rig
+from services.launcher.run import Outcome, default_folder, report_of, run_rig, with_far_recording
 from services.runtime.security.keyring import Keyring
 from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
@@ -78,6 +78,7 @@ def up(
         with inherited_by_page(plan, typer.echo) as beside, view:
             outcome = run_rig(plan, view.observe, view.show, beside)
         _restore_default_signals()
+        outcome = with_far_recording(outcome, plan, view.show)
         try:
             summary = report_of(outcome, plan, view.show, options)
         except ReportError as error:

@@ -310,3 +310,25 @@ def test_at_its_end_the_link_counts_what_it_has_sent_on_at_each_site(link_of: An
 def decoded(outlet: SiteEndpoint) -> dict[str, Any]:
     fields: dict[str, Any] = msgpack.unpackb(outlet.sent[-1][1])
     return fields
+
+
+def test_outages_in_session_time_count_from_the_start_command_and_its_repetitions_change_nothing(link_of: Any) -> None:
+    link = link_of(forward={"outage": {"schedule": [[1.0, 0.5]], "origin": "session"}})
+
+    def start(identifier: str) -> None:
+        fields = {"id": identifier, "command": "start", "target": "*", "parameters": {}}
+        link.node.on_message(link.bench.received("session/control", "launcher@master", **fields))
+
+    def is_lost() -> bool:
+        before = len(link.delivered(link.to_slave))
+        link.receive("teleop/forward", "controller@master", **HALF)
+        link.pass_ms(1.0)
+        return len(link.delivered(link.to_slave)) == before
+
+    found = []
+    for tenth in range(60):
+        if tenth in (20, 21, 24, 45):
+            start("second" if tenth == 45 else "first")
+        found.append(is_lost())
+        link.pass_ms(99.0)
+    assert [tenth for tenth, lost in enumerate(found) if lost] == [*range(30, 35), *range(55, 60)]

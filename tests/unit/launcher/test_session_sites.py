@@ -1,6 +1,7 @@
 """A session over two sites, at the one that conducts it and at the one that follows."""
 
 from io import StringIO
+from pathlib import Path
 
 from launcher_bench import SECOND_NS, TICK_NS, Bench, Rig, health, row
 from rich.console import Console
@@ -29,7 +30,9 @@ class Slave(Bench):
     def __init__(self) -> None:
         super().__init__("launcher@slave")
         supervisor = Supervisor(self.clock, SLAVE, self.children)
-        self.site = SiteNode(self.context, supervisor, link=LINK, site="slave", other_site="master")
+        self.site = SiteNode(
+            self.context, supervisor, link=LINK, site="slave", other_site="master", folder=Path("nowhere")
+        )
         self.begin(self.site)
 
     def ping(self) -> None:

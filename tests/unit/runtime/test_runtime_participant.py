@@ -96,9 +96,9 @@ def test_a_node_needs_a_place_in_the_site_file_and_an_observer_none(book: Addres
             open_participant("afm_node@slave", book):  # fmt: skip
         pass
     with open_participant(OBSERVER, book, publisher=False) as observer:
-        readers = observer.observe(lambda topic, site: topic == "haptic/state" and site == "master")
+        readers = observer.observe(lambda topic, node: topic == "haptic/state" and node.endswith("@master"))
         assert {node: reader.topics for node, reader in readers.items()} == {HAND: ["haptic/state"]}
-        assert observer.observe(lambda topic, site: True, ["slave"]) == {}
+        assert observer.observe(lambda topic, node: True, ["slave"]) == {}
 
 
 def test_without_a_key_that_the_rig_needs_nothing_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
