@@ -3,6 +3,7 @@
 import sys
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 from proto.errors import ConfigError
 from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig, ModbusConfig
@@ -35,7 +36,14 @@ def _driver(config: AfmConfig) -> AfmDriver:
         return SimulatedInstrument(config.to_spring_params())
     if config.model == "dynamic":
         return dynamic_afm(config)
-    return simulated_afm(config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances)
+    return simulated_afm(
+        config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances, **_particles(config)
+    )
+
+
+def _particles(config: AfmConfig) -> dict[str, Any]:
+    particles = None if config.sample is None else config.sample.particles
+    return {} if particles is None else {"layer": config.to_particle_layer, "above_m": particles.highest_m}
 
 
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
@@ -59,7 +67,7 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
         tip = dynamic_params(config.to_params().plant, driven, resting)
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error
-    return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip)
+    return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip, **_particles(config))
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:

@@ -3,6 +3,7 @@
 Every default is a value of Table 2 or, where the paper gives none, one that its Fig. 12 leaves untouched.
 """
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -23,6 +24,8 @@ from services.afm_node.physics.contact.tip_sample import (
     hamaker_of,
 )
 from services.afm_node.physics.disturbances import DisturbanceConfig
+from services.afm_node.physics.particles.settings import ParticlesConfig
+from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface import Surface, dilated
 from services.afm_node.physics.sample_models import checked_sample
@@ -299,6 +302,8 @@ class _OwnSections(Settings):
             raise ValueError("driver: modbus needs a section modbus with calibration")
         if self.model == "dynamic":
             self._check_dynamic()
+        if self.sample is not None and self.sample.particles is not None:
+            self._check_particles(self.sample.particles)
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self
@@ -313,6 +318,20 @@ class _OwnSections(Settings):
                 f"model: dynamic needs cantilever.resonance_hz of {_LEAST_RESONANCE_HZ:g} Hz or more: eight periods"
                 f" in a step of the node, not {self.cantilever.resonance_hz:g} Hz"
             )
+
+    def _check_particles(self, particles: ParticlesConfig) -> None:
+        if self.driver != "simulated" or self.environment != "tip_sample":
+            raise ValueError("sample.particles are for driver simulated and environment tip_sample")
+        needed = self.rest_distance_m - particles.clear_m
+        for name, base_m in (
+            ("retract_position_m", self.safety.retract_position_m),
+            ("base_min_m", self.safety.base_min_m),
+        ):
+            if base_m > needed:
+                raise ValueError(
+                    f"safety.{name} = {base_m:g} m does not clear the highest particle: with a radius of"
+                    f" {particles.kind.radius_m:g} m it must be {math.floor(needed * 1e9) * 1e-9:.4g} m or less"
+                )
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
@@ -338,6 +357,28 @@ class _OwnSections(Settings):
             return _PLANE_M, _PLANE_M
         surface = self.sample.build()
         return surface.width_m, surface.depth_m
+
+    def to_particle_layer(self, within: Any, surface: Surface | None) -> Any:
+        """Return the parameters of the particles around a part over a surface, the part where there are none.
+
+        Raises:
+            ConfigError: They find no room, overlap or lie outside of the sample, or numba is missing.
+        """
+        if self.sample is None or self.sample.particles is None:
+            return within
+        try:
+            from services.afm_node.physics.particles.layer import particle_layer
+        except ImportError as error:
+            raise ConfigError('afm_node.sample.particles: needs numba: pip install "telenano[studies]"') from error
+        p, plant = self.sample.particles, self.to_params().plant
+        try:
+            fixed, start = p.rows(self.tip_sample.tip_radius_m, *self.sample_sides_m())
+        except ValueError as error:
+            raise ConfigError(f"afm_node.sample.{error}") from error
+        tip = tip_shape(self.tip_sample.tip_radius_m, math.radians(p.cone_deg))
+        lateral = self.friction.lateral_stiffness_n_per_m
+        spring = Spring(plant.stiffness_n_per_m, lateral, p.tip_friction, p.loaded_area, p.rest_s)
+        return particle_layer(within, surface, tip, spring, fixed, start, plant)
 
     def to_spring_params(self) -> AfmParams:
         """Return the parameters of the linear environment behind the same guard."""

@@ -59,9 +59,13 @@ class VibratingCantilever(Protocol):
 
 
 class Relief(NamedTuple):
-    """What is known in advance of the heights under the tip: the surface as the tip sees it, None for a plane at 0."""
+    """What is known in advance of the heights under the tip: the surface as the tip sees it, None for a plane at 0.
+
+    above_m: how far particles stand above it [m], wherever they are.
+    """
 
     surface: Surface | None
+    above_m: float = 0.0
 
 
 class Simulation(Protocol):

@@ -451,7 +451,8 @@ def _reach(config: AfmConfig, driver: AfmDriver) -> Reach | None:
     """Return what the base reaches, None for an instrument whose surface is not known in advance."""
     if driver.relief is None:
         return None
-    return Reach(driver.relief.surface, config.rest_distance_m, config.to_params().safety)
+    surface, above_m = driver.relief
+    return Reach(surface, config.rest_distance_m, config.to_params().safety, above_m)
 
 
 def _sample_text(config: AfmConfig, reach: Reach) -> str:

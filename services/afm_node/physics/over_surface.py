@@ -66,7 +66,7 @@ def _raised(surface: Surface, inputs: PlantInputs) -> PlantInputs:
         base_m=inputs.base_m,
         x_m=inputs.x_m,
         y_m=inputs.y_m,
-        height_m=_height(surface, inputs.x_m, inputs.y_m)[0],
+        height_m=inputs.height_m + _height(surface, inputs.x_m, inputs.y_m)[0],
         voltage_v=inputs.voltage_v,
         amplitude_m=inputs.amplitude_m,
         temperature_k=inputs.temperature_k,

@@ -1,6 +1,7 @@
 """The driver of every simulated instrument: any part (`part`) behind the driver protocol of the node."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from services.afm_node.driver import LateralStage, Relief, Simulation, VibratingCantilever
@@ -225,6 +226,8 @@ def simulated_afm(
     friction: FrictionParams | None = None,
     disturbances: DisturbanceConfig = _QUIET,
     tip: Any = None,
+    layer: Callable[[Any, Surface | None], Any] | None = None,
+    above_m: float = 0.0,
 ) -> SimulatedInstrument:
     """Return the simulated AFM.
 
@@ -234,6 +237,10 @@ def simulated_afm(
         friction: The parameters of friction; None is without friction.
         disturbances: The disturbances, which may be switched on while it runs.
         tip: A dynamic cantilever instead of the quasi-static one.
+        layer: What lies on the surface: a function of the part over it and the surface.
+        above_m: How far that stands above the surface at most [m].
     """
     part = over_surface(params.plant if tip is None else tip, surface, friction)
-    return SimulatedInstrument(params._replace(plant=part), Relief(surface), params.plant, disturbances)
+    if layer is not None:
+        part = layer(part, surface)
+    return SimulatedInstrument(params._replace(plant=part), Relief(surface, above_m), params.plant, disturbances)

@@ -29,26 +29,30 @@ class Span(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """A surface as the tip sees it, None for a plane at height 0; rest distance L [m]; limits of the base."""
+    """A surface as the tip sees it, None for a plane at height 0; rest distance L [m]; limits of the base.
+
+    above_m: how far particles stand above the surface [m], which may be anywhere.
+    """
 
     surface: Surface | None
     rest_m: float
     limits: SafetyParams
+    above_m: float = 0.0
 
     def within(self, centre: Place, width_m: float, depth_m: float) -> Span:
         """Return the heights of a rectangle around a place."""
         if self.surface is None:
-            return Span(0.0, 0.0)
+            return Span(0.0, self.above_m)
         s, (rows, columns) = self.surface, self.surface.height_m.shape
         xs = _pixels(centre.x_m, width_m, s.step_x_m, columns)
         ys = _pixels(centre.y_m, depth_m, s.step_y_m, rows)
         part = s.height_m[ys, xs]
-        return Span(float(part.min()), float(part.max()))
+        return Span(float(part.min()), float(part.max()) + self.above_m)
 
     def along(self, begin: Place, end: Place) -> Span:
         """Return the heights of a straight line, with those of the pixels beside it."""
         if self.surface is None:
-            return Span(0.0, 0.0)
+            return Span(0.0, self.above_m)
         s, (rows, columns) = self.surface, self.surface.height_m.shape
         way = math.hypot((end.x_m - begin.x_m) / s.step_x_m, (end.y_m - begin.y_m) / s.step_y_m)
         # The surface goes on level beyond the map, so more points than twice its diagonal see nothing new.
@@ -61,7 +65,7 @@ class Reach(NamedTuple):
             for row in (np.floor(y), np.ceil(y))
             for column in (np.floor(x), np.ceil(x))
         ]
-        return Span(float(np.min(seen)), float(np.max(seen)))
+        return Span(float(np.min(seen)), float(np.max(seen)) + self.above_m)
 
     def depth_fault(self, span: Span, press_m: float = 0.0) -> str:
         """Return why the base does not bring the tip to the lowest point, pressed by press_m [m]; empty if it does."""

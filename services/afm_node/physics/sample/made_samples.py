@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from proto.errors import ConfigError
+from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.sample.surface import (
     MOST_PIXELS,
     Surface,
@@ -59,6 +60,7 @@ class SampleConfig(Settings):
     dot_radius_m: Length = Field(5e-9, description="Radius of a dot at its foot [m].")
     height_m: float = Field(10e-9, ge=0.0, le=1e-4, description="Height of a dot or of a ridge [m], up to 1e-4.")
     period_m: Length = Field(50e-9, description="Period of the grating [m].")
+    particles: ParticlesConfig | None = Field(None, description="Spheres on it which the tip moves; none by default.")
 
     @model_validator(mode="after")
     def _size_where_needed(self) -> Self:

@@ -1,0 +1,1 @@
+"""Particles on a surface that the tip rides over or pushes."""

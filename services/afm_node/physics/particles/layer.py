@@ -1,0 +1,168 @@
+"""Particles on a surface: a part around the tip over that surface.
+
+The parts within know nothing of particles. Where these hold the tip up, the layer raises the surface under it. Where
+the tip pushes them beside the surface, their force upwards is that of a base which is further away by F / k, because
+the spring is linear; the layer adds it to what is measured. Friction of the tip on the surface is that of the part
+within. A tip that is driven leaves particles where they are: in tapping it passes no lateral force on.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.physics.cantilever import Plant
+from services.afm_node.physics.part import (
+    AfmSample,
+    Motion,
+    Oscillation,
+    Part,
+    PlantInputs,
+    motion_of,
+    part_start,
+    part_step,
+    register,
+)
+from services.afm_node.physics.particles.push import RESTED, Contact, height_m, push_step
+from services.afm_node.physics.particles.tip_shape import Spring, TipShape
+from services.afm_node.physics.sample.surface import Surface, height_at
+from services.numerics.compiled import compiled
+
+Array = npt.NDArray[np.float64]
+
+
+class ParticleLayerParams(NamedTuple):
+    """The part within; the surface as the tip sees it; tip, spring and particles (`push.push_step`).
+
+    rest_distance_m: L of the cantilever [m]; volts_per_m: its read-out [V/m].
+    """
+
+    within: Any
+    surface: Surface
+    tip: TipShape
+    spring: Spring
+    fixed: Array
+    start: Array
+    rest_distance_m: float
+    volts_per_m: float
+
+
+_PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
+
+
+class ParticleLayerState(NamedTuple):
+    """Of the part within; the particles; place at the last step [m]; raised_m and lift_n: what they do to the tip."""
+
+    within: Any
+    moving: Array
+    x_m: float
+    y_m: float
+    raised_m: float
+    lift_n: float
+
+
+def particle_layer(
+    within: Any, surface: Surface | None, tip: TipShape, spring: Spring, fixed: Array, start: Array, plant: Plant
+) -> ParticleLayerParams:
+    """Return the parameters of particles around a part over a surface, None for a plane; plant is its cantilever."""
+    seen = _PLANE if surface is None else surface
+    return ParticleLayerParams(within, seen, tip, spring, fixed, start, plant.rest_distance_m, plant.volts_per_m)
+
+
+@compiled
+def _ground(surface: Surface, x_m: float, y_m: float) -> float:
+    rows, columns = surface.height_m.shape
+    x, y = x_m + 0.5 * (surface.step_x_m * columns), y_m + 0.5 * (surface.step_y_m * rows)
+    return float(height_at(surface.height_m, surface.step_x_m, surface.step_y_m, x, y)[0])
+
+
+@compiled
+def _within(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInputs:
+    return PlantInputs(
+        base_m=inputs.base_m - away_m,
+        x_m=inputs.x_m,
+        y_m=inputs.y_m,
+        height_m=inputs.height_m + raised_m,
+        voltage_v=inputs.voltage_v,
+        amplitude_m=inputs.amplitude_m,
+        temperature_k=inputs.temperature_k,
+        seed=inputs.seed,
+    )
+
+
+@compiled
+def _step(
+    params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs, dt: float
+) -> tuple[ParticleLayerState, AfmSample]:
+    k = params.spring.normal_n_per_m
+    # Particles lie on a plane at the height 0: a surface that is higher under the tip keeps it away from them.
+    ground = _ground(params.surface, inputs.x_m, inputs.y_m)
+    if inputs.amplitude_m > 0.0:
+        moving = state.moving.copy()
+        moving[:, RESTED] += dt
+        apex = height_m(params.tip, params.fixed, moving, inputs.x_m, inputs.y_m)
+        contact = Contact(apex, 0.0, 0.0, 0.0, 0, 0)
+    else:
+        free = params.rest_distance_m - inputs.base_m
+        held_up = max(free, ground)
+        moving, contact = push_step(
+            params.tip,
+            params.spring,
+            params.fixed,
+            state.moving,
+            (state.x_m, state.y_m, inputs.x_m, inputs.y_m),
+            (held_up, free),
+            dt,
+        )
+        apex = contact.apex_m
+        if contact.touched == 0:
+            # over a particle that it does not touch yet, a tip feels what attracts it
+            apex = height_m(params.tip, params.fixed, moving, inputs.x_m, inputs.y_m)
+        elif apex <= held_up:
+            apex = 0.0
+    raised = max(apex - ground, 0.0)
+    # A tip that particles hold up has their force from the surface that is raised under it.
+    lift = 0.0 if raised > 0.0 else contact.lift_n
+    within, sample = part_step(params.within, state.within, _within(inputs, raised, lift / k), dt)
+    after = ParticleLayerState(within, moving, inputs.x_m, inputs.y_m, raised, lift)
+    return after, AfmSample(
+        base_m=inputs.base_m,
+        deflection_m=sample.deflection_m + lift / k,
+        force_n=sample.force_n + lift,
+        bridge_voltage_v=sample.bridge_voltage_v + params.volts_per_m * lift / k,
+        distance_m=sample.distance_m,
+        distance_valid=sample.distance_valid,
+        in_contact=sample.in_contact or contact.touched > 0,
+        meniscus=sample.meniscus,
+        lateral_x_n=sample.lateral_x_n + contact.push_x_n,
+        lateral_y_n=sample.lateral_y_n + contact.push_y_n,
+    )
+
+
+def _start(params: ParticleLayerParams, inputs: PlantInputs) -> ParticleLayerState:
+    ground = _ground(params.surface, inputs.x_m, inputs.y_m)
+    apex = height_m(params.tip, params.fixed, params.start, inputs.x_m, inputs.y_m)
+    raised = max(apex - ground, 0.0)
+    within = part_start(params.within, _within(inputs, raised, 0.0))
+    return ParticleLayerState(within, params.start, inputs.x_m, inputs.y_m, raised, 0.0)
+
+
+def _motion(params: ParticleLayerParams) -> Motion | None:
+    inner = motion_of(params.within)
+    if inner is None:
+        return None
+
+    def settle(
+        params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs
+    ) -> tuple[ParticleLayerState, bool]:
+        away_m = state.lift_n / params.spring.normal_n_per_m
+        within, goes_on = inner.settle(params.within, state.within, _within(inputs, state.raised_m, away_m))
+        return state._replace(within=within), goes_on
+
+    def oscillation(state: ParticleLayerState) -> Oscillation:
+        return inner.oscillation(state.within)
+
+    return Motion(settle, oscillation)
+
+
+register(ParticleLayerParams, Part(_start, _step, motion=_motion))
