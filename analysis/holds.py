@@ -25,7 +25,7 @@ LONGEST_STEP_S = 0.05
 _MISSING_SHARE = 0.1
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
 _STARVED = ("command_deadline", "hold_expired")
-_GUARDING = (*_STARVED, "force_limit", "force_invalid", "device_lost")
+_GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
 # a report of the instrument belongs to what it did at most so long before or after [s]
 _REPORTED_WITHIN_S = 0.2
 # an incident is the cause of what ends so long after it [s], or is reported so long after what it caused

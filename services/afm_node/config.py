@@ -146,6 +146,9 @@ class SafetyConfig(Settings):
     force_limit_n: float = Field(
         200e-9, gt=0.0, le=1e-3, description="Repulsive force above which the tip is retracted [N], up to 1e-3."
     )
+    lateral_limit_n: float = Field(
+        1e-5, gt=0.0, le=1e-3, description="Lateral force above which the tip is retracted [N], up to 1e-3."
+    )
     command_deadline_s: float = Field(
         deadline_of("afm/command"),
         gt=0.0,

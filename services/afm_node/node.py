@@ -42,6 +42,7 @@ _ALARMING = (
     safety.REASON_COMMAND_DEADLINE,
     safety.REASON_HOLD_EXPIRED,
     safety.REASON_DEVICE_LOST,
+    safety.REASON_LATERAL_LIMIT,
 )
 
 
@@ -287,6 +288,7 @@ class AfmNode(Node):
             estop=estop,
             force_n=self._memory.force_n,
             device_lost=self._device_lost,
+            lateral_n=math.hypot(*self._memory.lateral_n),
         )
         if withdraw:
             asked = asked._replace(
@@ -330,7 +332,7 @@ class AfmNode(Node):
             self._memory.guard.base_m,
             self._memory.place,
             self._memory.force_n,
-            self._memory.lateral_n[0],
+            self._memory.lateral_n,
             oscillation,
             self._memory.pointer,
         )
@@ -348,6 +350,7 @@ class AfmNode(Node):
             estop=estop,
             force_n=self._memory.force_n,
             device_lost=self._device_lost,
+            lateral_n=math.hypot(*self._memory.lateral_n),
         )
         allowed = self._carry_out(asked, wanted.place, elapsed_s)
         programs.follow_guard(allowed.mode, allowed.reason)

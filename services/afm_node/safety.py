@@ -51,6 +51,7 @@ REASON_COMMANDS_RESUMED = 7
 REASON_HOLD_REQUESTED = 8
 REASON_RETRACT_REQUESTED = 9
 REASON_DEVICE_LOST = 10
+REASON_LATERAL_LIMIT = 11
 REASON_NAMES: dict[int, str] = {
     REASON_START: "start",
     REASON_ARMED: "armed",
@@ -63,6 +64,7 @@ REASON_NAMES: dict[int, str] = {
     REASON_HOLD_REQUESTED: "hold_requested",
     REASON_RETRACT_REQUESTED: "retract_requested",
     REASON_DEVICE_LOST: "device_lost",
+    REASON_LATERAL_LIMIT: "lateral_limit",
 }
 
 ARM_NOT_REFUSED = 0
@@ -98,6 +100,7 @@ class SafetyParams(NamedTuple):
     force_limit_n: float
     command_deadline_s: float
     hold_time_s: float
+    lateral_limit_n: float = math.inf
 
 
 class SafetyState(NamedTuple):
@@ -117,7 +120,7 @@ class SafetyInputs(NamedTuple):
 
     reference_m: base position asked for [m]; command_age_s: age of that command [s], infinite if none ever came;
     action: ACTION_*; arm_requested: now; estop: pressed; force_n: tip force last measured [N], repulsive positive;
-    device_lost: nothing is known of the tip, and nothing reaches the base.
+    device_lost: nothing is known of the tip, and nothing reaches the base; lateral_n: force across the tip [N].
     """
 
     reference_m: float
@@ -127,6 +130,7 @@ class SafetyInputs(NamedTuple):
     estop: bool
     force_n: float
     device_lost: bool = False
+    lateral_n: float = 0.0
 
 
 class SafetyOutputs(NamedTuple):
@@ -189,6 +193,8 @@ def _next_mode(params: SafetyParams, state: SafetyState, inputs: SafetyInputs) -
         return MODE_RETRACTING, REASON_FORCE_INVALID
     if inputs.force_n > params.force_limit_n:
         return MODE_RETRACTING, REASON_FORCE_LIMIT
+    if inputs.lateral_n > params.lateral_limit_n:
+        return MODE_RETRACTING, REASON_LATERAL_LIMIT
     if not inputs.command_age_s <= params.command_deadline_s + params.hold_time_s:
         return MODE_RETRACTING, REASON_HOLD_EXPIRED
     if not _fresh(params, inputs):

@@ -80,7 +80,7 @@ def trial(
     plan, state, *_ = program.begin(settings, instrument, place)
     for _ in range(round(most_s / _PERIOD_S)):
         force_n = stiffness_n_per_m * max(base_m - config.rest_distance_m, 0.0)
-        inputs = Inputs(base_m, place, force_n, 0.0, Oscillation(0.0, 0.0), Place(0.0, 0.0))
+        inputs = Inputs(base_m, place, force_n, (0.0, 0.0), Oscillation(0.0, 0.0), Place(0.0, 0.0))
         yield inputs
         wanted = program.step(plan, state, inputs, _PERIOD_S)
         if wanted.is_done:

@@ -8,9 +8,10 @@ The force limit acts on the force of the tick before, as it must with a measured
 at most base_speed dt.
 """
 
+import math
 from typing import Any, NamedTuple
 
-from services.afm_node.physics.part import inputs_at, part_start, part_step
+from services.afm_node.physics.part import AfmSample, inputs_at, part_start, part_step
 from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
 from services.numerics.compiled import compiled
 
@@ -26,11 +27,12 @@ class AfmParams(NamedTuple):
 
 
 class AfmStepState(NamedTuple):
-    """Safety chain, the part behind it, and the force last measured [N]."""
+    """Safety chain, the part behind it, and the force last measured, along the plumb line and across it [N]."""
 
     safety: SafetyState
     plant: Any
     force_n: float
+    lateral_n: float
 
 
 class AfmInputs(NamedTuple):
@@ -71,6 +73,11 @@ def command_wait_ns(period_ns: int) -> int:
 
 
 @compiled
+def _across(sample: AfmSample) -> float:
+    return math.sqrt(sample.lateral_x_n * sample.lateral_x_n + sample.lateral_y_n * sample.lateral_y_n)
+
+
+@compiled
 def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -> tuple[AfmStepState, AfmOutputs]:
     """Advance the guard and what is behind it by dt [s]; a simulated device is never lost.
 
@@ -85,6 +92,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
         estop=inputs.estop,
         force_n=state.force_n,
         device_lost=False,
+        lateral_n=state.lateral_n,
     )
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     moved = inputs_at(allowed.base_m, inputs.x_m, inputs.y_m)
@@ -102,7 +110,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
         reason=allowed.reason,
         arm_refusal=allowed.arm_refusal,
     )
-    return AfmStepState(safety, plant, sample.force_n), outputs
+    return AfmStepState(safety, plant, sample.force_n, _across(sample)), outputs
 
 
 def initial_afm_state(params: AfmParams) -> AfmStepState:
@@ -110,4 +118,4 @@ def initial_afm_state(params: AfmParams) -> AfmStepState:
     safety = initial_safety_state(params.safety)
     inputs = inputs_at(safety.base_m, 0.0, 0.0)
     plant, sample = part_step(params.plant, part_start(params.plant, inputs), inputs, 0.0)
-    return AfmStepState(safety, plant, sample.force_n)
+    return AfmStepState(safety, plant, sample.force_n, _across(sample))

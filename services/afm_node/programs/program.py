@@ -50,14 +50,14 @@ class Instrument(NamedTuple):
 class Inputs(NamedTuple):
     """What a program is told at each step.
 
-    Measured at the step before: base x_s [m] and place of the stage; force along z and x on the tip [N]; vibration of
-    the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is.
+    Measured at the step before: base x_s [m] and place of the stage; force along z, and along x and y, on the tip [N];
+    vibration of the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is.
     """
 
     base_m: float
     place: Place
     force_n: float
-    lateral_n: float
+    lateral_n: tuple[float, float]
     oscillation: Oscillation
     pointer: Place
     is_paused: bool = False

@@ -246,7 +246,7 @@ def _advance(plan: ScanPlan, state: ScanState, inputs: Inputs) -> tuple[ScanStat
     place, left = inputs.place, s.x_m - 0.5 * plan.width_m
     pixel = min(max(int((place.x_m - left) / plan.width_m * s.pixels), 0), s.pixels - 1)
     state.height_sum[pixel] -= inputs.base_m
-    state.lateral_sum[pixel] += inputs.lateral_n
+    state.lateral_sum[pixel] += inputs.lateral_n[0]
     if s.mode == "tapping":
         amplitude, angle, dissipated_j = inputs.oscillation
         state.in_phase_sum[pixel] += amplitude * math.cos(angle)

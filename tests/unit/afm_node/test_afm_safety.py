@@ -209,3 +209,12 @@ def test_every_code_has_a_name():
         codes = [value for name, value in vars(safety).items() if name.startswith(prefix) and isinstance(value, int)]
         assert sorted(codes) == sorted(names)
         assert len(set(names.values())) == len(names)
+
+
+def test_a_lateral_force_above_its_limit_retracts_the_tip() -> None:
+    params = PARAMS._replace(lateral_limit_n=50e-9)
+    kept, _ = safety_step(params, FOLLOWING, FRESH._replace(lateral_n=50e-9), DT)
+    gone, outputs = safety_step(params, FOLLOWING, FRESH._replace(lateral_n=50.1e-9), DT)
+    assert kept.mode == safety.MODE_FOLLOW
+    assert (gone.mode, safety.REASON_NAMES[outputs.reason]) == (safety.MODE_RETRACTING, "lateral_limit")
+    assert tick(FOLLOWING, lateral_n=1.0)[0].mode == safety.MODE_FOLLOW

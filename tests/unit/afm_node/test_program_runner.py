@@ -15,7 +15,7 @@ from services.afm_node.programs.table import PROGRAMS
 from services.runtime.settings.config import Settings
 
 HERE, THERE = Place(1e-9, 2e-9), Place(3e-9, 4e-9)
-INPUTS = Inputs(-5e-9, HERE, 0.0, 0.0, Oscillation(0.0, 0.0), HERE)
+INPUTS = Inputs(-5e-9, HERE, 0.0, (0.0, 0.0), Oscillation(0.0, 0.0), HERE)
 DT = 1e-3
 
 
