@@ -30,8 +30,8 @@ from empty_loop import EmptyLoops
 from proto import decode
 from proto.messages import AfmState, NodeHealth
 from recording.reader import Recording
-from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
+from services.afm_node.instrument import dynamic_afm
 from services.afm_node.physics.sim import simulated_afm
 
 LATE_STEP_S = 2e-3

@@ -11,13 +11,13 @@ from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionContr
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.instrument import reach_of, runner_of
 from services.afm_node.physics.part import AfmSample, Oscillation
 from services.afm_node.physics.step import LONGEST_STEP_NS, command_wait_ns
-from services.afm_node.programs.feedback import remaining
 from services.afm_node.programs.lateral import Place, moved
-from services.afm_node.programs.program import FinishedLine, Inputs, Instrument
+from services.afm_node.programs.program import FinishedLine, Inputs
 from services.afm_node.programs.reach import Reach
-from services.afm_node.programs.runner import ProgramRunner, RunnerState
+from services.afm_node.programs.runner import RunnerState
 from services.afm_node.programs.settings import InstrumentRequest, changed_disturbances, requested
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.bus import Received
@@ -105,8 +105,8 @@ class AfmNode(Node):
         self._memory = AfmMemory(safety.initial_safety_state(self._limits))
         self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._lateral = config.to_lateral_params()
-        self._reach = _reach(config, driver)
-        self._programs = _programs(config, driver, self._reach)
+        self._reach = reach_of(config, driver)
+        self._programs = runner_of(config, driver, self._reach, PERIOD_S)
         self._sample = "" if self._reach is None else _sample_text(config, self._reach)
         self._begin = config.begin
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
@@ -450,14 +450,6 @@ class AfmNode(Node):
         )
 
 
-def _reach(config: AfmConfig, driver: AfmDriver) -> Reach | None:
-    """Return what the base reaches, None for an instrument whose surface is not known in advance."""
-    if driver.relief is None:
-        return None
-    surface, above_m = driver.relief
-    return Reach(surface, config.rest_distance_m, config.to_params().safety, above_m)
-
-
 def _sample_text(config: AfmConfig, reach: Reach) -> str:
     """Return how a sample that was read from a file lies; empty for any other."""
     surface, sample = reach.surface, config.sample
@@ -468,22 +460,3 @@ def _sample_text(config: AfmConfig, reach: Reach) -> str:
         f"sample {sample.name}: {sample.levelled} (afm_node.sample.level={sample.level}); the tip sees {low:.3g} to"
         f" {high:.3g} m"
     )
-
-
-def _programs(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> ProgramRunner:
-    params = config.to_params()
-    lateral = None if driver.stage is None else config.to_lateral_params()
-    known = None if reach is None else reach.surface
-    sides = config.sample_sides_m() if known is None else (known.width_m, known.depth_m)
-    c = config.cantilever
-    instrument = Instrument(
-        limits=params.safety,
-        lateral=lateral,
-        size_m=sides,
-        stiffness_n_per_m=c.stiffness_n_per_m,
-        period_s=PERIOD_S,
-        can_vibrate=driver.vibration is not None,
-        lag=remaining(PERIOD_S, c.resonance_hz, c.quality),
-        reach=reach,
-    )
-    return ProgramRunner(instrument)

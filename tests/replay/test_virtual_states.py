@@ -88,7 +88,7 @@ def layer(monkeypatch: pytest.MonkeyPatch) -> None:
     def driver(config: AfmConfig) -> SimulatedInstrument:
         return SimulatedInstrument(config.to_params()._replace(plant=LayerParams(1.0)))
 
-    monkeypatch.setattr(afm, "_driver", driver)
+    monkeypatch.setattr(afm, "driver_of", driver)
     # so that a short session has several states of 3 MB
     monkeypatch.setattr(journal, "_STATE_BYTES_PER_S", 2**25)
 

@@ -136,8 +136,8 @@ def _probe_handle(port: str, baud: int) -> dict[str, Any]:
 
 
 def _instrument(calibration: Path) -> Any:
-    from services.afm_node.__main__ import modbus_driver
     from services.afm_node.config import AfmConfig, ModbusConfig
+    from services.afm_node.instrument import modbus_driver
 
     return modbus_driver(ModbusConfig(calibration=str(calibration)), AfmConfig().to_params().safety)
 

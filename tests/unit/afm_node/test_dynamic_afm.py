@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from proto.errors import ConfigError, RefusedError
-from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
+from services.afm_node.instrument import dynamic_afm
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
 from services.afm_node.physics.dynamic import drive_work_j, free_amplitude_m

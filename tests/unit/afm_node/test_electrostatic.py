@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.afm_node.__main__ import dynamic_afm
 from services.afm_node.config import AfmConfig
+from services.afm_node.instrument import dynamic_afm
 from services.afm_node.physics.contact.electrostatic import (
     VACUUM_PERMITTIVITY_F_PER_M,
     electrostatic_force_n,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from proto.errors import ConfigError
-from services.afm_node.__main__ import _driver
 from services.afm_node.config import AfmConfig
+from services.afm_node.instrument import driver_of
 from services.afm_node.physics.part import PlantInputs, part_step
 from services.afm_node.physics.particles.layer import _step
 from services.afm_node.physics.particles.tip_shape import ride_height_m, tip_shape
@@ -32,7 +32,7 @@ def config(particles: dict[str, Any], **others: Any) -> AfmConfig:
 
 
 def opened(settings: AfmConfig) -> SimulatedInstrument:
-    device = _driver(settings)
+    device = driver_of(settings)
     assert isinstance(device, SimulatedInstrument)
     device.open()
     return device

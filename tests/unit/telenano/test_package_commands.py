@@ -22,7 +22,7 @@ import json
 from types import SimpleNamespace
 import numpy as np
 from pydantic import ValidationError
-from services.afm_node.__main__ import _driver
+from services.afm_node.instrument import driver_of
 from services.afm_node.config import AfmConfig
 from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import HandSample
@@ -49,7 +49,7 @@ device.open()
 forces = [device.read(0.5 + 1e-3 * tick, 1e-3).operator_force_n for tick in range(200)]
 found["forces"] = [min(forces), max(forces)]
 
-afm = _driver(AfmConfig.model_validate({"environment": "layered", "layered": {"layer_m": 1e-9}}))
+afm = driver_of(AfmConfig.model_validate({"environment": "layered", "layered": {"layer_m": 1e-9}}))
 afm.open()
 found["tip_n"] = [afm.exchange(base_m).force_n for base_m in (0.0, 3.5e-9, 5e-9)]
 

@@ -1,0 +1,106 @@
+"""What a configuration of the AFM means: its driver, what its base reaches, and what runs its programs."""
+
+from pathlib import Path
+from typing import Any
+
+from proto.errors import ConfigError
+from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig, ModbusConfig
+from services.afm_node.driver import AfmDriver
+from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
+from services.afm_node.programs.feedback import remaining
+from services.afm_node.programs.program import Instrument
+from services.afm_node.programs.reach import Reach
+from services.afm_node.programs.runner import ProgramRunner
+from services.afm_node.safety import SafetyParams
+
+
+def driver_of(config: AfmConfig) -> AfmDriver:
+    """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
+    if config.driver == "modbus" and config.modbus is not None:
+        return modbus_driver(config.modbus, config.to_params().safety)
+    if config.driver in DRIVERS.found:
+        driver = DRIVERS.found[config.driver]
+        device: AfmDriver = driver.build(getattr(config, driver.name) or driver.config(), config.to_params().safety)
+        return device
+    if config.environment in SAMPLES.found:
+        return SimulatedInstrument(config.to_sample_params())
+    if config.environment == "spring":
+        return SimulatedInstrument(config.to_spring_params())
+    if config.model == "dynamic":
+        return dynamic_afm(config)
+    return simulated_afm(
+        config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances, **_particles(config)
+    )
+
+
+def _particles(config: AfmConfig) -> dict[str, Any]:
+    particles = None if config.sample is None else config.sample.particles
+    return {} if particles is None else {"layer": config.to_particle_layer, "above_m": particles.highest_m}
+
+
+def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
+    """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
+    try:
+        from services.afm_node.physics.dynamic import FINEST
+        from services.afm_node.physics.dynamic_sim import dynamic_params, require_steps, resting_steps
+    except ImportError as error:
+        raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
+    surface, friction = config.to_surface(), config.to_friction_params()
+    try:
+        # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
+        whole = config.cantilever.steps_per_period
+        driven = config.to_dynamic(temperature_k=1.0, finest=whole)
+        rest = resting_steps(driven)
+        if rest > whole // 2:
+            # A millisecond of the bus has no time for more steps than the configuration and the contact ask for.
+            driven = config.to_dynamic(temperature_k=1.0, like=driven, finest=min(FINEST, max(whole, 2 * rest)))
+        require_steps(driven)
+        resting = config.to_dynamic(steps_per_period=rest, temperature_k=1.0, like=driven, finest=rest)
+        tip = dynamic_params(config.to_params().plant, driven, resting)
+    except ValueError as error:
+        raise ConfigError(f"afm_node.model: {error}") from error
+    return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip, **_particles(config))
+
+
+def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:
+    """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
+    try:
+        from services.afm_node.devices.modbus_driver import ModbusAfm
+    except ImportError as error:
+        raise ConfigError('afm_node.driver: modbus needs pymodbus: pip install "telenano[afm]"') from error
+    from services.afm_node.devices.converter_calibration import read_calibration
+    from services.afm_node.devices.register_map import read_map
+
+    calibration = read_calibration(Path(section.calibration))
+    own = {"host": section.host, "port": section.port}
+    network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
+    calibration = calibration.model_copy(update={"network": network})
+    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits)
+
+
+def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
+    """Return what the base reaches, None for an instrument whose surface is not known in advance."""
+    if driver.relief is None:
+        return None
+    surface, above_m = driver.relief
+    return Reach(surface, config.rest_distance_m, config.to_params().safety, above_m)
+
+
+def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_s: float) -> ProgramRunner:
+    """Return what runs the programs of an instrument that steps each period_s [s]."""
+    params = config.to_params()
+    lateral = None if driver.stage is None else config.to_lateral_params()
+    known = None if reach is None else reach.surface
+    sides = config.sample_sides_m() if known is None else (known.width_m, known.depth_m)
+    c = config.cantilever
+    instrument = Instrument(
+        limits=params.safety,
+        lateral=lateral,
+        size_m=sides,
+        stiffness_n_per_m=c.stiffness_n_per_m,
+        period_s=period_s,
+        can_vibrate=driver.vibration is not None,
+        lag=remaining(period_s, c.resonance_hz, c.quality),
+        reach=reach,
+    )
+    return ProgramRunner(instrument)
