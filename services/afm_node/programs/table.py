@@ -6,13 +6,14 @@ from presets.plugins import load
 from proto.errors import RefusedError
 from services.afm_node.programs.curve import Curve
 from services.afm_node.programs.program import Program
+from services.afm_node.programs.push import Push
 from services.afm_node.programs.scan import Scan
 from services.afm_node.programs.tactile import Tactile
 from services.runtime.settings.config import Settings
 
 AnyProgram = Program[Any, Any, Any]
 
-OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile()}
+OWN_PROGRAMS: dict[str, AnyProgram] = {"scan": Scan(), "curve": Curve(), "tactile": Tactile(), "push": Push()}
 # With one of these `program=...` changes the program that runs.
 CHANGES = ("pause", "resume", "abort")
 # `set` takes these other keys at the instrument.

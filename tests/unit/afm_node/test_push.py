@@ -1,0 +1,166 @@
+"""A push by the tip, in simulated time: where the particle ends, what was felt, and what is refused."""
+
+import math
+from typing import Any
+
+import pytest
+
+from proto.errors import RefusedError
+from services.afm_node.config import AfmConfig
+from services.afm_node.driver import Oscillation
+from services.afm_node.physics.particles.push import push_step
+from services.afm_node.physics.particles.settings import ParticlesConfig
+from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
+from services.afm_node.programs import push
+from services.afm_node.programs.lateral import LateralParams, Place
+from services.afm_node.programs.program import Inputs, Instrument
+from services.afm_node.programs.push import Push, PushSettings, PushState, longest_straight_m
+from services.afm_node.programs.settings import requested
+from services.afm_node.virtual import VirtualInstrument
+from services.runtime.settings.config import validate
+
+ORIGIN, SIDES, LATERAL = Place(0.0, 0.0), (8e-6, 8e-6), LateralParams(5e-5, 2e-5)
+
+
+def inputs_at(place: Place, lateral_n: tuple[float, float]) -> Inputs:
+    return Inputs(0.0, place, 0.0, lateral_n, Oscillation(0.0, 0.0), ORIGIN)
+
+
+def instrument(places: list[list[float]], **others: Any) -> VirtualInstrument:
+    section = {
+        "sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": {"places": places}},
+        "cantilever": {"stiffness_n_per_m": 1.0},
+        "meniscus": False,
+        "safety": {
+            "base_min_m": -1e-6,
+            "retract_position_m": -7e-7,
+            "base_speed_m_per_s": 2e-5,
+            "retract_speed_m_per_s": 2e-5,
+        },
+        **others,
+    }
+    return VirtualInstrument(validate(AfmConfig, section, "a test", "afm_node"))
+
+
+def pushed(afm: VirtualInstrument, **keys: Any) -> PushState:
+    """Run a push and return its last state."""
+    state: Any = None
+    parameters = {"program": "push", "push.approach_m_per_s": 2e-6}
+    for step in afm.run(requested(parameters | {f"push.{key}": value for key, value in keys.items()})):
+        state = step.wanted.state
+    assert isinstance(state, PushState)
+    return state
+
+
+def truth(afm: VirtualInstrument, number: int = 0) -> tuple[float, float]:
+    x, y = afm.device.state.part.moving[number, :2].tolist()
+    return x, y
+
+
+@pytest.mark.parametrize(("first_deg", "way_nm"), [(30.0, 2012.4), (90.0, 2131.9)])
+def test_a_steered_push_turns_the_particle_to_its_goal(first_deg: float, way_nm: float) -> None:
+    limits = AfmConfig().to_params().safety
+    plan, state, *_ = Push().begin(
+        PushSettings(x1_m=2e-6, height_m=0.0, tolerance_m=1e-9), Instrument(limits, LATERAL, SIDES, 1.0, 1e-3), ORIGIN
+    )
+    d, first = plan.distance_m, math.radians(first_deg)
+    tip = Place(-d * math.cos(first), -d * math.sin(first))
+    fixed, moving = ParticlesConfig(places=((0.0, 0.0),)).rows(10e-9, 1e-5, 1e-5)
+    shape, spring = tip_shape(10e-9, math.radians(15.0)), Spring(1.0, 1e6, 0.0, False, 0.01)
+    state = state._replace(phase=push.PUSH, steps=3, place=tip)
+    way, before, why = 0.0, Place(0.0, 0.0), ""
+    force = (-1e-8 * math.cos(first), -1e-8 * math.sin(first))
+    while not why:
+        state = push._felt(plan, state._replace(force_x_n=force[0], force_y_n=force[1]), inputs_at(tip, force))
+        why = push._ended(plan, state, 0.0)
+        state, target = push._onwards(plan, state, 1e-3)
+        moving, contact = push_step(shape, spring, fixed, moving, (*tip, *target), (0.0, -20e-9), 1e-3)
+        tip, force = target, (contact.push_x_n, contact.push_y_n)
+        here = Place(*moving[0, :2].tolist())
+        way, before = way + math.dist(here, before), here
+    assert why == push.AT_GOAL
+    assert math.dist(before, (2e-6, 0.0)) < 2.5e-9
+    assert way * 1e9 == pytest.approx(way_nm, rel=0.02)
+
+
+def test_a_steered_push_finds_its_goal_from_beside_the_particle() -> None:
+    afm = instrument([[0.0, 0.0]])
+    state = pushed(afm, mode="steered", y0_m=1.5e-7, x1_m=2e-6, y1_m=3e-7, speed_m_per_s=5e-6)
+    assert state.why == push.AT_GOAL
+    assert math.dist(truth(afm), (2e-6, 3e-7)) < 10e-9
+
+
+def test_a_straight_push_brings_it_to_its_goal_and_knows_where_it_is() -> None:
+    afm = instrument([[0.0, 0.0], [2e-6, 2e-6]])
+    state = pushed(afm, mode="straight", x1_m=1e-6)
+    assert state.why == push.AT_GOAL
+    assert math.dist(truth(afm), (1e-6, 0.0)) < 6e-9
+    assert math.dist(state.believed, truth(afm)) < 2e-9
+    assert state.plateau_n == pytest.approx(10.7526e-9, rel=1e-3)
+    assert truth(afm, 1) == (2e-6, 2e-6)
+    assert afm.outcome is not None and afm.outcome.state == "finished"
+    assert afm.device.state.inputs.base_m == pytest.approx(-7e-7)
+
+
+def test_a_straight_push_that_begins_beside_it_ends_where_it_is_lost() -> None:
+    afm = instrument([[0.0, 0.0]])
+    state = pushed(afm, mode="straight", y0_m=1e-7, y1_m=1e-7, x1_m=2e-6)
+    assert state.why == push.LOST
+    # it slips off by ln cot(phi / 2) of the distance, with sin phi the share that it began beside the line
+    slips = math.log(1.0 / math.tan(0.5 * math.asin(1e-7 / 332e-9))) * 332e-9
+    assert state.gone_m < 0.3 * 332e-9 + slips + 0.3 * 332e-9
+    assert afm.outcome is not None and "the particle is lost" in afm.outcome.text
+
+
+def test_where_no_particle_is_the_push_says_so() -> None:
+    assert pushed(instrument([[2e-6, 2e-6]]), mode="steered").why == push.NOT_MET
+
+
+def test_a_push_with_a_force_holds_it_and_one_against_a_wall_of_particles_is_limited() -> None:
+    afm = instrument([[0.0, 0.0]])
+    assert pushed(afm, hold="force", x1_m=5e-7).why == push.AT_GOAL
+    assert math.dist(truth(afm), (5e-7, 0.0)) < 8e-9
+    row = instrument([[i * 0.5e-6, 0.0] for i in range(5)])
+    limited = pushed(row, mode="straight", x1_m=1e-6, lateral_limit_n=45e-9)
+    assert "push.lateral_limit_n = 4.5e-08 N" in limited.why
+    guarded = instrument(
+        [[i * 0.5e-6, 0.0] for i in range(5)],
+        safety={
+            "base_min_m": -1e-6,
+            "retract_position_m": -7e-7,
+            "lateral_limit_n": 45e-9,
+            "base_speed_m_per_s": 2e-5,
+        },
+    )
+    pushed(guarded, mode="straight", x1_m=1e-6)
+    assert guarded.outcome is not None and "lateral_limit" in guarded.outcome.text
+
+
+def test_a_sweep_brings_a_particle_along_whose_place_is_not_well_known() -> None:
+    for beside in (-1.5e-7, 0.0, 1e-7):
+        afm = instrument([[5e-8, beside]])
+        state = pushed(afm, mode="sweep", x1_m=1e-6, speed_m_per_s=1e-5)
+        assert state.why == push.AT_GOAL
+        assert truth(afm)[0] == pytest.approx(1e-6, abs=0.26 * 333e-9)
+
+
+def test_the_longest_straight_push_is_that_of_the_growth_of_an_error() -> None:
+    assert longest_straight_m(333.48e-9, 20e-9) * 1e9 == pytest.approx(800.4, rel=1e-3)
+    assert longest_straight_m(333.48e-9, 120e-9) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"x1_m": 1e-9}, "within push.tolerance_m"),
+        ({"setpoint_n": 3e-7}, "push.setpoint_n must lie between"),
+        ({"height_m": 6e-7}, "above a particle of radius"),
+        ({"x1_m": 6e-5}, "lateral.reach_m"),
+        ({"hold": "force", "gain_per_s": 1e5}, "push.gain_per_s"),
+    ],
+)
+def test_a_push_that_cannot_be_is_refused_in_one_sentence_and_nothing_moves(keys: dict[str, Any], words: str) -> None:
+    afm = instrument([[0.0, 0.0]])
+    with pytest.raises(RefusedError, match=words.replace(".", r"\.")):
+        pushed(afm, **keys)
+    assert truth(afm) == (0.0, 0.0) and afm.time_s == 0.0
