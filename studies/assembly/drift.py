@@ -71,7 +71,32 @@ def looked(axis: Axis, offset_m: float, error_m: float) -> Axis:
     )
 
 
+def moved(axis: Axis, by_m: float, elapsed_s: float, error_m: float) -> Axis:
+    """Return an axis that is seen to have gone by_m [m] in the last elapsed_s [s], with a standard error [m].
+
+    A particle that is seen twice tells this; where it lay before the drift began nobody knows.
+    """
+    whole = elapsed_s**2 * axis.speed_variance + error_m**2
+    if whole <= 0.0:
+        return axis
+    gain, speed_gain = elapsed_s * axis.covariance / whole, elapsed_s * axis.speed_variance / whole
+    missed = by_m - axis.speed_m_per_s * elapsed_s
+    return Axis(
+        axis.offset_m + gain * missed,
+        axis.speed_m_per_s + speed_gain * missed,
+        axis.offset_variance - gain * elapsed_s * axis.covariance,
+        axis.covariance - gain * elapsed_s * axis.speed_variance,
+        axis.speed_variance - speed_gain * elapsed_s * axis.speed_variance,
+    )
+
+
 def drift_at(drift: Drift, time_s: float) -> Drift:
     """Return the drift that is expected at a time [s]."""
     elapsed_s = max(time_s - drift.time_s, 0.0)
     return Drift(drift.time_s + elapsed_s, predicted(drift.x, elapsed_s), predicted(drift.y, elapsed_s))
+
+
+def offset_at(drift: Drift, time_s: float) -> tuple[float, float]:
+    """Return both offsets [m] at a time [s] before or after the last look, at the speeds that are known now."""
+    elapsed_s = time_s - drift.time_s
+    return drift.x.offset_m + drift.x.speed_m_per_s * elapsed_s, drift.y.offset_m + drift.y.speed_m_per_s * elapsed_s

@@ -16,6 +16,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from proto.errors import ConfigError
+
 Array = npt.NDArray[np.float64]
 Point = tuple[float, float]
 
@@ -38,7 +40,7 @@ class Task(NamedTuple):
         return sum(math.dist(a, b) for a, b in pairwise(self.way))
 
 
-class UnreachableError(ValueError):
+class UnreachableError(ConfigError):
     """A target that no way leads to, or that cannot be taken; the message names it."""
 
 

@@ -71,6 +71,12 @@ LAZY_COMMANDS = {
         "curve",
         "Measure a force curve of the simulated instrument, beside a measured one.",
     ),
+    "particles": LazyCommand(
+        "telenano.cli.commands.assemble", "particles", "Find spheres in an image: places, radii and their errors."
+    ),
+    "assemble": LazyCommand(
+        "telenano.cli.commands.assemble", "assemble", "Push particles into a pattern, in simulated time."
+    ),
     "calibrate": LazyCommand(
         "telenano.cli.commands.calibrate", "app", "Calibrate the simulated instrument: read-out and stiffness."
     ),
@@ -90,7 +96,7 @@ GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
-    "Study": ("study", "law", "curve", "scan", "sample", "calibrate", "reproduce"),
+    "Study": ("study", "law", "curve", "scan", "sample", "particles", "assemble", "calibrate", "reproduce"),
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),
 }
 

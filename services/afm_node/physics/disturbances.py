@@ -7,6 +7,7 @@ step.
 At the instrument's rate of a step a millisecond, with t its own time:
 
     x_piezo = x + hysteresis(x) + creep(x) + drift t + vibration(t)
+    x, y    = those of the stage - drift of the sample
     zeta    = zeta(x_piezo) + thermal + (white + 1/f + rounding of the converter) / gain of the read-out
 
 *Vibration*: a sum of sines between two frequencies, evenly spread over the logarithm, of equal amplitude and random
@@ -60,10 +61,15 @@ class CreepConfig(Settings):
 
 
 class DriftConfig(Settings):
-    """Thermal drift of the distance."""
+    """Thermal drift of the distance, and of the sample under the stage."""
 
     enabled: bool = Field(False, description="Whether it acts.")
     speed_m_per_s: float = Field(0.05e-9, ge=-1e-6, le=1e-6, description="Speed of the base towards the sample [m/s].")
+    x_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along x [m/s].")
+    y_m_per_s: float = Field(0.0, ge=-1e-6, le=1e-6, description="Speed at which the sample drifts along y [m/s].")
+    walk_m2_per_s3: float = Field(
+        0.0, ge=0.0, le=1e-18, description="Density of the white acceleration by which these speeds wander [m^2/s^3]."
+    )
 
 
 class ThermalConfig(Settings):
@@ -113,19 +119,21 @@ class DisturbanceConfig(Settings):
 class NoiseState(NamedTuple):
     """Time [s]; 1/f parts, of unit variance; how many normal numbers were used; how far the voltage wandered.
 
-    wandered is of unit variance.
+    wandered is of unit variance. sample: how far the sample has drifted in x and y [m], and by how much the speeds of
+    that have wandered [m/s].
     """
 
     time_s: float
     flicker: tuple[float, ...]
     drawn: int
     wandered: float
+    sample: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 class Noise(NamedTuple):
     """What is added in a step: to the base [m], to the deflection [m], to the read-out [V]; the voltage of the tip [V].
 
-    Where nothing is switched on, all of it is zero.
+    sample_x_m, sample_y_m: how far the sample has drifted. Where nothing is switched on, all of it is zero.
     """
 
     drift_m: float = 0.0
@@ -134,6 +142,8 @@ class Noise(NamedTuple):
     thermal_m: float = 0.0
     white_v: float = 0.0
     flicker_v: float = 0.0
+    sample_x_m: float = 0.0
+    sample_y_m: float = 0.0
 
 
 class Sines(NamedTuple):
@@ -167,6 +177,8 @@ def noise_step(
     time_s, drawn, flicker, wandered = state.time_s + dt, state.drawn, state.flicker, state.wandered
     drift_m = config.drift.speed_m_per_s * time_s if config.drift.enabled else 0.0
     vibration_m = _vibration_m(config.seed, config.vibration, time_s) if config.vibration.enabled else 0.0
+    sample = _drifted(config, state, dt) if config.drift.enabled else state.sample
+    drawn += 2 * (config.drift.enabled and config.drift.walk_m2_per_s3 > 0.0)
     voltage_v, e = 0.0, config.electrostatic
     if e.enabled:
         voltage_v = e.voltage_v
@@ -191,8 +203,19 @@ def noise_step(
             drawn += 1
         flicker = tuple(parts)
         flicker_v = r.flicker_v / math.sqrt(_OCTAVES) * sum(flicker)
-    noise = Noise(drift_m, vibration_m, voltage_v, thermal_m, white_v, flicker_v)
-    return NoiseState(time_s, flicker, drawn, wandered), noise
+    noise = Noise(drift_m, vibration_m, voltage_v, thermal_m, white_v, flicker_v, sample[0], sample[1])
+    return NoiseState(time_s, flicker, drawn, wandered, sample), noise
+
+
+def _drifted(config: DisturbanceConfig, state: NoiseState, dt: float) -> tuple[float, float, float, float]:
+    """Return how far the sample has drifted [m] after dt [s] more, and by how much its speeds have wandered [m/s]."""
+    drift, (x, y, more_x, more_y) = config.drift, state.sample
+    x, y = x + (drift.x_m_per_s + more_x) * dt, y + (drift.y_m_per_s + more_y) * dt
+    if drift.walk_m2_per_s3 > 0.0:
+        step = math.sqrt(drift.walk_m2_per_s3 * dt)
+        more_x += step * normal_number(config.seed, state.drawn)
+        more_y += step * normal_number(config.seed, state.drawn + 1)
+    return x, y, more_x, more_y
 
 
 def _vibration_m(seed: int, config: VibrationConfig, time_s: float) -> float:

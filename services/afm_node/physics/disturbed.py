@@ -163,8 +163,8 @@ def disturbed_step(
     piezo, x = piezo_step(params.piezo, state.piezo, inputs.base_m, dt)
     moved = PlantInputs(
         base_m=x + noise.drift_m + noise.vibration_m,
-        x_m=inputs.x_m,
-        y_m=inputs.y_m,
+        x_m=inputs.x_m - noise.sample_x_m,
+        y_m=inputs.y_m - noise.sample_y_m,
         height_m=inputs.height_m,
         voltage_v=noise.voltage_v,
         amplitude_m=inputs.amplitude_m,
@@ -216,7 +216,9 @@ def _noisy_step(params: NoisyParams, state: NoisyState, inputs: PlantInputs, dt:
     row = rows[min(max(int(time_s / _NOISE_STEP_S + 0.5) - 1, 0), len(rows) - 1)]
     # Nothing was drawn yet at the start.
     drawn = 1.0 if time_s > 0.0 else 0.0
-    noise = Noise(drawn * row[0], drawn * row[1], drawn * row[2], drawn * row[3], drawn * row[4], drawn * row[5])
+    noise = Noise(
+        drawn * row[0], drawn * row[1], drawn * row[2], drawn * row[3], drawn * row[4], drawn * row[5], 0.0, 0.0
+    )
     instrument, sample = disturbed_step(params.instrument, state.instrument, inputs, noise, dt)
     return NoisyState(time_s, instrument), sample
 

@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from proto.errors import RefusedError
-from services.afm_node.physics.particles.tip_shape import tip_shape, touch_distance_m
+from services.afm_node.physics.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import (
@@ -100,6 +100,7 @@ class PushPlan(NamedTuple):
     approach_s: float
     speed_m_per_s: float
     period_s: float
+    tip: TipShape
 
 
 class PushState(NamedTuple):
@@ -153,7 +154,8 @@ class Push(Program[PushSettings, PushPlan, PushState]):
             raise RefusedError(
                 f"push.setpoint_n must lie between 0 and safety.force_limit_n = {limits.force_limit_n:g} N"
             )
-        distance = touch_distance_m(tip_shape(s.tip_radius_m, math.radians(s.cone_deg)), s.radius_m, s.height_m)
+        tip = tip_shape(s.tip_radius_m, math.radians(s.cone_deg))
+        distance = touch_distance_m(tip, s.radius_m, s.height_m)
         if distance <= 0.0:
             raise RefusedError(f"push.height_m = {s.height_m:g} m is above a particle of radius {s.radius_m:g} m")
         back = _BEHIND * distance / way
@@ -172,6 +174,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
             approach_s=instrument.approach_limit_s(s.approach_m_per_s),
             speed_m_per_s=min(s.speed_m_per_s, fastest),
             period_s=instrument.period_s,
+            tip=tip,
         )
         if s.hold == "force" and (fault := gain_fault(s.gain_per_s, 0.0, plan.period_s, None, ("push.gain_per_s", ""))):
             raise RefusedError(f"push: {fault}")
@@ -242,7 +245,10 @@ def _felt(plan: PushPlan, state: PushState, inputs: Inputs) -> PushState:
     share = 1.0 - math.exp(-way / (_MEAN_WAY * plan.distance_m))
     mean_x = state.force_x_n + share * (force_x - state.force_x_n)
     mean_y = state.force_y_n + share * (force_y - state.force_y_n)
-    reach = plan.distance_m / math.hypot(mean_x, mean_y)
+    # the flank has lifted the apex by what it carries
+    apex_m = plan.settings.height_m + max(inputs.force_n, 0.0) / plan.stiffness_n_per_m
+    held = plan.settings.hold == "force"
+    reach = touch_distance_m(plan.tip, plan.settings.radius_m, 0.0 if held else apex_m) / math.hypot(mean_x, mean_y)
     return state._replace(
         force_x_n=mean_x,
         force_y_n=mean_y,

@@ -1,0 +1,321 @@
+"""An assembly from the first look to the last: image, find, plan, push, look again, until each particle is in place.
+
+It knows what an image and a push say, and nothing of the truth. Places are those of the sample when the assembly began;
+the drift of the sample under the stage is estimated from particles that were seen twice without having been pushed.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.config import AfmConfig
+from services.afm_node.physics.particles.settings import ParticlesConfig
+from services.afm_node.physics.particles.tip_shape import tip_shape, touch_distance_m
+from services.afm_node.programs.lateral import Place
+from services.afm_node.programs.program import FinishedLine
+from services.afm_node.programs.push import PushState
+from services.afm_node.programs.settings import requested
+from services.afm_node.virtual import VirtualInstrument
+from studies.assembly.drift import Drift, drift_at, moved, offset_at, unknown
+from studies.assembly.find import Found, find_particles
+from studies.assembly.plan import Point, Task, UnreachableError, planned
+
+Array = npt.NDArray[np.float64]
+
+# A particle has arrived within this share of its diameter.
+DONE_SHARE = 0.1
+# A look at one particle goes so many d to each side, with a line each so many d.
+_LOOK_SIDE, _LOOK_LINES, _LOOK_PIXELS = 2.0, 14, 28
+# A pixel and a line of an image of all particles are these shares of the radius that they are known to have.
+_PIXEL_SHARE, _LINE_SHARE = 0.5, 0.67
+# What an image says of a place is right within this, whatever its noise [m].
+_LEAST_ERROR_M = 1e-9
+_MOST_ROUNDS = 6
+
+
+class Look(NamedTuple):
+    """An image [m] with its middle, its sides [m], and when it began and ended [s]."""
+
+    height_m: Array
+    middle: Point
+    sides_m: tuple[float, float]
+    began_s: float
+    ended_s: float
+
+
+class Bench(Protocol):
+    """An instrument that takes images and pushes: a rig, or one in simulated time."""
+
+    @property
+    def time_s(self) -> float:
+        """Return its time [s]."""
+
+    def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
+        """Take an image."""
+
+    def push(self, start: Point, goal: Point, radius_m: float) -> PushState:
+        """Push what is believed to be at a place to another, both of the stage [m]."""
+
+
+class Placed(NamedTuple):
+    """A target, the particle that is there, how far it is believed to be from it [m], and how often it was pushed."""
+
+    target: Point
+    believed: Point
+    error_m: float
+    pushes: int
+
+
+class Assembly(NamedTuple):
+    """The outcome: a row a target, time [s], numbers of pushes, of looks and of losses, the drift, and the images."""
+
+    placed: tuple[Placed, ...]
+    time_s: float
+    pushes: int
+    looks: int
+    losses: int
+    drift: Drift
+    before: Look
+    after: Look
+
+
+class _Known(NamedTuple):
+    """A particle: where the stage saw it and when [m, s], its radius [m], and how often it was pushed."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+    seen_s: float
+    pushes: int = 0
+
+
+class VirtualBench:
+    """A bench in simulated time.
+
+    Args:
+        config: The instrument with its particles.
+        scan: Keys of images beside their place.
+        push: Keys of pushes beside their ends.
+    """
+
+    def __init__(
+        self, config: AfmConfig, scan: dict[str, Any] | None = None, push: dict[str, Any] | None = None
+    ) -> None:
+        self.instrument = VirtualInstrument(config)
+        self._scan = {"scan.setpoint_n": 1.5e-9, "scan.approach_m_per_s": 5e-6, "scan.settle_s": 0.05} | (scan or {})
+        self._push = {"push.approach_m_per_s": 5e-6, "push.setpoint_n": 4e-9} | (push or {})
+        self._tip = {
+            "push.tip_radius_m": config.tip_sample.tip_radius_m,
+            **(
+                {}
+                if config.sample is None or config.sample.particles is None
+                else {"push.cone_deg": config.sample.particles.cone_deg}
+            ),
+        }
+        self._speed = 2e-6
+
+    @property
+    def time_s(self) -> float:
+        return self.instrument.time_s
+
+    def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
+        began_s, rows = self.time_s, np.full((lines, pixels), np.inf)
+        dwell_s = max(sides_m[0] / pixels / self._speed, 2e-3)
+        keys = {
+            "program": "scan",
+            "scan.mode": "contact",
+            "scan.x_m": middle[0],
+            "scan.y_m": middle[1],
+            "scan.width_m": sides_m[0],
+            "scan.depth_m": sides_m[1],
+            "scan.pixels": pixels,
+            "scan.lines": lines,
+            "scan.dwell_s": dwell_s,
+            **self._scan,
+        }
+        for line in self._lines(keys):
+            # A tip that comes down behind a particle is late, one that goes up is not: of both ways the lower is right.
+            rows[line.line] = np.minimum(rows[line.line], line.height_m)
+        return Look(np.where(np.isfinite(rows), rows, np.nan), middle, sides_m, began_s, self.time_s)
+
+    def truth(self) -> list[Point]:
+        """Return where the particles really are on the sample [m]: what no planner may know."""
+        return [(x, y) for x, y, _ in self.instrument.device.state.part.moving.tolist()]
+
+    def _lines(self, keys: dict[str, Any]) -> Iterator[FinishedLine]:
+        for step in self.instrument.run(requested(keys)):
+            if step.wanted.line is not None:
+                yield step.wanted.line
+
+    def push(self, start: Point, goal: Point, radius_m: float) -> PushState:
+        keys = {
+            "program": "push",
+            "push.x0_m": start[0],
+            "push.y0_m": start[1],
+            "push.x1_m": goal[0],
+            "push.y1_m": goal[1],
+            "push.radius_m": radius_m,
+            **self._tip,
+            **self._push,
+        }
+        state: Any = None
+        for step in self.instrument.run(requested(keys)):
+            state = step.wanted.state
+        assert isinstance(state, PushState)
+        return state
+
+
+class Assembler:
+    """Carries out an assembly on a bench.
+
+    Args:
+        bench: The instrument.
+        config: What is known of it: the tip, and which kind of particle is on the sample.
+        targets: Where particles are to be on the sample [m].
+        sides_m: Sides of the region that is imaged [m].
+        report: Called at each step with a sentence, and with how many targets are taken.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        config: AfmConfig,
+        targets: list[Point],
+        sides_m: tuple[float, float],
+        report: Callable[[str, int], None] = lambda text, done: None,
+    ) -> None:
+        particles = ParticlesConfig() if config.sample is None else config.sample.particles or ParticlesConfig()
+        self._nominal_m = particles.kind.radius_m
+        self._bench, self._targets, self._sides, self._report = bench, targets, sides_m, report
+        self._tip = tip_shape(config.tip_sample.tip_radius_m, math.radians(particles.cone_deg))
+        self._drift = Drift(bench.time_s, unknown(), unknown())
+        self._known: list[_Known] = []
+        self._pushes = self._looks = self._losses = 0
+
+    def run(self) -> Assembly:
+        """Assemble, and return what came of it.
+
+        Raises:
+            UnreachableError: There are too few particles, or no way leads to a target; nothing was pushed then.
+        """
+        before = self._whole()
+        self._tell(f"{len(self._known)} particles were found")
+        for _ in range(_MOST_ROUNDS):
+            tasks = self._plan()
+            if not tasks:
+                break
+            for task in tasks:
+                if not self._carry_out(task):
+                    break
+        after = self._whole()
+        return self._outcome(before, after)
+
+    def _tell(self, text: str) -> None:
+        places = [(self._place(one), DONE_SHARE * 2.0 * one.radius_m) for one in self._known]
+        done = sum(any(math.dist(place, target) <= near for place, near in places) for target in self._targets)
+        self._report(text, done)
+
+    def _plan(self) -> list[Task]:
+        radius = max((one.radius_m for one in self._known), default=0.0)
+        reach = touch_distance_m(self._tip, radius, 0.0) if radius > 0.0 else 0.0
+        half = 0.5 * min(self._sides) - 2.0 * reach
+        places = [self._place(one) for one in self._known]
+        return planned(places, self._targets, 2.0 * radius + 0.5 * reach, DONE_SHARE * radius, half)
+
+    def _carry_out(self, task: Task) -> bool:
+        """Push a particle along its way; return whether the plan still holds."""
+        if not self._look_at(task.particle):
+            return self._lost()
+        for corner in task.way[1:]:
+            one = self._known[task.particle]
+            if math.dist(self._place(one), corner) < 0.2 * DONE_SHARE * one.radius_m:
+                continue
+            state = self._bench.push(self._on_stage(self._place(one)), self._on_stage(corner), one.radius_m)
+            self._pushes += 1
+            self._tell(f"particle {task.particle}: {state.why}")
+            believed = state.believed if state.in_contact else Place(one.x_m, one.y_m)
+            self._known[task.particle] = one._replace(
+                x_m=believed.x_m, y_m=believed.y_m, seen_s=self._bench.time_s, pushes=one.pushes + 1
+            )
+            if not self._look_at(task.particle, was_pushed=True):
+                return self._lost()
+            if math.dist(self._place(self._known[task.particle]), corner) > 0.5 * one.radius_m:
+                self._losses += 1
+                return False
+        return True
+
+    def _lost(self) -> bool:
+        """Look for all particles again, because one is not where it is believed to be; the plan holds no longer."""
+        self._losses += 1
+        self._whole()
+        return False
+
+    def _place(self, one: _Known) -> Point:
+        """Return where a particle is on the sample [m]."""
+        x, y = offset_at(self._drift, one.seen_s)
+        return one.x_m - x, one.y_m - y
+
+    def _on_stage(self, place: Point) -> Point:
+        """Return where the stage meets a place of the sample now [m]."""
+        x, y = offset_at(self._drift, self._bench.time_s)
+        return place[0] + x, place[1] + y
+
+    def _seen(self, look: Look) -> list[tuple[Found, float]]:
+        """Return the particles of an image, and when each was seen [s]."""
+        rows, columns = look.height_m.shape
+        step_x, step_y = look.sides_m[0] / columns, look.sides_m[1] / rows
+        found = find_particles(look.height_m, step_x, step_y, self._tip, look.middle)
+        return [(one, look.began_s + one.time * (look.ended_s - look.began_s)) for one in found]
+
+    def _whole(self) -> Look:
+        """Take an image of all, and take the places of all particles from it."""
+        (width, depth), radius_m = self._sides, self._nominal_m
+        pixels, lines = math.ceil(width / (_PIXEL_SHARE * radius_m)), math.ceil(depth / (_LINE_SHARE * radius_m))
+        look = self._bench.image(self._on_stage((0.0, 0.0)), self._sides, max(pixels, 8), max(lines, 8))
+        self._looks += 1
+        before, self._known = self._known, []
+        for found, time_s in self._seen(look):
+            one = _Known(found.x_m, found.y_m, found.radius_m, time_s)
+            near = [old for old in before if math.dist(self._place(old), self._place(one)) < one.radius_m]
+            self._known.append(one._replace(pushes=near[0].pushes if near else 0))
+        return look
+
+    def _look_at(self, particle: int, *, was_pushed: bool = False) -> bool:
+        """Look for a particle where it is believed to be; one that was not pushed since tells the drift."""
+        one = self._known[particle]
+        side = 2.0 * _LOOK_SIDE * touch_distance_m(self._tip, one.radius_m, 0.0)
+        middle = self._on_stage(self._place(one))
+        look = self._bench.image(middle, (side, side), _LOOK_PIXELS, _LOOK_LINES)
+        self._looks += 1
+        seen = [(math.dist((found.x_m, found.y_m), middle), found, time_s) for found, time_s in self._seen(look)]
+        if not seen or min(seen)[0] > 2.0 * one.radius_m:
+            return False
+        _, found, time_s = min(seen)
+        if not was_pushed:
+            self._follow_drift(one, found, time_s)
+        self._known[particle] = one._replace(x_m=found.x_m, y_m=found.y_m, radius_m=found.radius_m, seen_s=time_s)
+        return True
+
+    def _follow_drift(self, before: _Known, found: Found, time_s: float) -> None:
+        ahead, elapsed_s = drift_at(self._drift, time_s), time_s - before.seen_s
+        x_error, y_error = max(found.x_error_m, _LEAST_ERROR_M), max(found.y_error_m, _LEAST_ERROR_M)
+        self._drift = Drift(
+            ahead.time_s,
+            moved(ahead.x, found.x_m - before.x_m, elapsed_s, math.sqrt(2.0) * x_error),
+            moved(ahead.y, found.y_m - before.y_m, elapsed_s, math.sqrt(2.0) * y_error),
+        )
+
+    def _outcome(self, before: Look, after: Look) -> Assembly:
+        placed = []
+        for target in self._targets:
+            near = min(self._known, key=lambda one: math.dist(self._place(one), target), default=None)
+            if near is None:
+                raise UnreachableError("no particle is left in the image")
+            place = self._place(near)
+            placed.append(Placed(target, place, math.dist(place, target), near.pushes))
+        return Assembly(
+            tuple(placed), self._bench.time_s, self._pushes, self._looks, self._losses, self._drift, before, after
+        )

@@ -1,0 +1,66 @@
+"""`telenano particles` and `telenano assemble` as a user calls them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from services.afm_node.physics.particles.tip_shape import tip_shape
+from studies.assembly.find import sphere_m
+from telenano.cli.root import app
+
+ONE = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=2.5e-6")
+
+
+def run(*words: str) -> Any:
+    return CliRunner().invoke(app, list(words))
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    axis = (np.arange(40) - 19.5) * 62.5e-9
+    distance = np.hypot(axis[None, :] - 3e-7, axis[:, None] + 2e-7)
+    heights = sphere_m(tip_shape(10e-9, np.radians(15.0)), 250e-9, distance)
+    np.save(tmp_path / "scan.npy", heights)
+    return tmp_path / "scan.npy"
+
+
+def test_the_particles_of_an_image_are_listed_and_written(image: Path, tmp_path: Path) -> None:
+    shown = run("particles", str(image), "--size", "2500", "--out", str(tmp_path / "found.json"))
+    assert shown.exit_code == 0, shown.output
+    assert "1 particles in" in shown.output.replace("\n", " ") and "300.00" in shown.output
+    (one,) = json.loads((tmp_path / "found.json").read_text())["particles"]
+    assert (one["x_m"], one["y_m"], one["radius_m"]) == pytest.approx((3e-7, -2e-7, 250e-9), rel=1e-3)
+    assert json.loads(run("particles", str(image), "--size", "2500", "--json").output)["particles"] == [one]
+
+
+def test_an_assembly_of_one_particle_places_it_and_writes_figure_and_table(tmp_path: Path) -> None:
+    (tmp_path / "there.txt").write_text("# one place\n3e-7, 0\n")
+    out = tmp_path / "out"
+    done = run("assemble", "--pattern", str(tmp_path / "there.txt"), "--out", str(out), "--json", *ONE)
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.output)
+    assert (document["placed"], document["losses"]) == (1, 0)
+    assert document["particles"][0]["true_error_m"] < 20e-9
+    assert {path.name for path in out.iterdir()} == {"assembly.json", "assembly.png"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--pattern", "square", "--count", "6"), "its outline has 4, 8, 12"),
+        (("--pattern", "no-such"), "is none of line, square, ring"),
+        (("--pattern", "line", "--count", "3", *ONE), "the pattern has 3 places, and 1 particles were found"),
+        (("--afm", "sample.particles.radius_m=0"), "radius_m"),
+    ],
+)
+def test_what_cannot_be_assembled_is_one_sentence_and_leaves_nothing(
+    words: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    refused = run("assemble", "--out", str(tmp_path / "out"), *words)
+    assert refused.exit_code == 2, refused.output
+    assert said in " ".join(refused.output.split())
+    assert not (tmp_path / "out").exists()
