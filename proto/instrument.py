@@ -1,10 +1,11 @@
 """Messages of the instrument that only come while it does something of its own accord."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from proto.messages import Count, Message
+from proto.messages import Count, Facts, _Extended
 from proto.ranges import Percent
 
 # A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
@@ -13,8 +14,11 @@ MOST_TEXT = 512
 AfmProgramName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 
 
-class AfmProgram(Message):
+class AfmProgram(_Extended):
     """What the instrument does by itself, whatever afm/command says; ten times a second, and when it ends."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"values": 2}
 
     program: AfmProgramName = Field(
         examples=["scan", "curve", "tactile"],
@@ -29,3 +33,6 @@ class AfmProgram(Message):
     done_percent: Percent = Field(description="How much of it is done [%]")
     line: Count = Field(description="Lines that are finished, there and back")
     lines: Count = Field(description="Lines in all; 0 where it has none")
+    values: Facts | None = Field(
+        default=None, description="What it has measured so far, by name with the unit; of a push where the particle is"
+    )

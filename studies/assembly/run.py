@@ -5,18 +5,17 @@ the drift of the sample under the stage is estimated from particles that were se
 """
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from proto.messages import Scalar
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.particles.tip_shape import tip_shape, touch_distance_m
-from services.afm_node.programs.lateral import Place
-from services.afm_node.programs.program import FinishedLine
-from services.afm_node.programs.push import PushState
 from services.afm_node.programs.settings import requested
 from services.afm_node.virtual import VirtualInstrument
 from studies.assembly.drift import Drift, drift_at, moved, offset_at, unknown
@@ -34,6 +33,7 @@ _PIXEL_SHARE, _LINE_SHARE = 0.5, 0.67
 # What an image says of a place is right within this, whatever its noise [m].
 _LEAST_ERROR_M = 1e-9
 _MOST_ROUNDS = 6
+_SCAN_M_PER_S, _APPROACH_M_PER_S, _TOUCH_N = 2e-6, 5e-6, 4e-9
 
 
 class Look(NamedTuple):
@@ -46,6 +46,14 @@ class Look(NamedTuple):
     ended_s: float
 
 
+class Pushed(NamedTuple):
+    """What a push says: why it ended, whether a particle was met, and where that is believed to be on the stage [m]."""
+
+    why: str
+    in_contact: bool
+    believed: Point
+
+
 class Bench(Protocol):
     """An instrument that takes images and pushes: a rig, or one in simulated time."""
 
@@ -56,7 +64,7 @@ class Bench(Protocol):
     def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
         """Take an image."""
 
-    def push(self, start: Point, goal: Point, radius_m: float) -> PushState:
+    def push(self, start: Point, goal: Point, radius_m: float) -> Pushed:
         """Push what is believed to be at a place to another, both of the stage [m]."""
 
 
@@ -70,10 +78,10 @@ class Placed(NamedTuple):
 
 
 class Assembly(NamedTuple):
-    """The outcome: a row a target, time [s], numbers of pushes, of looks and of losses, the drift, and the images."""
+    """The outcome: a row a target, how long it took [s], counts of pushes, looks and losses, the drift, the images."""
 
     placed: tuple[Placed, ...]
-    time_s: float
+    duration_s: float
     pushes: int
     looks: int
     losses: int
@@ -92,80 +100,96 @@ class _Known(NamedTuple):
     pushes: int = 0
 
 
-class VirtualBench:
-    """A bench in simulated time.
+class ProgramBench(ABC):
+    """A bench whose images and pushes are programs of an instrument.
 
     Args:
-        config: The instrument with its particles.
-        scan: Keys of images beside their place.
-        push: Keys of pushes beside their ends.
+        config: What is known of the instrument.
+        setpoint_n: Force of an image in contact [N], below what moves a particle.
     """
 
-    def __init__(
-        self, config: AfmConfig, scan: dict[str, Any] | None = None, push: dict[str, Any] | None = None
-    ) -> None:
-        self.instrument = VirtualInstrument(config)
-        self._scan = {"scan.setpoint_n": 1.5e-9, "scan.approach_m_per_s": 5e-6, "scan.settle_s": 0.05} | (scan or {})
-        self._push = {"push.approach_m_per_s": 5e-6, "push.setpoint_n": 4e-9} | (push or {})
-        self._tip = {
-            "push.tip_radius_m": config.tip_sample.tip_radius_m,
-            **(
-                {}
-                if config.sample is None or config.sample.particles is None
-                else {"push.cone_deg": config.sample.particles.cone_deg}
-            ),
+    def __init__(self, config: AfmConfig, setpoint_n: float = 1.5e-9) -> None:
+        particles = ParticlesConfig() if config.sample is None else config.sample.particles or ParticlesConfig()
+        self._scan: dict[str, Scalar] = {
+            "program": "scan",
+            "scan.mode": "contact",
+            "scan.setpoint_n": setpoint_n,
+            "scan.approach_m_per_s": _APPROACH_M_PER_S,
+            "scan.settle_s": 0.05,
         }
-        self._speed = 2e-6
+        self._push: dict[str, Scalar] = {
+            "program": "push",
+            "push.approach_m_per_s": _APPROACH_M_PER_S,
+            "push.setpoint_n": _TOUCH_N,
+            "push.tip_radius_m": config.tip_sample.tip_radius_m,
+            "push.cone_deg": particles.cone_deg,
+        }
 
     @property
+    @abstractmethod
     def time_s(self) -> float:
-        return self.instrument.time_s
+        """Return its time [s]."""
+
+    @abstractmethod
+    def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
+        """Run the program of an image, and yield number and heights [m] of each line, both ways."""
+
+    @abstractmethod
+    def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
+        """Run the program of a push, and return the values of its last report."""
 
     def image(self, middle: Point, sides_m: tuple[float, float], pixels: int, lines: int) -> Look:
         began_s, rows = self.time_s, np.full((lines, pixels), np.inf)
-        dwell_s = max(sides_m[0] / pixels / self._speed, 2e-3)
-        keys = {
-            "program": "scan",
-            "scan.mode": "contact",
+        keys = self._scan | {
             "scan.x_m": middle[0],
             "scan.y_m": middle[1],
             "scan.width_m": sides_m[0],
             "scan.depth_m": sides_m[1],
             "scan.pixels": pixels,
             "scan.lines": lines,
-            "scan.dwell_s": dwell_s,
-            **self._scan,
+            "scan.dwell_s": max(sides_m[0] / pixels / _SCAN_M_PER_S, 2e-3),
         }
-        for line in self._lines(keys):
+        for number, height_m in self.lines(keys):
             # A tip that comes down behind a particle is late, one that goes up is not: of both ways the lower is right.
-            rows[line.line] = np.minimum(rows[line.line], line.height_m)
+            rows[number] = np.minimum(rows[number], height_m)
         return Look(np.where(np.isfinite(rows), rows, np.nan), middle, sides_m, began_s, self.time_s)
+
+    def push(self, start: Point, goal: Point, radius_m: float) -> Pushed:
+        ends = {"push.x0_m": start[0], "push.y0_m": start[1], "push.x1_m": goal[0], "push.y1_m": goal[1]}
+        values = self.values(self._push | ends | {"push.radius_m": radius_m})
+        believed = (float(values["believed_x_m"]), float(values["believed_y_m"]))
+        return Pushed(str(values["why"]), bool(values["in_contact"]), believed)
+
+
+class VirtualBench(ProgramBench):
+    """A bench in simulated time.
+
+    Args:
+        config: The instrument with its particles.
+    """
+
+    def __init__(self, config: AfmConfig) -> None:
+        super().__init__(config)
+        self.instrument = VirtualInstrument(config)
+
+    @property
+    def time_s(self) -> float:
+        return self.instrument.time_s
 
     def truth(self) -> list[Point]:
         """Return where the particles really are on the sample [m]: what no planner may know."""
         return [(x, y) for x, y, _ in self.instrument.device.state.part.moving.tolist()]
 
-    def _lines(self, keys: dict[str, Any]) -> Iterator[FinishedLine]:
+    def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
         for step in self.instrument.run(requested(keys)):
             if step.wanted.line is not None:
-                yield step.wanted.line
+                yield step.wanted.line.line, step.wanted.line.height_m
 
-    def push(self, start: Point, goal: Point, radius_m: float) -> PushState:
-        keys = {
-            "program": "push",
-            "push.x0_m": start[0],
-            "push.y0_m": start[1],
-            "push.x1_m": goal[0],
-            "push.y1_m": goal[1],
-            "push.radius_m": radius_m,
-            **self._tip,
-            **self._push,
-        }
-        state: Any = None
-        for step in self.instrument.run(requested(keys)):
-            state = step.wanted.state
-        assert isinstance(state, PushState)
-        return state
+    def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
+        for _ in self.instrument.run(requested(keys)):
+            pass
+        outcome = self.instrument.outcome
+        return {} if outcome is None or outcome.values is None else outcome.values
 
 
 class Assembler:
@@ -236,9 +260,9 @@ class Assembler:
             state = self._bench.push(self._on_stage(self._place(one)), self._on_stage(corner), one.radius_m)
             self._pushes += 1
             self._tell(f"particle {task.particle}: {state.why}")
-            believed = state.believed if state.in_contact else Place(one.x_m, one.y_m)
+            believed = state.believed if state.in_contact else (one.x_m, one.y_m)
             self._known[task.particle] = one._replace(
-                x_m=believed.x_m, y_m=believed.y_m, seen_s=self._bench.time_s, pushes=one.pushes + 1
+                x_m=believed[0], y_m=believed[1], seen_s=self._bench.time_s, pushes=one.pushes + 1
             )
             if not self._look_at(task.particle, was_pushed=True):
                 return self._lost()
@@ -317,5 +341,12 @@ class Assembler:
             place = self._place(near)
             placed.append(Placed(target, place, math.dist(place, target), near.pushes))
         return Assembly(
-            tuple(placed), self._bench.time_s, self._pushes, self._looks, self._losses, self._drift, before, after
+            tuple(placed),
+            after.ended_s - before.began_s,
+            self._pushes,
+            self._looks,
+            self._losses,
+            self._drift,
+            before,
+            after,
         )

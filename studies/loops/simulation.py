@@ -218,7 +218,9 @@ def _instrument(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
         params = config.to_params()
         if config.sample is None and disturbed:
             return params._replace(plant=noisy_params(config.disturbances, params.plant, duration_s))
-        plant = over_surface(params.plant, config.to_surface(), config.to_friction_params())
+        surface = config.to_surface()
+        plant = over_surface(params.plant, surface, config.to_friction_params())
+        plant = config.to_particle_layer(plant, surface)
         params = params._replace(plant=plant)
     if disturbed:
         text = "a lockstep has them over a plane of environment tip_sample only; `up` can run them"

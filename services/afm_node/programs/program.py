@@ -7,11 +7,13 @@ no state of its own: plan and state are NamedTuples of plain values, which the j
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar, Generic, NamedTuple, TypeVar, get_args, get_origin
 
 import numpy as np
 import numpy.typing as npt
 
+from proto.messages import Scalar
 from services.afm_node.driver import Oscillation
 from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.reach import Reach, approach_limit_s
@@ -145,12 +147,13 @@ class Wanted(NamedTuple, Generic[T]):
 
 
 class Progress(NamedTuple):
-    """How far a program is: in words, as a share of 1, and in lines where it has any."""
+    """How far a program is: in words, as a share of 1, in lines where it has any, and what it has measured by name."""
 
     text: str
     share: float
     line: int = 0
     lines: int = 0
+    values: Mapping[str, Scalar] | None = None
 
 
 class Program(ABC, Generic[S, P, T]):

@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 
 from proto.errors import RefusedError
+from proto.messages import Scalar
 from services.afm_node.physics.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import Place
@@ -211,7 +212,16 @@ class Push(Program[PushSettings, PushPlan, PushState]):
     def progress(self, plan: PushPlan, state: PushState) -> Progress:
         felt = "pushing" if state.in_contact else "on the way to the particle"
         texts = (*WAY_TEXTS, "the tip goes to its height", felt, state.why or "done")
-        return Progress(texts[state.phase], min(state.gone_m / plan.way_m, 1.0))
+        values: dict[str, Scalar] = {
+            "in_contact": state.in_contact,
+            "why": state.why,
+            "plateau_n": state.plateau_n,
+            "peak_n": state.peak_n,
+            "aside_rad": state.aside_rad,
+            "believed_x_m": state.believed.x_m,
+            "believed_y_m": state.believed.y_m,
+        }
+        return Progress(texts[state.phase], min(state.gone_m / plan.way_m, 1.0), values=values)
 
     def searching_s(self, plan: PushPlan, state: PushState) -> tuple[float, float]:
         return (state.elapsed_s if state.phase == APPROACH else 0.0), plan.approach_s

@@ -1,8 +1,10 @@
 """Runs the programs of the instrument: one at a time, behind the guard, until all is done or something ends it."""
 
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 from proto.errors import RefusedError
+from proto.messages import Scalar
 from services.afm_node import safety
 from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import Inputs, Instrument, Wanted
@@ -34,6 +36,7 @@ class Report(NamedTuple):
     done_percent: float
     line: int
     lines: int
+    values: Mapping[str, Scalar] | None = None
 
 
 class RunnerState(NamedTuple):
@@ -140,13 +143,13 @@ class ProgramRunner:
 
     def report(self) -> Report:
         """Return how far the program is."""
-        text, share, line, lines = self._program.progress(self._plan, self._reached)
+        text, share, line, lines, values = self._program.progress(self._plan, self._reached)
         if self.state == "finished":
             reached = self._program.shortfall(self._plan, self._reached)
             text, share = f"the {self._label} is finished{reached}: the tip retracts", 1.0
         elif self.state == "ended":
             text = f"the {self._label} ended, {self._aborted}"
-        return Report(self.name, self.state, text, 100.0 * share, line, lines)
+        return Report(self.name, self.state, text, 100.0 * share, line, lines, values)
 
     def end(self) -> None:
         """Let go of a program that is over."""

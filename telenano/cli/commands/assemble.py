@@ -9,16 +9,20 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import flag_overrides, merge, validate
-from telenano.cli.options import JsonOption
+from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
+from telenano.cli.program_view import LiveOption
 from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
 
 if TYPE_CHECKING:
     from services.afm_node.config import AfmConfig
     from studies.assembly.find import Found
+    from studies.assembly.plan import Point
+    from studies.assembly.run import ProgramBench
 
 # A cantilever soft enough to image in contact below what moves a particle, and a base that clears the highest one.
 _BENCH: dict[str, Any] = {
@@ -107,13 +111,16 @@ def assemble(
         int, typer.Option("--seed", min=0, metavar="N", help="Seed of the particles' places and of the noise.")
     ] = 0,
     afm: AfmOption = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Image, push particles into a pattern, and look again, in simulated time, with noise, drift and a blunt tip."""
+    """Image, push particles into a pattern, and look again: in simulated time with noise and drift, or on a rig."""
     with report_errors(as_json):
         from studies.assembly.figure import assembly_figure
+        from studies.assembly.live import LiveBench
         from studies.assembly.patterns import pattern as places_of
-        from studies.assembly.run import Assembler, VirtualBench
+        from studies.assembly.run import Assembler, ProgramBench, VirtualBench
 
         config = _config(seed, afm or [])
         targets = places_of(pattern, count, spacing * 1e-9)
@@ -122,7 +129,9 @@ def assemble(
         with results_in(out) as folder:
             with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
                 task = bar.add_task("the first image", total=len(targets))
-                bench = VirtualBench(config)
+                bench: ProgramBench = VirtualBench(config)
+                if live:
+                    bench = LiveBench(config, site_file, lambda report: "")
                 result = Assembler(
                     bench, config, targets, sides, lambda text, done: bar.update(task, description=text, completed=done)
                 ).run()
@@ -137,9 +146,8 @@ def assemble(
                         "target_m": one.target,
                         "believed_m": one.believed,
                         "error_m": one.error_m,
-                        # of the simulation, which no step of the assembly was told
-                        "true_error_m": min(math.dist(one.target, place) for place in bench.truth()),
                         "pushes": one.pushes,
+                        **_true_error(bench, one.target),
                     }
                     for one in result.placed
                 ],
@@ -147,12 +155,21 @@ def assemble(
                 "pushes": result.pushes,
                 "looks": result.looks,
                 "losses": result.losses,
-                "simulated_s": result.time_s,
+                "duration_s": result.duration_s,
                 "drift_m_per_s": [result.drift.x.speed_m_per_s, result.drift.y.speed_m_per_s],
             }
             (folder / "assembly.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     document["files"] = [str(out / name) for name in ("assembly.json", "assembly.png")]
     print_document(document, str(out), as_json=as_json)
+
+
+def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
+    """Return what only a simulation knows, and no step of the assembly was told; nothing of a rig."""
+    from studies.assembly.run import VirtualBench
+
+    if not isinstance(bench, VirtualBench):
+        return {}
+    return {"true_error_m": min(math.dist(target, place) for place in bench.truth())}
 
 
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":

@@ -107,14 +107,14 @@ def test_each_step_is_asked_of_the_guard_until_the_last_which_retracts_without_v
     ask(runner, "count", 2)
     action, wanted = runner.step(INPUTS, DT)
     assert (action, wanted.base_m, wanted.place, wanted.amplitude_m) == (safety.ACTION_POSITION, 1e-9, THERE, 7e-9)
-    assert runner.report() == ("count", "running", "step 1", 50.0, 1, 2)
+    assert runner.report() == ("count", "running", "step 1", 50.0, 1, 2, None)
     for mode in (safety.MODE_FOLLOW, safety.MODE_HOLD):
         runner.follow_guard(mode, safety.REASON_ARMED)
         assert runner.state == "running"
     action, wanted = runner.step(INPUTS, DT)
     assert (action, wanted.base_m, wanted.amplitude_m) == (safety.ACTION_RETRACT, 2e-9, 0.0)
     runner.follow_guard(safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED)
-    assert runner.report() == ("count", "finished", "the count is finished: the tip retracts", 100.0, 2, 2)
+    assert runner.report() == ("count", "finished", "the count is finished: the tip retracts", 100.0, 2, 2, None)
     runner.end()
     assert (runner.name, runner.capture().plan, runner.capture().reached) == ("", None, None)
     assert ask(runner, "count") == "it counts"
@@ -224,7 +224,7 @@ def test_what_the_guard_stops_itself_is_named_unless_the_program_ends_already(
     runner.follow_guard(safety.MODE_ESTOP, safety.REASON_FORCE_LIMIT)
     reason = "it was aborted" if aborted else "the guard has retracted the tip: force_limit"
     # it is where it was
-    assert runner.report() == ("count", "ended", f"the count ended, {reason}", 25.0, 1, 4)
+    assert runner.report() == ("count", "ended", f"the count ended, {reason}", 25.0, 1, 4, None)
 
 
 def test_what_a_finished_program_did_not_reach_is_said(runner: ProgramRunner) -> None:
