@@ -2,6 +2,7 @@
 
     python benchmarks/viz.py --rounds 4 --window 4
     python benchmarks/viz.py --recording out/session.mcap --window 5
+    python benchmarks/viz.py --hour out/session.mcap
 
 One rig runs throughout. Windows without a page and with `--pages` of them follow one another, and the age of the loop
 in each is read from the recording: the ratio compares moments of the same run. Pages are web sockets that read
@@ -9,16 +10,20 @@ everything; with `--browser` a Chromium draws one of them, all scopes live. Of i
 measured, which on a machine without a graphics processor is that of a renderer in software, and what the page itself
 took of each: taking in what came, decimation, drawing (`performance.now` in its own callbacks). A browser on the same
 machine takes processor time as any program does, so its ratio says more about the machine than about the view; with
-`--recording` there is no rig, and Chromium has the machine for a page that plays a recording.
+`--recording` there is no rig, and Chromium has the machine for a page that plays a recording. `--hour` repeats a
+recording until it is an hour long, and opens that twice: how long it takes to the address of the page, to curves in a
+scope, to an outline of the whole, to all curves, and to the verdict; the second time by what was kept of the first.
 """
 
 import argparse
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import statistics
+import struct
 import subprocess
 import sys
 import tempfile
@@ -30,8 +35,10 @@ from typing import Any
 
 import msgpack
 
+from proto import TOPICS
 from proto.topics import LOOP_DEADLINE_S
 from recording.reader import Recording
+from recording.writer import FileSettings, RecordingWriter
 
 SETTLE_S = 1.0
 PATIENCE_S = 90.0
@@ -194,6 +201,90 @@ def measure_recording(recording: str, window_s: float) -> dict[str, Any]:
     return {"frame_ms": figures(frames), "page_ms": figures(costs)}
 
 
+# times [ns], and that of the programme [s], in the messages of a rig, which pack them in eight bytes
+_TIMES = re.compile(rb"(_ns\xcf)(.{8})", re.DOTALL)
+_PROGRAMME = re.compile(rb"(session_s\xcb)(.{8})", re.DOTALL)
+_HOUR_S = 3600.0
+# what a page has when it was opened, in order
+STEPS = {
+    "connected": "window.telenano?.store.streams.size",
+    "curves": "telenano.scopes.plots[0]?.data?.[1]?.some((value) => value !== null && value !== undefined)",
+    "outline": "telenano.cockpit.document.whole?.rings.get('tip')?.length > 100",
+    "all_curves": "telenano.cockpit.document.about?.read >= 0.999",
+    "verdict": "telenano.cockpit.document.about?.read >= 1",
+}
+
+
+def repeated(source: str, length_s: float, folder: Path) -> Path:
+    """Write a recording that goes on for a length [s] with what is in another one, one time after the other."""
+    recording = Recording(source)
+    begin_ns, end_ns = recording.span_ns
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
+    for name, data in recording.attachments.items():
+        writer.attach(name, "application/yaml", data, begin_ns)
+    for name, entries in recording.metadata.items():
+        writer.add_metadata(name, entries)
+    messages = [message for message in recording.select() if message.topic in TOPICS]
+    channels = {m.channel: writer.channel(m.topic, m.src, m.site) for m in messages}
+    counts = {message.channel: message.seq + 1 for message in messages}
+    flushed_ns = 0
+    for turn in range(round(length_s * 1e9 / (end_ns - begin_ns))):
+        by_ns = turn * (end_ns - begin_ns + 1_000_000)
+        for message in messages:
+            seq = message.seq + turn * counts[message.channel]
+            log_ns, publish_ns = message.log_ns + by_ns, message.publish_ns + by_ns
+            writer.write(channels[message.channel], log_ns, publish_ns, seq, _later(message.payload, by_ns))
+            if log_ns - flushed_ns > 250_000_000:
+                writer.flush()
+                flushed_ns = log_ns
+    writer.finish({"state": "stopped"})
+    return writer.path
+
+
+def _later(payload: bytes, by_ns: int) -> bytes:
+    def of_clock(found: re.Match[bytes]) -> bytes:
+        return found[1] + (int.from_bytes(found[2], "big") + by_ns).to_bytes(8, "big")
+
+    def of_programme(found: re.Match[bytes]) -> bytes:
+        (time_s,) = struct.unpack(">d", found[2])
+        return found[1] + struct.pack(">d", time_s + by_ns * 1e-9 if time_s >= 0.0 else time_s)
+
+    return _PROGRAMME.sub(of_programme, _TIMES.sub(of_clock, payload)) if by_ns else payload
+
+
+def measure_hour(source: str, length_s: float) -> dict[str, Any]:
+    """Return when a page of a long recording has what, from the command on [s]: at the first look and the second."""
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        path = repeated(source, length_s, Path(folder))
+        environment = {**os.environ, "XDG_CACHE_HOME": folder}
+        found["megabytes"] = path.stat().st_size / 1e6
+        for look in ("first", "second"):
+            found[look] = _looked(str(path), environment)
+    return found
+
+
+def _looked(path: str, environment: dict[str, str]) -> dict[str, float]:
+    from playwright.sync_api import sync_playwright
+
+    begun_s = time.monotonic()
+    times: dict[str, float] = {}
+    with process(["view", "--port", "0", path], environment) as view, sync_playwright() as playwright:
+        address = address_of(view)
+        times["address"] = time.monotonic() - begun_s
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        page = browser.new_page(viewport={"width": 1360, "height": 850})
+        # the browser of a person runs already
+        begun_s = time.monotonic() - times["address"]
+        page.goto(address, wait_until="commit", timeout=PATIENCE_S * 1e3)
+        for step, expression in STEPS.items():
+            while not page.evaluate(expression):
+                time.sleep(0.02)
+            times[step] = time.monotonic() - begun_s
+        browser.close()
+    return {step: round(time_s, 2) for step, time_s in times.items()}
+
+
 def _wait_for_session(out: Path) -> None:
     """Wait until the operator's programme has begun, and the devices have come to rest."""
     log = out / "logs" / "launcher@master.log"
@@ -219,7 +310,12 @@ def main() -> None:
     parser.add_argument("--pages", type=int, default=3)
     parser.add_argument("--browser", action="store_true", help="let a Chromium draw one of the pages")
     parser.add_argument("--recording", help="time the frames of a page that plays this recording, without a rig")
+    parser.add_argument("--hour", metavar="FILE", help="open a recording that repeats this one for an hour")
+    parser.add_argument("--length", type=float, default=_HOUR_S, help="how long that is [s]")
     given = parser.parse_args()
+    if given.hour:
+        print(json.dumps(measure_hour(given.hour, given.length), indent=2))
+        return
     if given.recording:
         print(json.dumps(measure_recording(given.recording, given.window), indent=2))
         return

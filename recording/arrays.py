@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import RecordingError
-from recording.messages import RecordedMessage
+from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 
 Column = npt.NDArray[Any]
@@ -60,19 +60,24 @@ def columns(
     return {field: _array(recording, channel_topic, field, values[field]) for field in fields}
 
 
-def replayed_sources(recording: RecordingSource) -> set[str]:
-    """Return the nodes whose messages a player sent in their place."""
-    health = recording.select(lambda channel: channel.channel_topic == "node/health")
+def replayed_sources(recording: RecordingSource, *, newest: bool = False) -> set[str]:
+    """Return the nodes whose messages a player sent in their place; with `newest`, by the last report of each."""
+
+    def is_health(channel: RecordedChannel) -> bool:
+        return channel.channel_topic == "node/health"
+
+    last_ns = recording.span_ns[1] + 1
+    health = recording.newest_before(last_ns, is_health).values() if newest else recording.select(is_health)
     return {message.src for message in health if message.fields().get("replay") is True}
 
 
-def replay_shifts(recording: RecordingSource) -> dict[str, int]:
+def replay_shifts(recording: RecordingSource, *, newest: bool = False) -> dict[str, int]:
     """Return by how much [ns] the time stamps of each replayed source lie behind those of live nodes.
 
     A rig in which a player stood in for some nodes has old stamps beside new ones; the time of reception puts them on
     one axis. Empty where none was replayed, or all were: then the stamps agree with one another as they are.
     """
-    replayed = replayed_sources(recording)
+    replayed = replayed_sources(recording, newest=newest)
     fast = {c.src: c.channel_topic for c in recording.channels if c.via == "direct" and (c.rate_hz or 0.0) >= _FAST_HZ}
     if not replayed & set(fast) or set(fast) <= replayed:
         return {}

@@ -125,7 +125,7 @@ def scan(data: Bytes, path: str = "") -> Layout:
         elif opcode == Opcode.CHUNK or (opcode in _CONTENT and not in_summary):
             trusted = _add_block(data, position, end, opcode, layout)
         else:
-            _add_other(data, position, end, opcode, layout)
+            add_other(data, position, end, opcode, layout)
         position = end
     if position < size:
         layout.damage.append(Damage(position, size - position, "bytes after the end of the recording"))
@@ -224,29 +224,44 @@ def _add_block(data: Bytes, position: int, end: int, opcode: int, layout: Layout
     return end
 
 
-def _add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> None:
-    stream = ReadDataStream(BytesIO(data[position + RECORD_HEAD.size : end]))
+def add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout) -> None:
+    """Add what is not in a chunk to the layout, or its damage.
+
+    Raises:
+        RecordingError: There are more channels and schemas than any recording has.
+    """
+    body = data[position + RECORD_HEAD.size : end]
     try:
-        if opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(stream)
-            if not _attachment_intact(data[position + RECORD_HEAD.size : end]):
-                layout.damage.append(
-                    Damage(position, end - position, f"the checksum of the attachment {attachment.name} is wrong")
-                )
-            layout.attachments[attachment.name] = attachment
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(stream)
-            layout.metadata[metadata.name] = metadata.metadata
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            layout.summary_channels[channel.id] = channel
-        elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            layout.summary_schemas[schema.id] = schema
-        if len(layout.summary_channels) + len(layout.summary_schemas) > MOST_DEFINITIONS:
-            raise too_many_definitions(layout.path)
+        if opcode == Opcode.ATTACHMENT and not _attachment_intact(body):
+            name = Attachment.read(ReadDataStream(BytesIO(body))).name
+            text = f"the checksum of the attachment {name} is wrong"
+            layout.damage.append(Damage(position, end - position, text))
+        add_record(opcode, body, layout)
     except UNREADABLE as error:
         layout.damage.append(Damage(position, end - position, f"a damaged record: {type(error).__name__}"))
+
+
+def add_record(opcode: int, body: bytes, layout: Layout) -> None:
+    """Add an attachment, metadata, a channel or a schema to the layout.
+
+    Raises:
+        RecordingError: There are more channels and schemas than any recording has.
+    """
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.ATTACHMENT:
+        attachment = Attachment.read(stream)
+        layout.attachments[attachment.name] = attachment
+    elif opcode == Opcode.METADATA:
+        metadata = Metadata.read(stream)
+        layout.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.CHANNEL:
+        channel = Channel.read(stream)
+        layout.summary_channels[channel.id] = channel
+    elif opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        layout.summary_schemas[schema.id] = schema
+    if len(layout.summary_channels) + len(layout.summary_schemas) > MOST_DEFINITIONS:
+        raise too_many_definitions(layout.path)
 
 
 def _attachment_intact(body: bytes) -> bool:

@@ -2,7 +2,7 @@
 
 import contextlib
 import mmap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
@@ -74,7 +74,7 @@ class Recording:
             what = "ends before its first record" if MAGIC.startswith(start) else "is not an MCAP file"
             raise RecordingError(f"{self.path}: {what}")
         with self._open() as data:
-            self._layout = scan(data, str(self.path))
+            self._layout = self._read_layout(data)
         # the block that an overtaken message was read from last
         self._fetched: tuple[int, bytes] = (-1, b"")
 
@@ -210,6 +210,23 @@ class Recording:
         except (OSError, ValueError) as error:
             raise RecordingError(f"{self.path}: cannot be read any more: {error}") from error
 
+    def _read_layout(self, data: mmap.mmap) -> Layout:
+        return scan(data, str(self.path))
+
+    def _may_have(self, block: Block, selected: Container[int]) -> bool:
+        """Return whether a block may have messages of the selected channels, or introduce a channel."""
+        return True
+
+    def _content(self, data: mmap.mmap, block: Block) -> bytes:
+        """Return the records of a block; DamagedBlockError says why they cannot be read."""
+        return unpack(data, block)
+
+    def _records(
+        self, data: mmap.mmap, block: Block, content: bytes, selected: Container[int]
+    ) -> Iterable[tuple[int, int, int]]:
+        """Yield what `records_of` does; what is of no selected channel may be left out."""
+        return records_of(content)
+
     def _recorded_channels(
         self, wanted: ChannelFilter | None = None, known: Mapping[int, RecordedChannel] | None = None
     ) -> "_ChannelTable[RecordedChannel]":
@@ -235,14 +252,17 @@ class Recording:
             for block in _each(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
                     continue
+                if report is None and not self._may_have(block, selected):
+                    continue
                 try:
-                    content = unpack(data, block)
+                    content = self._content(data, block)
                 except DamagedBlockError as error:
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
                 moved, end = order.get(block.offset), 0
-                for opcode, start, end in records_of(content):
+                records = self._records(data, block, content, selected) if report is None else records_of(content)
+                for opcode, start, end in records:
                     if opcode == Opcode.MESSAGE:
                         number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
                         channel = selected.get(number)
@@ -267,6 +287,9 @@ class Recording:
     @cached_property
     def _order(self) -> dict[int, BlockOrder]:
         """What is read at another place than that in the file, by the offset of its block."""
+        return self._found_order()
+
+    def _found_order(self) -> dict[int, BlockOrder]:
         finder, table = OvertakenFinder(), self._recorded_channels()
 
         def is_numbered(number: int) -> bool:
@@ -288,13 +311,13 @@ class Recording:
         """Yield the blocks that can be read, with what is in them."""
         for block in _each(data, self._layout.blocks):
             with contextlib.suppress(DamagedBlockError):
-                yield block, unpack(data, block)
+                yield block, self._content(data, block)
 
     def _message_at(self, data: mmap.mmap, place: Place) -> tuple[tuple[int, int, int, int], bytes]:
         """Return the head and the payload of a message in another block."""
         if self._fetched[0] != place.block:
             block = next(block for block in self._layout.blocks if block.offset == place.block)
-            self._fetched = place.block, unpack(data, block)
+            self._fetched = place.block, self._content(data, block)
         content = self._fetched[1]
         _, length = RECORD_HEAD.unpack_from(content, place.at - RECORD_HEAD.size)
         channel, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, place.at)

@@ -106,8 +106,9 @@ class Timeline:
     A source that was itself replayed beside live ones is shifted to the time of its replay, see `replay_shifts`.
     """
 
-    def __init__(self, recording: RecordingSource) -> None:
-        self.shifts = replay_shifts(recording)
+    def __init__(self, recording: RecordingSource, *, quick: bool = False) -> None:
+        """Read what the clocks were; `quick` tells by the last report of each node alone whether it was replayed."""
+        self.shifts = replay_shifts(recording, newest=quick)
         self.clock = read_site_clock(recording)
 
     def with_clock(self, clock: SiteClock | None) -> "Timeline":

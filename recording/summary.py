@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
+import numpy as np
+import numpy.typing as npt
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Metadata, MetadataIndex, Statistics
@@ -26,7 +28,11 @@ from recording.mcap_scan import (
     MOST_DEFINITIONS,
     RECORD_HEAD,
     UNREADABLE,
+    Block,
     DamagedBlockError,
+    Layout,
+    add_other,
+    add_record,
     chunk_at,
     records_of,
     unpack,
@@ -39,6 +45,8 @@ _CHUNK_INDEX = struct.Struct("<QQQQI")
 _OFFSET = struct.Struct("<HQ")
 _ENTRY = struct.Struct("<QQ")
 _INDEX_HEAD = struct.Struct("<HI")
+_NAME_LENGTH = struct.Struct("<I")
+_SIZES = struct.Struct("<QQ")
 _SEQUENCE_MASK = 0xFFFF_FFFF
 
 
@@ -83,12 +91,8 @@ class _Summary:
         self._metadata: dict[str, dict[str, str]] = {}
         # the chunk that was unpacked last
         self._unpacked: tuple[int, bytes] = (-1, b"")
-        footer = len(data) - len(MAGIC) - _FOOTER.size
-        opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer)
-        _demand(data[: len(MAGIC)] == MAGIC == data[-len(MAGIC) :] and opcode == Opcode.FOOTER)
-        _demand(0 < start < footer and crc == zlib.crc32(data[start : footer + _FOOTER.size - 4]))
-        for opcode, first, last in records_of(data[start:footer]):
-            self._add(opcode, data[start + first : start + last])
+        for opcode, body in _summary_records(data):
+            self._add(opcode, body)
 
     def info(self, path: Path) -> RecordingInfo:
         """Return what `Recording.info` returns; _DisagreementError where it may be more."""
@@ -223,6 +227,80 @@ class _Summary:
         _, length = RECORD_HEAD.unpack_from(content, offset)
         start = offset + RECORD_HEAD.size
         return content[start + MESSAGE_HEAD.size : start + length]
+
+
+# by the place of a chunk, the channels in it and the places of their message indexes, as the file has them
+ChannelIndexes = dict[int, bytes]
+
+
+def layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes] | None:
+    """Return the structure of a closed file by its index, and where the messages of a channel are.
+
+    None stands for a file that has to be read as a whole. What lies between the chunks is not looked at, and the
+    checksum of a chunk is in its head.
+    """
+    try:
+        return _layout_by_index(data, path)
+    except (_DisagreementError, *UNREADABLE, ValueError, KeyError, IndexError):
+        return None
+
+
+def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes]:
+    layout, indexes, counts = Layout(path=path, finished=True), ChannelIndexes(), None
+    _demand(len(data) >= 2 * len(MAGIC) + _FOOTER.size)
+    for opcode, body in _summary_records(data):
+        if opcode == Opcode.CHUNK_INDEX:
+            first_ns, last_ns, offset, length, size = _CHUNK_INDEX.unpack_from(body)
+            end = _CHUNK_INDEX.size + size
+            indexes[offset] = body[_CHUNK_INDEX.size : end]
+            (name_length,) = _NAME_LENGTH.unpack_from(body, end + 8)
+            name = body[end + 12 : end + 12 + name_length].decode("ascii")
+            stored, unpacked = _SIZES.unpack_from(body, end + 12 + name_length)
+            block_end = offset + length
+            layout.blocks.append(
+                Block(offset, block_end - stored, block_end, name, unpacked, first_ns=first_ns, last_ns=last_ns)
+            )
+        elif opcode == Opcode.STATISTICS:
+            counts = Statistics.read(ReadDataStream(BytesIO(body)))
+        elif opcode in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
+            place = int.from_bytes(body[:8], "little")
+            kind, length = RECORD_HEAD.unpack_from(data, place)
+            _demand(kind == (Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA))
+            add_other(data, place, place + RECORD_HEAD.size + length, kind, layout)
+        elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
+            add_record(opcode, body, layout)
+    # Messages outside of chunks are in no index.
+    _demand(counts is not None and counts.chunk_count == len(layout.blocks) > 0 and not layout.damage)
+    assert counts is not None
+    _demand(sum(counts.channel_message_counts.values()) == counts.message_count)
+    layout.blocks.sort(key=lambda block: block.offset)
+    return layout, indexes
+
+
+def channels_in(indexes: bytes) -> dict[int, int]:
+    """Return by its number each channel that a chunk has, and the place of its message index in the file."""
+    return dict(_OFFSET.iter_unpack(indexes))
+
+
+def message_places(data: mmap.mmap, number: int, start: int) -> npt.NDArray[np.uint64]:
+    """Return the places in their chunk of the messages of a channel, shape (n,); ValueError where there is no index."""
+    opcode, length = RECORD_HEAD.unpack_from(data, start)
+    body = data[start + RECORD_HEAD.size : start + RECORD_HEAD.size + length]
+    channel, size = _INDEX_HEAD.unpack_from(body)
+    if (opcode, channel, size) != (Opcode.MESSAGE_INDEX, number, len(body) - _INDEX_HEAD.size):
+        raise ValueError(f"byte {start} is no message index of channel {number}")
+    return np.frombuffer(body, dtype="<u8", offset=_INDEX_HEAD.size)[1::2]
+
+
+def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and body of each record of the summary; _DisagreementError where it is not whole."""
+    footer = len(data) - len(MAGIC) - _FOOTER.size
+    opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer)
+    _demand(data[: len(MAGIC)] == MAGIC == data[-len(MAGIC) :] and opcode == Opcode.FOOTER)
+    _demand(0 < start < footer and crc == zlib.crc32(data[start : footer + _FOOTER.size - 4]))
+    section = data[start:footer]
+    for opcode, first, last in records_of(section):
+        yield opcode, section[first:last]
 
 
 def _attachment(index: AttachmentIndex) -> AttachmentInfo:

@@ -1,5 +1,6 @@
 """A recording as a document: its curves as a whole and in part, and what happened in it, for a page to read in."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -20,8 +21,14 @@ _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
 # Of a longer recording an outline is read first [s]: so many looks into it, each so long [s].
 _LONG_S, _LOOKS, _LOOK_S = 120.0, 240, 0.02
-# the reader gives way to what plays, after so much work [s], for so long [s]
-_WORK_S, _REST_S = 0.02, 0.002
+# It is read in pieces [s]; so many of them are read at once for a page that waits for them.
+_PIECE_S, _AT_ONCE = 2.0, 16
+# A message is received a little after it was sent [s].
+_MARGIN_S = 0.1
+# A part that has fewer spans than this is given sample by sample.
+_LEAST_SPANS = 300
+# the reader gives way to what plays, after each piece [s]
+_REST_S = 0.005
 
 Facts = Mapping[str, Any]
 
@@ -36,28 +43,58 @@ class Document(Protocol):
         """Return the curves of a part [s] in so many spans; all samples for 0. RefusedError says why not."""
 
 
-class RecordingDocument:
-    """Curves, phases, marks and verdicts of a recording. It is read in a thread of its own when first asked for."""
+class Kept(Protocol):
+    """What was kept of an earlier reading."""
 
-    def __init__(self, recording: RecordingSource, judge: Callable[[RecordingSource], Facts] | None = None) -> None:
-        """Prepare to read; `judge` returns what happened in it: phases, holds, moments, the numbers of its summary."""
+    def load(self, levels: Levels) -> Facts | None:
+        """Fill the levels and return the facts; None where nothing was kept."""
+
+    def save(self, levels: Levels, facts: Facts) -> None:
+        """Keep both for the next time."""
+
+
+class RecordingDocument:
+    """Curves, phases, marks and verdicts of a recording.
+
+    It is read in a thread of its own when first asked for, piece by piece: what a page asks for comes first.
+    """
+
+    def __init__(
+        self,
+        recording: RecordingSource,
+        judge: Callable[[], Facts] | None = None,
+        kept: Kept | None = None,
+    ) -> None:
+        """Prepare to read.
+
+        Parameters: judge, returns what happened in the recording: phases, holds, moments, the numbers of its summary;
+        kept, where what was read of a long recording is kept.
+        """
         self._recording = recording
         self._judge = judge
         self._start_ns, end_ns = recording.span_ns
         self._length_s = (end_ns - self._start_ns) * 1e-9
         self._levels = Levels(self._length_s)
-        self._read = 0.0
+        self._kept = kept if self._length_s > _LONG_S else None
         self._facts: Facts = {}
+        self._is_known = False
         self._timeline: Timeline | None = None
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
+        # the pieces that have not been read, and what was asked for last [s]
+        self._pieces = max(1, math.ceil(self._length_s / _PIECE_S))
+        self._left = set(range(self._pieces))
+        self._asked = (0.0, 0.0)
+        self._reading = threading.Lock()
 
     def about(self) -> Facts:
         self._begin()
+        share = 1.0 - len(self._left) / self._pieces
         return {
             "start_ns": self._start_ns,
             "length_s": self._length_s,
-            "read": round(self._read, 3),
+            # all curves are there before it is known what happened
+            "read": 1.0 if self._is_known else min(0.999, round(share, 3)),
             **self._facts,
         }
 
@@ -67,8 +104,14 @@ class RecordingDocument:
             raise RefusedError(f"from {from_s:g} s to {to_s:g} s is no part of a recording")
         if spans <= 0 and to_s - from_s > _MOST_RAW_S:
             raise RefusedError(f"every sample is given of at most {_MOST_RAW_S:g} s at once: choose a shorter part")
-        if spans <= 0 or to_s - from_s <= _RAW_S:
+        if spans <= 0 or to_s - from_s <= max(_RAW_S, _LEAST_SPANS * self._levels.width_s):
             return {"from_s": from_s, "to_s": to_s, "width_s": 0.0, "streams": self._raw(from_s, to_s)}
+        missing = sorted(self._left.intersection(self._pieces_in(from_s, to_s)))
+        if len(missing) <= _AT_ONCE:
+            for piece in missing:
+                self._read_piece(piece)
+        else:
+            self._asked = (from_s, to_s)
         found, width_s = {}, 0.0
         for stream in STREAMS:
             times, values, width_s = self._levels.between(stream.name, from_s, to_s, min(spans, _MOST_SPANS))
@@ -90,28 +133,50 @@ class RecordingDocument:
     def _known_timeline(self) -> Timeline:
         with self._lock:
             if self._timeline is None:
-                self._timeline = Timeline(self._recording)
+                self._timeline = Timeline(self._recording, quick=self._length_s > _LONG_S)
             return self._timeline
 
     def _read_all(self) -> None:
-        try:
-            self._fill()
-            if self._judge is not None:
-                self._facts = self._judge(self._recording)
-        except (TelenanoError, ValueError, ArithmeticError, OSError) as error:
-            self._facts = {"fault": str(error)}
-        self._read = 1.0
+        """Fill the levels and judge, unless both were kept."""
+        known = self._kept.load(self._levels) if self._kept is not None else None
+        if known is not None:
+            self._facts = known
+            self._left.clear()
+        else:
+            try:
+                self._fill()
+                if self._judge is not None:
+                    self._facts = self._judge()
+                if self._kept is not None:
+                    self._kept.save(self._levels, self._facts)
+            except (TelenanoError, ValueError, ArithmeticError, OSError) as error:
+                self._facts = {"fault": str(error)}
+        self._is_known = True
 
     def _fill(self) -> None:
         if self._length_s > _LONG_S:
             self._outline()
-        rested_s = time.monotonic()
-        for name, times, values, read_ns in read_samples(self._recording, self._known_timeline()):
-            self._levels.add(name, times, values)
-            self._read = min(0.999, (read_ns - self._start_ns) * 1e-9 / max(self._length_s, 1e-9))
-            if time.monotonic() - rested_s > _WORK_S:
-                time.sleep(_REST_S)
-                rested_s = time.monotonic()
+        while left := self._left:
+            wanted = left.intersection(self._pieces_in(*self._asked))
+            self._read_piece(min(wanted or left), with_rests=True)
+
+    def _pieces_in(self, from_s: float, to_s: float) -> range:
+        first, last = (math.floor(at_s / _PIECE_S) for at_s in (from_s - _MARGIN_S, to_s + _MARGIN_S))
+        return range(max(0, first), min(self._pieces, last + 1))
+
+    def _read_piece(self, piece: int, *, with_rests: bool = False) -> None:
+        """Read a piece into the levels, unless it has been read by now; two threads may ask for it."""
+        with self._reading:
+            if piece not in self._left:
+                return
+            first_ns, next_ns = (self._start_ns + round(at * _PIECE_S * 1e9) for at in (piece, piece + 1))
+            # what was received after the times that the index states belongs to the last
+            bounds = first_ns, None if piece == self._pieces - 1 else next_ns
+            for name, times, values in read_samples(self._recording, self._known_timeline(), *bounds):
+                self._levels.add(name, times, values)
+            self._left.discard(piece)
+        if with_rests:
+            time.sleep(_REST_S)
 
     def _outline(self) -> None:
         """Look into the recording at even distances, so that the whole of hours has a shape within seconds."""
@@ -119,16 +184,14 @@ class RecordingDocument:
         for look in range(_LOOKS):
             from_ns = self._start_ns + look * step_ns
             looked = read_samples(self._recording, self._known_timeline(), from_ns, from_ns + round(_LOOK_S * 1e9))
-            for name, times, values, _ in looked:
+            for name, times, values in looked:
                 self._levels.add(name, times, values)
             time.sleep(_REST_S)
 
     def _raw(self, from_s: float, to_s: float) -> dict[str, Facts]:
-        # a message is written a little after it was sent
-        margin_s = 0.1
-        bounds = (self._start_ns + round((at_s) * 1e9) for at_s in (from_s - margin_s, to_s + margin_s))
+        bounds = (self._start_ns + round(at_s * 1e9) for at_s in (from_s - _MARGIN_S, to_s + _MARGIN_S))
         pieces: dict[str, list[tuple[Floats, Floats]]] = {stream.name: [] for stream in STREAMS}
-        for name, times, values, _ in read_samples(self._recording, self._known_timeline(), *bounds):
+        for name, times, values in read_samples(self._recording, self._known_timeline(), *bounds):
             inside = (times >= from_s) & (times <= to_s)
             pieces[name].append((times[inside], values[:, inside]))
         found = {}

@@ -4,8 +4,9 @@ A page that shows an hour has a thousand columns of pixels for 3.6 million sampl
 greatest value behind each column, so that no spike disappears, and those are found once, while the file is read.
 """
 
+import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ Floats = npt.NDArray[np.float64]
 _LEAST_WIDTH_S, _MOST_SPANS = 0.005, 200_000
 # so many messages of a stream are put into numbers at once
 _AT_ONCE = 4000
+# The losses of the link are counted from one of its reports to the next, of which there are ten a second [ns].
+_BEFORE_NS = 300_000_000
 _NS = 1_000_000_000
 
 
@@ -52,6 +55,11 @@ class Samples:
         self._stamps.append(message.publish_ns)
         self._rows.append(row)
 
+    def note(self, message: RecordedMessage) -> None:
+        """Take what comes before the first sample: losses are counted from there."""
+        with contextlib.suppress(RecordingError, *UNREADABLE):
+            self._loss.added(message.fields())
+
     def take(self, timeline: Timeline, start_ns: int) -> tuple[Floats, Floats]:
         """Return and remove the samples: times since the start [s], of shape (n,), and values of shape (columns, n)."""
         stamps = np.array(self._stamps, dtype=np.int64)
@@ -66,11 +74,12 @@ class Levels:
 
     def __init__(self, length_s: float) -> None:
         """Prepare for a recording of a length [s]."""
+        self.length_s = length_s
         self.width_s = max(_LEAST_WIDTH_S, length_s / _MOST_SPANS)
         self._count = max(1, math.ceil(length_s / self.width_s))
         shape = {stream.name: (len(stream.columns), self._count) for stream in STREAMS}
-        self._least = {name: np.full(size, np.inf, dtype=np.float32) for name, size in shape.items()}
-        self._greatest = {name: np.full(size, -np.inf, dtype=np.float32) for name, size in shape.items()}
+        self._least = {name: np.full(size, np.inf, dtype="<f4") for name, size in shape.items()}
+        self._greatest = {name: np.full(size, -np.inf, dtype="<f4") for name, size in shape.items()}
 
     def add(self, name: str, times_s: Floats, values: Floats) -> None:
         """Take samples of a stream: times [s] of shape (n,), values of shape (columns, n)."""
@@ -81,6 +90,17 @@ class Levels:
             known = np.isfinite(column)
             np.minimum.at(least[row], place[known], column[known].astype(np.float32))
             np.maximum.at(greatest[row], place[known], column[known].astype(np.float32))
+
+    def kept(self) -> dict[str, list[bytes]]:
+        """Return all values as bytes, by stream the least and the greatest."""
+        return {name: [least.tobytes(), self._greatest[name].tobytes()] for name, least in self._least.items()}
+
+    def restore(self, kept: Mapping[str, Sequence[bytes]]) -> None:
+        """Take what `kept` has returned for a recording of the same length; ValueError where it is something else."""
+        shapes = {name: least.shape for name, least in self._least.items()}
+        found = {n: [np.frombuffer(each, dtype="<f4").reshape(size) for each in kept[n]] for n, size in shapes.items()}
+        for name, (least, greatest) in found.items():
+            self._least[name][:], self._greatest[name][:] = least, greatest
 
     def between(self, name: str, from_s: float, to_s: float, most: int) -> tuple[Floats, Floats, float]:
         """Return samples that have the least and the greatest values of at most `most` spans of a part.
@@ -109,6 +129,11 @@ def is_curve(channel: RecordedChannel) -> bool:
     return channel.via == "direct" and stream_of(channel) is not None
 
 
+def _is_link(channel: RecordedChannel) -> bool:
+    stream = stream_of(channel)
+    return channel.via == "direct" and stream is not None and stream.name == "link"
+
+
 def stream_of(channel: RecordedChannel) -> Stream | None:
     """Return the curves that a channel has; None where it has none."""
     return BY_SOURCE.get((channel.topic, channel.src.rpartition("@")[2]))
@@ -116,23 +141,24 @@ def stream_of(channel: RecordedChannel) -> Stream | None:
 
 def read_samples(
     recording: RecordingSource, timeline: Timeline, from_ns: int | None = None, to_ns: int | None = None
-) -> Iterator[tuple[str, Floats, Floats, int]]:
-    """Yield some thousand samples at a time: name, times since the start [s], values, how far [ns]."""
+) -> Iterator[tuple[str, Floats, Floats]]:
+    """Yield some thousand samples at a time: name, times since the start [s], values."""
     start_ns = recording.span_ns[0]
     waiting = {stream.name: Samples(stream) for stream in STREAMS}
-    read_ns = start_ns
+    if from_ns is not None and from_ns > start_ns:
+        for message in recording.select(_is_link, from_ns - _BEFORE_NS, from_ns):
+            waiting["link"].note(message)
     for message in recording.select(is_curve, from_ns, to_ns):
         stream = stream_of(message.channel)
         if stream is None:
             continue
         samples = waiting[stream.name]
         samples.add(message)
-        read_ns = message.log_ns
         if len(samples) >= _AT_ONCE:
-            yield (stream.name, *samples.take(timeline, start_ns), read_ns)
+            yield (stream.name, *samples.take(timeline, start_ns))
     for name, samples in waiting.items():
         if len(samples):
-            yield (name, *samples.take(timeline, start_ns), read_ns)
+            yield (name, *samples.take(timeline, start_ns))
 
 
 def packed(times_s: Floats, values: Floats) -> Mapping[str, Any]:

@@ -104,8 +104,9 @@ def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) 
 @pytest.mark.endurance
 def test_the_programs_of_the_instrument_run_pause_and_end_from_the_page(rig: Rig, operator: Page) -> None:
     def is_at(program: str, state: str) -> bool:
-        found = newest(rig, "afm/program")
-        return bool((found.program, found.state) == (program, state))
+        # The instrument reports its first programme when that begins, so there may be no report yet.
+        reports = [message.decode() for message in rig.recording().messages("afm/program")[-1:]]
+        return [(report.program, report.state) for report in reports] == [(program, state)]
 
     operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
     operator.fill("#program-curve-load_n", "10")
@@ -172,6 +173,8 @@ def test_what_is_saved_is_every_sample_that_is_shown(rig: Rig, operator: Page) -
     origin_ns = int(rows[1][3])
     hand = [row for row in rows if (row[0], row[2]) == ("hand", "position")]
     shown = {round((1e9 * float(row[1]) + origin_ns) * 1e-4): float(row[3]) for row in hand}
+    # the recorder writes a batch at a time, so the file may have the last of them later than the page
+    rig.wait_until(lambda: newest(rig, "haptic/state").t_ns * 1e-4 > max(shown), "what is shown in the recording")
     sent = {round(state.t_ns * 1e-4): -state.position_m[2] for state in since(rig, "haptic/state", origin_ns)}
     assert len(shown) > 500, "of a second at 1 kHz"
     # times to the hundredth of a millisecond: of the few that lie at its edge the neighbour was sent
@@ -187,20 +190,25 @@ def test_what_is_saved_is_every_sample_that_is_shown(rig: Rig, operator: Page) -
 
 @pytest.mark.endurance
 def test_the_hand_holds_while_the_page_draws_for_longer_than_the_server_waits(rig: Rig, operator: Page) -> None:
-    operator.press(10.0)
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] < -0.2, "a hand that pushes")
-    begin_ns = time.time_ns()
-    # as one long picture does: nothing else of the page runs meanwhile
-    operator.value("(() => { const begun = performance.now(); while (performance.now() - begun < 700); })()")
-    end_ns = time.time_ns()
-    rig.wait_until(lambda: newest(rig, "haptic/state").t_ns > end_ns, "what was recorded meanwhile")
-    pushes = [-s.operator_force_n[2] for s in since(rig, "haptic/state", begin_ns) if s.t_ns < end_ns]
-    sent = [message for message in since(rig, "operator/force", begin_ns) if message.t_ns < end_ns]
-    operator.page.mouse.up()
-    assert min(pushes) > 0.0
-    # and by the newest place of the arm, not by that before the picture
-    assert len({message.force_n[2] for message in sent}) > 5
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    def held() -> bool:
+        """Press, keep the page busy for longer than the server waits, and return whether the hand went on pushing."""
+        operator.press(10.0)
+        rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] < -0.2, "a hand that pushes")
+        begin_ns = time.time_ns()
+        # as one long picture does: nothing else of the page runs meanwhile
+        operator.value("(() => { const begun = performance.now(); while (performance.now() - begun < 700); })()")
+        end_ns = time.time_ns()
+        rig.wait_until(lambda: newest(rig, "haptic/state").t_ns > end_ns, "what was recorded meanwhile")
+        pushes = [-s.operator_force_n[2] for s in since(rig, "haptic/state", begin_ns) if s.t_ns < end_ns]
+        sent = [message for message in since(rig, "operator/force", begin_ns) if message.t_ns < end_ns]
+        operator.page.mouse.up()
+        rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+        # and by the newest place of the arm, not by that before the picture
+        return min(pushes) > 0.0 and len({message.force_n[2] for message in sent}) > 5
+
+    # Where others have the processors, the server itself may be held up for longer than it waits for a page. A hand
+    # whose spring is in the drawing thread is let go each time.
+    assert any(held() for _ in range(8))
 
 
 @pytest.mark.endurance

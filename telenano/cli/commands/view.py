@@ -4,17 +4,18 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, TelenanoError
 from proto.nodes import PAGE
-from recording.multi_file import RecordingSource, open_recordings
+from recording.indexed import open_indexed
+from recording.multi_file import RecordingSource
 from services.launcher.restart_policy import RestartTracker
 from services.runtime.bus.observer import nobody_runs
 from services.runtime.loop.clock import SystemClock
@@ -26,6 +27,7 @@ from services.viz_node.config import ViewConfig
 from services.viz_node.connections import Listener
 from services.viz_node.document import RecordingDocument
 from services.viz_node.hub import Hub
+from services.viz_node.level_cache import LevelCache
 from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
 from services.viz_node.playback import RecordingPlayback
@@ -39,7 +41,6 @@ from telenano.cli.options import (
     SiteFileOption,
 )
 from telenano.cli.output import report_errors
-from telenano.recording_document import judged_recording
 
 
 class Served(NamedTuple):
@@ -85,7 +86,7 @@ def view(
             allow=tuple(allow or ()),
         )
         tls, access = config.tls(), config.access()
-        recordings = open_recordings(files) if files else None
+        recordings = open_indexed(files) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
             LiveSource(load_site(site_file), "").close()
@@ -103,7 +104,7 @@ def view(
                 _serve_again(
                     partial(_serve_rig, site_file, page)
                     if recordings is None
-                    else partial(_serve_recording, recordings, page)
+                    else partial(_serve_recording, recordings, files or [], page)
                 )
     # The exit code is that of the signal that ended it, as after any other command; a person ends it with Ctrl-C.
     if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
@@ -127,8 +128,14 @@ def _serve_again(serve_once: Callable[[], None]) -> None:
             time.sleep(end.restart_in_s or 0.0)
 
 
-def _serve_recording(recordings: RecordingSource, page: Served) -> None:
-    document = RecordingDocument(recordings, judged_recording)
+def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: Served) -> None:
+    def judged() -> Mapping[str, Any]:
+        # What draws the figures takes longer to import than the page to open.
+        from telenano.recording_document import judged_recording
+
+        return judged_recording(open_indexed(files, in_order=True))
+
+    document = RecordingDocument(recordings, judged, LevelCache(files))
     with (
         contextlib.closing(Hub(RecordingPlayback(recordings, time.monotonic), document=document)) as hub,
         contextlib.closing(PageServer(hub, page.access, page.bound, page.tls, page.signals.descriptor)) as server,

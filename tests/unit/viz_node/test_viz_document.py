@@ -1,6 +1,10 @@
 """A recording as a document: what a page draws of it is what is in it, at every width."""
 
 import math
+import os
+import shutil
+import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +15,10 @@ from proto.errors import RefusedError
 from recording.arrays import columns
 from recording.reader import Recording
 from recording.site_clock import Timeline
+from services.viz_node import document as document_module
+from services.viz_node import level_cache
 from services.viz_node.document import RecordingDocument
+from services.viz_node.level_cache import LevelCache
 from services.viz_node.levels import Levels, read_samples
 from services.viz_node.streams import STREAMS
 
@@ -97,7 +104,7 @@ def test_a_part_before_the_first_message_has_no_samples(whole: Recording) -> Non
 
 
 def test_what_goes_wrong_in_the_judgement_is_said_and_the_curves_stay(whole: Recording) -> None:
-    def broken(recording: Any) -> dict[str, Any]:
+    def broken() -> dict[str, Any]:
         raise RefusedError("no programme ran")
 
     document = RecordingDocument(whole, broken)
@@ -115,3 +122,74 @@ def test_a_long_recording_has_an_outline_before_it_is_read(whole: Recording) -> 
     # from one end to the other, although the most of it has not been read
     assert times[0] < 0.5 * length_s
     assert times[-1] > 0.8 * length_s
+
+
+def filled(kept: Any = None, judge: Any = None, recording: Any = None) -> RecordingDocument:
+    """Return a document of an hour-long kind, which may be kept, that was read."""
+    found = RecordingDocument(recording, judge, kept)
+    found._kept = kept
+    found.wait()
+    return found
+
+
+def unread() -> dict[str, Any]:
+    raise AssertionError("what was kept was read again")
+
+
+def test_what_was_read_is_kept_and_a_damaged_or_stale_file_of_it_is_ignored(whole: Recording, tmp_path: Path) -> None:
+    source = Path(shutil.copy(whole.path, tmp_path / "session.mcap"))
+    recording, cache = Recording(source), LevelCache([source], tmp_path / "cache")
+    first = filled(cache, lambda: {"summary": {"verdict": "stable"}}, recording)
+    (file,) = (tmp_path / "cache").glob("*.levels")
+    length_s = first.about()["length_s"]
+    again = filled(cache, unread, recording)
+    assert again.about() == first.about()
+    assert again.about()["summary"] == {"verdict": "stable"}
+    assert again.part(-1.0, length_s, 50) == first.part(-1.0, length_s, 50)
+    # a damaged file, half a file and one of something else are as if they were not there
+    sound = file.read_bytes()
+    for wrong in (sound[:100] + bytes([sound[100] ^ 1]) + sound[101:], sound[: len(sound) // 2], b"", b"other"):
+        file.write_bytes(wrong)
+        read = filled(cache, lambda: {"summary": None}, recording)
+        assert read.about()["summary"] is None
+        assert read.part(-1.0, length_s, 50) == first.part(-1.0, length_s, 50)
+        file.write_bytes(sound)
+    # and so is what was kept of the recording before it was changed
+    os.utime(source, ns=(1, 1))
+    assert filled(cache, lambda: {"summary": "new"}, recording).about()["summary"] == "new"
+    assert cache.load(Levels(2.0 * length_s)) is None
+
+
+def test_a_cache_that_cannot_be_written_or_grows_too_large_is_no_hindrance(
+    whole: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert filled(LevelCache([whole.path], tmp_path / "file" / "cache"), dict, whole).about()["read"] == 1.0
+    folder = tmp_path / "cache"
+    monkeypatch.setattr(level_cache, "_MOST_TOGETHER", 1)
+    for n in range(3):
+        source = Path(shutil.copy(whole.path, tmp_path / f"session{n}.mcap"))
+        os.utime(source, ns=(n, n))
+        filled(LevelCache([source], folder), dict, whole)
+        assert len(list(folder.glob("*.levels"))) == 1
+
+
+def test_a_part_that_is_asked_for_is_whole_before_the_rest_is_read(whole: Recording, forces_n: Any) -> None:
+    document = RecordingDocument(whole)
+    # as if the thread that reads everything had not come to it yet
+    document._thread = threading.Thread()
+    times, values = samples(document.part(4.1, 7.9, 100), "tip")
+    assert document.about()["read"] < 0.9
+    assert times[0] < 4.3
+    assert times[-1] > 7.7
+    all_times, all_values = samples(document.part(0.0, document.about()["length_s"], 0), "tip")
+    inside = (all_times > 4.2) & (all_times < 7.8)
+    assert np.nanmax(values[FORCE]) >= all_values[FORCE][inside].max() * (1.0 - 1e-6)
+
+
+def test_the_loss_of_the_link_does_not_depend_on_the_pieces(whole: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = []
+    for piece_s in (0.35, 100.0):
+        monkeypatch.setattr(document_module, "_PIECE_S", piece_s)
+        parts.append(filled(recording=whole).part(-1.0, 20.0, 500)["streams"])
+    assert parts[0] == parts[1]

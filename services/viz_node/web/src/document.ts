@@ -55,6 +55,8 @@ const WHOLE_SPANS = 1500;
 const PART_SPANS = 3600;
 /** How often is asked again while the server still reads the file. */
 const READING_MS = 600;
+/** The server says this while it judges what it has read. */
+const ALL_READ = 0.999;
 const SEEK_MS = 80;
 /** A part reaches beyond what is seen by this much of it on both sides, so that a playhead that moves finds it there. */
 const MARGIN = 0.75;
@@ -89,6 +91,14 @@ export class Document {
 
   get length(): number {
     return this.store.source.length_s ?? 0;
+  }
+
+  /** How far the server has read the file, in words; empty when it knows everything. */
+  get progress(): string {
+    const { about } = this;
+    if (!about) return "the recording is being opened";
+    if (about.read >= 1) return "";
+    return about.read >= ALL_READ ? "all curves are read, phases and verdicts follow" : `read so far: ${Math.floor(100 * about.read)} %, beginning with what is looked at`;
   }
 
   begin(): void {

@@ -44,7 +44,8 @@ export class SummaryPanel implements Panel {
     const summary = about?.summary as Record<string, unknown> | null | undefined;
     this.table.hidden = this.facts.hidden = !summary;
     if (!summary) {
-      this.verdict.textContent = about?.fault ?? (about ? `Read so far: ${(100 * about.read).toFixed(0)} %. The verdict comes when all is read.` : "The recording is being read.");
+      const { progress } = document;
+      this.verdict.textContent = about?.fault ?? (progress ? `${progress[0]!.toUpperCase()}${progress.slice(1)}. The verdict comes at the end.` : "There is no verdict.");
       return;
     }
     this.verdict.replaceChildren(make("b", { class: summary["stable"] ? "good" : "error" }, String(summary["verdict"]).replaceAll("_", " ")), `: ${String(summary["reason"])}`);

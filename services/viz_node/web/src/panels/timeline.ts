@@ -93,7 +93,7 @@ export class TimelinePanel implements Panel {
       phase ? PHASES[phase.kind]?.[0] : "",
       hold ? `${hold.verdict.replaceAll("_", " ")} at ${+hold.hand_force_n.toPrecision(3)} N` : "",
       moment ? moment.text : "",
-      document.about && document.about.read < 1 ? `read so far: ${(100 * document.about.read).toFixed(0)} %` : "",
+      document.progress,
     ].filter(Boolean).join(" · ");
     if (this.event.textContent !== words) this.event.textContent = words;
     this.track.setAttribute("aria-valuetext", `${at.toFixed(3)} s of ${length.toFixed(1)} s${words ? `, ${words}` : ""}`);
