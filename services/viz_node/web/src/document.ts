@@ -173,6 +173,13 @@ export class Document {
     return forwards ? moments.find((moment) => moment.t_s > from + 1e-3) : moments.findLast((moment) => moment.t_s < from - 1e-3);
   }
 
+  /** The next sample of a stream after a place [s]; a millisecond on where the samples there are not here. */
+  sampleAfter(stream: string, place: number): number {
+    const ring = this.part?.width === 0 ? this.part.rings.get(stream) : undefined;
+    const next = ring ? ring.indexAt(place + 1e-5) : 0;
+    return ring && next < ring.length ? ring.time(next) : place + 1e-3;
+  }
+
   private async read(): Promise<void> {
     const reading = ++this.readings;
     for (;;) {

@@ -61,6 +61,7 @@ connection.onState = (state, text) => {
   const was = commands.link;
   commands.link = state;
   status.text = text;
+  document.body.dataset["link"] = state;
   // what cannot be commanded any more looks it
   if (was === "open" && state !== "open") {
     built = "";

@@ -51,7 +51,7 @@ const EYE_SHARE = 0.04;
 const SEEN_NM = 0.2;
 /** Distance of the eye, in that at which a window of usual shape shows the sample; and that for its width. */
 const NEAREST = 1.08;
-const NEAREST_WIDE = 1.62;
+const NEAREST_WIDE = 1.95;
 const AFM = "afm/state/slave";
 /** Where frames are slow the picture is drawn in one of this many, and the rest stays usable. */
 const SLOW_SHARE = 6;
@@ -83,6 +83,8 @@ export class View {
   private readonly scene = new Scene();
   private readonly camera = new PerspectiveCamera(40, 1, 1, 4000);
   private readonly orbit: OrbitControls;
+  /** Whether somebody has chosen from where to look: then a window of another shape is looked into from there. */
+  private isTurned = false;
   private readonly world = new Group();
   private readonly tip = new Probe();
   private readonly normal = arrow(0xd2322d);
@@ -148,6 +150,7 @@ export class View {
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
     this.orbit.addEventListener("change", () => this.invalidate());
+    this.orbit.addEventListener("start", () => (this.isTurned = true));
     this.orbit.listenToKeyEvents(this.renderer.domElement);
     this.renderer.domElement.tabIndex = 0;
     this.headset = new Headset(this.renderer, this.scene, this.world, (text) => this.say(text));
@@ -231,6 +234,7 @@ export class View {
 
   /** Look from above the front, as at a table. */
   reset(): void {
+    this.isTurned = false;
     const { x, y } = this.extent;
     const side = this.size;
     this.camera.near = side;
@@ -379,6 +383,7 @@ export class View {
       ...["off", "anaglyph", "side by side"].map((name) => make("option", { value: name }, name === "off" ? "Stereo off" : name)),
     );
     const zoom = (factor: number) => () => {
+      this.isTurned = true;
       this.camera.position.sub(this.orbit.target).multiplyScalar(factor).add(this.orbit.target);
       this.orbit.update();
     };
@@ -553,6 +558,7 @@ export class View {
     this.renderer.setSize(width, height);
     this.anaglyph?.setSize(width, height);
     this.sideBySide?.setSize(width, height);
+    if (!this.isTurned) this.reset();
     this.invalidate();
   }
 }

@@ -20,5 +20,9 @@ it("judges the numbers of a node in words", () => {
   expect(judged(node)).toEqual(["", "good (15 late, 26 refused)"]);
   expect(judged({ ...node, overruns: 5000 })[0]).toBe("warn");
   expect(judged({ ...node, lateness_p99_s: 0.02 })).toEqual(["warn", "late"]);
+  // half of a period is late for a node of twenty messages a second
+  expect(judged({ ...node, overruns: 0, rate_hz: 20, lateness_p99_s: 0.015 })[0]).toBe("");
+  expect(judged({ ...node, state: "safe" })[0]).toBe("warn");
+  expect(judged({ ...node, state: "safe" }, true)).toEqual(["", "rests while the instrument runs a program"]);
   expect(judged({ ...node, overruns: 0, rejected: 0 })).toEqual(["", "good"]);
 });

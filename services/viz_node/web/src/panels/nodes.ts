@@ -9,19 +9,21 @@ const COLUMNS: readonly (readonly [string, string])[] = [
   ["late", "99th percentile of how late its steps begin [ms]"],
   ["judged", "Whether deadlines, losses and refusals are as they should be"],
 ];
-/** Of a period of 1 ms: later than this a step is felt [s]. */
+/** Later than this a step of the loop is felt [s], and one of a slow node where it is late by this share of its period. */
 const LATE_S = 5e-3;
+const LATE_SHARE = 0.5;
 const LOST_MANY = 10;
 
 /** What the numbers of a node say, in words: good, to watch, or bad, and why. */
-export function judged(node: Pick<Node, "state" | "overruns" | "lost" | "rejected" | "lateness_p99_s" | "uptime_s" | "rate_hz">): [kind: "" | "warn", text: string] {
+export function judged(node: Pick<Node, "state" | "overruns" | "lost" | "rejected" | "lateness_p99_s" | "uptime_s" | "rate_hz">, rests = false): [kind: "" | "warn", text: string] {
   const steps = Math.max(1, node.uptime_s * Math.max(1, node.rate_hz));
   const share = node.overruns / steps;
   const found: string[] = [];
   if (share > 0.01) found.push(`${(100 * share).toFixed(0)} % of its deadlines missed`);
-  if (node.lateness_p99_s > LATE_S) found.push("late");
+  if (node.lateness_p99_s > Math.max(LATE_S, LATE_SHARE / Math.max(1, node.rate_hz))) found.push("late");
   if (node.lost > LOST_MANY) found.push(`${node.lost} messages lost`);
   if (found.length) return ["warn", found.join(", ")];
+  if (node.state === "safe" && rests) return ["", "rests while the instrument runs a program"];
   if (node.state === "safe") return ["warn", "keeps still: nothing drives it"];
   // refused are messages from before a start or of an older session: that is what a guard is for
   const notes = [node.overruns ? `${node.overruns} late` : "", node.lost ? `${node.lost} lost` : "", node.rejected ? `${node.rejected} refused` : ""].filter(Boolean);
@@ -45,8 +47,8 @@ export class NodesPanel implements Panel {
     const lost = new Set(store.lost());
     const rows = [...store.nodes].sort(([a], [b]) => a.localeCompare(b)).map(([name, node]) => {
       const isLost = lost.has(name);
-      const [warns, words] = judged(node);
-      const kind = isLost || node.state === "stopping" ? "bad" : node.state === "safe" ? "warn" : warns;
+      const [warns, words] = judged(node, this.cockpit.tip.program !== "");
+      const kind = isLost || node.state === "stopping" ? "bad" : warns;
       const late = node.lateness_p99_s > 0 ? (node.lateness_p99_s * 1e3).toFixed(2) : "";
       const cells = [name, isLost ? "lost" : node.state, node.rate_hz.toFixed(0), late, isLost ? "no report comes" : words];
       const about = `overruns ${node.overruns}, lost ${node.lost}, refused ${node.rejected}, processor ${node.cpu_percent.toFixed(0)} %`;

@@ -3,7 +3,7 @@ import { colour, make, save } from "../dom";
 import { Pace } from "../pace";
 import { Playhead } from "../playhead";
 import type { Ring } from "../ring";
-import { drawnAs } from "../scopes/catalog";
+import { drawnAs, SHORT } from "../scopes/catalog";
 import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/layout";
 import { Plot, type Window } from "../scopes/plot";
 import { sheetOf } from "../scopes/sheet";
@@ -182,7 +182,7 @@ export class ScopesPanel implements Panel {
 
   private frameOf(plot: Plot, i: number): HTMLElement {
     const keys = plot.keys.map(([label, name]) => {
-      const key = make("span", { class: "key" }, label);
+      const key = make("span", { class: "key" }, SHORT[label] ?? label);
       key.style.setProperty("--key", `var(--${name})`);
       return key;
     });
@@ -199,7 +199,7 @@ export class ScopesPanel implements Panel {
 
   /** Dropped on the left third of a scope it goes before it, elsewhere both are drawn in one. */
   private makeDraggable(element: HTMLElement, name: HTMLElement, i: number): void {
-    const place = (event: DragEvent): string => (event.offsetX < element.clientWidth / 3 ? "before" : "onto");
+    const place = (event: DragEvent): string => (event.clientX - element.getBoundingClientRect().left < element.clientWidth / 3 ? "before" : "onto");
     name.addEventListener("dragstart", (event) => {
       this.dragged = i;
       event.dataTransfer?.setData("text/plain", this.specs[i]!.title);

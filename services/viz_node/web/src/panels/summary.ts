@@ -9,8 +9,8 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["verdict", "Verdict", (text: string) => text.replaceAll("_", " ")],
   ["hold_ratio", "Hold ratio", (value: number) => value.toFixed(3)],
   ["contact_x_cm", "Reference at the end", (value: number) => `${value.toFixed(3)} cm`],
-  ["release_force_nn", "Force after release", (value: number) => `${value.toFixed(2)} nN`],
-  ["greatest_pull_nn", "Greatest pull", (value: number) => `${value.toFixed(2)} nN`],
+  ["release_force_nn", "Force after release", (value: number) => `${fixed(value)} nN`],
+  ["greatest_pull_nn", "Greatest pull", (value: number) => `${fixed(value)} nN`],
   ["round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
   ["link_round_trip_ms", "Round trip of the link", (value: number) => `${value.toFixed(1)} ms`],
   ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
@@ -18,6 +18,19 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["duration_s", "Duration", (value: number) => `${value.toFixed(1)} s`],
   ["version", "Version", String],
 ];
+
+const VERDICTS = { good: "good", warn: "warn", bad: "error" };
+
+/** Whether a verdict is good, bad, or none that says so. */
+export function kindOf(verdict: string): "good" | "warn" | "bad" {
+  if (verdict === "stable") return "good";
+  return ["settling", "drifting", "cannot_say", "released"].includes(verdict) ? "warn" : "bad";
+}
+
+/** A number with two decimals, and without a sign where it is none of them. */
+function fixed(value: number): string {
+  return (+value.toFixed(2) + 0).toFixed(2);
+}
 
 /** The verdict on a recording and on each of its holds, with the numbers of its summary. */
 export class SummaryPanel implements Panel {
@@ -42,13 +55,14 @@ export class SummaryPanel implements Panel {
     this.shown = document.version;
     const { about } = document;
     const summary = about?.summary as Record<string, unknown> | null | undefined;
-    this.table.hidden = this.facts.hidden = !summary;
+    this.facts.hidden = !summary;
+    this.table.hidden = !summary || !about?.holds?.length;
     if (!summary) {
       const { progress } = document;
       this.verdict.textContent = about?.fault ?? (progress ? `${progress[0]!.toUpperCase()}${progress.slice(1)}. The verdict comes at the end.` : "There is no verdict.");
       return;
     }
-    this.verdict.replaceChildren(make("b", { class: summary["stable"] ? "good" : "error" }, String(summary["verdict"]).replaceAll("_", " ")), `: ${String(summary["reason"])}`);
+    this.verdict.replaceChildren(make("b", { class: VERDICTS[kindOf(String(summary["verdict"]))] }, String(summary["verdict"]).replaceAll("_", " ")), `: ${String(summary["reason"])}`);
     this.holds.replaceChildren(...(about?.holds ?? []).map((hold) => this.rowOf(hold)));
     const rows = ROWS.filter(([key]) => summary[key] !== null && summary[key] !== undefined);
     this.facts.replaceChildren(...rows.flatMap(([key, name, show]) => [make("dt", {}, name), make("dd", {}, show(summary[key] as never))]));
@@ -57,7 +71,7 @@ export class SummaryPanel implements Panel {
   /** A hold, which is a way to its place. */
   private rowOf(hold: Hold): HTMLElement {
     const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, hold.from_s.toFixed(2));
-    const kind = hold.verdict === "stable" ? "" : "warn";
+    const kind = kindOf(hold.verdict).replace("good", "");
     const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;
     return make("tr", { class: kind, title: hold.reason }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, hold.verdict.replaceAll("_", " ")));
   }

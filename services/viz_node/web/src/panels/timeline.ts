@@ -2,9 +2,12 @@ import type { Cockpit, Panel } from "../cockpit";
 import type { Span } from "../document";
 import { colour, make } from "../dom";
 import type { Ring } from "../ring";
+import { kindOf } from "./summary";
 
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5, 10, 50];
 const RATE_STEP = Math.SQRT2;
+/** The stream that the key n steps through. */
+const STEPPED = "tip";
 const BAND = 16;
 const EDGE = 6;
 /** What each phase is called, and the colour of its band. */
@@ -16,7 +19,7 @@ const PHASES: Record<string, readonly [string, string]> = {
   release: ["release", "line"],
   released: ["released", "inset"],
 };
-const KEYS = "Keys as in telenano replay: space plays, ← → 1 s, . a sample, e and E the next event and the one before, + − the rate, a b the ends of a stretch, l loops it, c cursors";
+const KEYS = "Keys as in telenano replay: space plays, ← → 1 s, . and , 1 ms, n the next sample of the instrument, e and E the next event and the one before, + − the rate, a b the ends of a stretch, l loops it, c cursors";
 
 /** The whole of a recording: its phases, what happened when, the verdict of each hold, and where the playhead is. */
 export class TimelinePanel implements Panel {
@@ -117,6 +120,7 @@ export class TimelinePanel implements Panel {
       ArrowLeft: () => document.seek(at - 1),
       ".": () => this.stepTo(at + 1e-3),
       ",": () => this.stepTo(at - 1e-3),
+      n: () => this.stepTo(document.sampleAfter(STEPPED, at)),
       Home: () => document.seek(0),
       End: () => document.seek(document.length),
       e: () => this.toMoment(true),
@@ -229,7 +233,7 @@ export class TimelinePanel implements Panel {
     const hold = phase.kind === "hold" ? (this.cockpit.document.about?.holds ?? []).find((found) => Math.abs(found.from_s - phase.from_s) < 1e-6) : undefined;
     const verdict = hold?.verdict ?? "";
     const [x0, x1] = [toX(phase.from_s), toX(phase.to_s)];
-    const kind = !hold ? "" : verdict === "stable" ? "good" : ["settling", "drifting", "cannot_say", "released"].includes(verdict) ? "warn" : "bad";
+    const kind = hold ? kindOf(verdict) : "";
     pen.fillStyle = colour(kind ? `${kind}-back` : fill);
     pen.fillRect(x0 + 0.5, height - BAND, Math.max(1, x1 - x0 - 1), BAND);
     const text = hold ? `${+hold.hand_force_n.toPrecision(2)} N ${verdict.replaceAll("_", " ")}` : name;

@@ -33,6 +33,9 @@ const LABELS: Record<string, string> = {
   "law_master.net_energy": "net",
 };
 
+/** What a curve is called where its scope says the rest, and little room is left. */
+export const SHORT: Record<string, string> = { "hand F_m": "hand", "tip α_f F_s": "tip", "lateral x": "x", "lateral y": "y", "loop age": "loop", "link →": "→", "link ←": "←" };
+
 type Unit = readonly [unit: string, scale: number, floor: number];
 const AT_TIP: Record<string, Unit> = { N: ["nN", 1e9, 0.5], m: ["nm", 1e9, 0.5] };
 const ELSEWHERE: Record<string, Unit> = { N: ["N", 1, 0.05], m: ["mm", 1e3, 0.1], s: ["ms", 1e3, 1], J: ["mJ", 1e3, 0.01], W: ["mW", 1e3, 1] };

@@ -63,7 +63,7 @@ export class ForceDistance {
     this.readAt = (x, y) => [x0 + ((x - left) / (across - left - 6)) * (x1 - x0), y0 + ((bottom - y) / (bottom - 4)) * (y1 - y0)];
     pen.font = "11px system-ui";
     pen.lineWidth = 1;
-    for (const [at, text] of ticks(x0, x1)) line(pen, toX(at), 4, toX(at), bottom, text, "center", toX(at), height - 6);
+    for (const [at, text] of ticks(x0, x1)) line(pen, toX(at), 4, toX(at), bottom, text, "center", Math.min(toX(at), across - pen.measureText(text).width / 2 - 2), height - 6);
     for (const [at, text] of ticks(y0, y1)) line(pen, left, toY(at), across - 6, toY(at), text, "right", left - 4, toY(at) + 4);
     pen.lineWidth = 1.25;
     for (const towards of [false, true]) {

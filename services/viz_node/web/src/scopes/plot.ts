@@ -68,7 +68,7 @@ export class Plot {
   }
 
   get title(): string {
-    if (this.spec.kind === "distance") return `${this.spec.title}, nN over nm`;
+    if (this.spec.kind === "distance") return `${this.spec.title}, nN, nm`;
     return `${this.spec.title}, ${this.units.filter(Boolean).join("; ")}${this.spec.kind === "spectrum" ? " over Hz" : ""}`;
   }
 
@@ -266,6 +266,8 @@ export class Plot {
     // a share that was lost is never negative
     if (this.units[axis] === "%") return [0, Math.max(floor, (max ?? 0) * 1.06)];
     const found = axisRange(min, max, floor, noise);
+    // no age and no delay is negative, and an axis that goes there looks as if one were
+    if (this.units[axis] === "ms" && (min ?? -1) >= 0) found[0] = Math.max(0, found[0]);
     const before = this.ranges[axis];
     const keeps = before && before[0] <= found[0] && before[1] >= found[1] && found[1] - found[0] > SHRINK * (before[1] - before[0]);
     return (this.ranges[axis] = keeps ? before : found);
