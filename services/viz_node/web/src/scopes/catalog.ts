@@ -34,7 +34,7 @@ const LABELS: Record<string, string> = {
 };
 
 /** What a curve is called where its scope says the rest, and little room is left. */
-export const SHORT: Record<string, string> = { "hand F_m": "hand", "tip α_f F_s": "tip", "lateral x": "x", "lateral y": "y", "loop age": "loop", "link →": "→", "link ←": "←" };
+export const SHORT: Record<string, string> = { "hand F_m": "hand", "tip α_f F_s": "tip", "lateral x": "x", "lateral y": "y", "loop age": "loop", "link →": "→", "link ←": "←", "loss →": "% →", "loss ←": "% ←" };
 
 type Unit = readonly [unit: string, scale: number, floor: number];
 const AT_TIP: Record<string, Unit> = { N: ["nN", 1e9, 0.5], m: ["nm", 1e9, 0.5] };

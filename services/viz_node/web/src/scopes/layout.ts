@@ -16,8 +16,8 @@ const scope = (title: string, ...names: string[]): ScopeSpec => ({ title, kind: 
 const FORCE = scope("Force at the hand", "hand.force", "command.tip_force");
 const HAND = scope("Hand", "hand.position", "hand.reference");
 const TIP = scope("Force on the tip", "tip.force", "tip.force_x", "tip.force_y");
-const DISTANCE: ScopeSpec = { title: "Force, distance", kind: "distance", curves: curves("tip.force", "tip.separation"), range: null };
-const DELAY = scope("Delay, loss", "hand.loop_age", "link.forward_delay", "link.backward_delay", "link.forward_loss", "link.backward_loss");
+const DISTANCE: ScopeSpec = { title: "Force", kind: "distance", curves: curves("tip.force", "tip.separation"), range: null };
+const DELAY = scope("Delay", "hand.loop_age", "link.forward_delay", "link.backward_delay", "link.forward_loss", "link.backward_loss");
 const ENERGY = scope("Energy", "law_master.port_energy", "law_slave.port_energy", "law_master.net_energy");
 
 /** Layouts that every page has. */

@@ -68,7 +68,7 @@ export class Plot {
   }
 
   get title(): string {
-    if (this.spec.kind === "distance") return `${this.spec.title}, nN, nm`;
+    if (this.spec.kind === "distance") return `${this.spec.title}, nN over nm`;
     return `${this.spec.title}, ${this.units.filter(Boolean).join("; ")}${this.spec.kind === "spectrum" ? " over Hz" : ""}`;
   }
 
