@@ -289,7 +289,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     assert np.ptp(heights_nm) > 5.0
     shown_nm = operator.value("[telenano.view.surface.least, telenano.view.surface.greatest]")
     assert shown_nm == pytest.approx([heights_nm.min(), heights_nm.max()], rel=1e-5)
-    operator.until(has("#program-state", "the scan is finished"), "the page's word")
+    operator.until(has("#program-state", "scan is finished"), "the page's word")
     # after an image the tip is away until it is armed
     operator.click("#mode-bilateral")
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")

@@ -169,7 +169,8 @@ export class Hand {
       pen.fillStyle = colour("c2");
       pen.fillRect(x + 18, arm, 5, -(back / LIMIT_N) * height * 0.4);
     }
-    const own = this.meant === undefined ? "Drag down, here or in the scene" : "Held: let go, or Keep holding";
+    const isFar = this.meant !== undefined && this.meant >= TOP_M + TRAVEL_M;
+    const own = this.meant === undefined ? "Drag down, here or in the scene" : isFar ? "Held at the end of the way: no more force" : "Held: let go, or Keep holding";
     const text = this.refusal || own;
     if (this.text.textContent !== text) this.text.textContent = text;
     this.pad.dataset["held"] = String(this.meant !== undefined);

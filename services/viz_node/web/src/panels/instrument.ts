@@ -12,6 +12,13 @@ const MODES: Record<string, string> = {
   retracting: "The tip moves away from the sample.",
   estop: "Emergency stop: the tip is away. Arm brings it back.",
 };
+/** Why the guard has moved the tip away, by the reason that it reports. */
+const REASONS: Record<string, string> = {
+  hold_expired: "No fresh command came, as when a delay begins: the tip is away. Bilateral brings it back.",
+  force_limit: "The force on the tip was above its limit: the tip is away. Bilateral brings it back.",
+  force_invalid: "The force on the tip is not known: the tip is away.",
+  device_lost: "The instrument does not answer: the tip is away.",
+};
 const FARTHEST_NM = 1e5;
 
 /** What the instrument does, as one pressed button of several, and where the tip is over the sample. */
@@ -66,8 +73,14 @@ export class InstrumentPanel implements Panel {
     }
     let shown = MODES[mode] ?? "";
     if (program && running) shown = `${program.program}: ${program.state}, ${program.done_percent.toFixed(0)} %: ${program.text}`;
-    else if (program?.text) shown += ` Before: ${program.text}.`;
+    else if (mode.startsWith("retract")) shown = this.whyAway() ?? (program?.text ? `${program.text[0]!.toUpperCase()}${program.text.slice(1)}. Bilateral, or Arm, brings it back.` : shown);
     if (this.state.textContent !== shown) this.state.textContent = shown;
+  }
+
+  /** Why the tip is away, by the last report of the guard; undefined where somebody wanted it so. */
+  private whyAway(): string | undefined {
+    const report = this.cockpit.store.events.findLast(({ src, text }) => src.startsWith(INSTRUMENT) && text.includes(" in mode retract"));
+    return REASONS[report?.text.split(": ").at(-1) ?? ""];
   }
 
   private move(): void {
