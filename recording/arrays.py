@@ -18,6 +18,8 @@ _RECORD_FIELDS = ("log_ns", "publish_ns")
 _FAST_HZ = 100.0
 # So many samples in a row that are so much older than the newest come from a player that was set back.
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
+# so many values are put into an array at once
+_AT_ONCE = 50_000
 # a launcher reports a session when the device has answered that its programme runs
 _START_REPORT_NS = 2_000_000_000
 
@@ -51,13 +53,26 @@ def columns(
         raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}")
     paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
     values: dict[str, list[Any]] = {field: [] for field in fields}
-    for message in recording.messages((channel_topic,), start_ns, end_ns):
+    pieces: dict[str, list[Column]] = {field: [] for field in fields}
+    kinds: dict[str, set[type]] = {field: set() for field in fields}
+
+    def pack() -> None:
+        """Put what has been read into arrays, which take a quarter of the memory of the values."""
+        for field, found in values.items():
+            kinds[field] |= {type(value) for value in found}
+            pieces[field].append(_array(recording, channel_topic, field, found, kinds[field]))
+            found.clear()
+
+    for number, message in enumerate(recording.messages((channel_topic,), start_ns, end_ns), 1):
         for field in _RECORD_FIELDS:
             if field in values:
                 values[field].append(getattr(message, field))
         if paths:
             _append_fields(recording, message, paths, values)
-    return {field: _array(recording, channel_topic, field, values[field]) for field in fields}
+        if number % _AT_ONCE == 0:
+            pack()
+    pack()
+    return {field: _joined(pieces[field]) for field in fields}
 
 
 def replayed_sources(recording: RecordingSource, *, newest: bool = False) -> set[str]:
@@ -111,8 +126,17 @@ def _path_of(field: str) -> tuple[str | int, ...]:
     return tuple(int(part) if part.isdecimal() else part for part in field.split("."))
 
 
-def _array(recording: RecordingSource, channel_topic: str, field: str, values: list[Any]) -> Column:
-    kinds = {type(value) for value in values}
+def _joined(pieces: list[Column]) -> Column:
+    """Return the pieces of a column as one array, of the last one's type: each is of all types that came before it."""
+    last = pieces[-1].dtype
+    if last == np.object_:
+        # a piece in which all values were nil is one of numbers that are none
+        pieces = [found if found.dtype == last else np.full(found.shape, None, dtype=np.object_) for found in pieces]
+    return np.concatenate([found.astype(last, copy=False) for found in pieces])
+
+
+def _array(recording: RecordingSource, channel_topic: str, field: str, values: list[Any], kinds: set[type]) -> Column:
+    """Return values as an array; `kinds` are the types of these and of all before them."""
     if not kinds or (kinds <= {float, int, type(None)} and kinds & {float, type(None)}):
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if kinds <= {int}:

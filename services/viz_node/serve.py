@@ -184,6 +184,12 @@ class PageServer:
         """End the server and the connections of its pages."""
         self._server.should_exit = True
         self._loop.run_until_complete(asyncio.wait({self._serving}))
+        # what pages had asked for has nobody to be told to any more
+        left = asyncio.all_tasks(self._loop)
+        for task in left:
+            task.cancel()
+        if left:
+            self._loop.run_until_complete(asyncio.wait(left))
         self._loop.close()
 
 

@@ -2,12 +2,14 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, teleop_forward
 
 from proto import encode
 from proto.errors import RecordingError
+from recording import arrays
 from recording.arrays import columns
 from recording.reader import Recording
 from recording.writer import RecordingWriter
@@ -64,3 +66,38 @@ def test_nil_becomes_nan(config: RecorderConfig) -> None:
 def test_what_is_not_there_is_named(make_file: MakeFile, channel: str, field: str, text: str) -> None:
     with pytest.raises(RecordingError, match=rf"session\.mcap.*{text}"):
         columns(Recording(make_file(2)), channel, [field])
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        ([1, 2, 3, 2**62 + 1], "i"),
+        ([1, 2, 3.5, None, 4], "f"),
+        ([None, None, 1.0], "f"),
+        ([None, None, "a", None, "b"], "O"),
+        (["a", "b", "c"], "O"),
+        ([True, False, True], "b"),
+        ([None, None, None], "f"),
+        ([1, "a"], None),
+        ([True, None], None),
+    ],
+)
+def test_a_column_does_not_depend_on_how_much_is_packed_at_once(
+    config: RecorderConfig, monkeypatch: pytest.MonkeyPatch, values: list[object], kind: str | None
+) -> None:
+    writer = RecordingWriter.create(NODE, config)
+    channel = writer.channel("teleop/forward", "controller@master", "master")
+    for seq, value in enumerate(values):
+        writer.write(channel, seq, seq, seq, msgpack.packb({"value": value}))
+    writer.finish()
+    recording = Recording(writer.path)
+    for at_once in (1, 2, 3, 1000):
+        monkeypatch.setattr(arrays, "_AT_ONCE", at_once)
+        if kind is None:
+            with pytest.raises(RecordingError, match="value is a "):
+                columns(recording, "teleop/forward", ["value"])
+            continue
+        found = columns(recording, "teleop/forward", ["value"])["value"]
+        assert found.dtype.kind == kind
+        expected = [math.nan if value is None and kind == "f" else value for value in values]
+        np.testing.assert_array_equal(found, np.array(expected, dtype=found.dtype))
