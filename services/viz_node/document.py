@@ -79,6 +79,7 @@ class RecordingDocument:
         self._facts: Facts = {}
         self._is_known = False
         self._timeline: Timeline | None = None
+        self._timing = threading.Lock()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
         # the pieces that have not been read, and what was asked for last [s]
@@ -131,7 +132,7 @@ class RecordingDocument:
                 self._thread.start()
 
     def _known_timeline(self) -> Timeline:
-        with self._lock:
+        with self._timing:
             if self._timeline is None:
                 self._timeline = Timeline(self._recording, quick=self._length_s > _LONG_S)
             return self._timeline

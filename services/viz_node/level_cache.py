@@ -21,6 +21,7 @@ _FORMAT = 1
 _ENDS_BYTES = 1 << 16
 # of a file of the cache, and of all of them [bytes]
 _MOST_BYTES, _MOST_TOGETHER = 256 << 20, 512 << 20
+_UNUSABLE = (OSError, RuntimeError, zstandard.ZstdError, TypeError, ValueError, MemoryError)
 _ROOT = Path(__file__).resolve().parents[2]
 _SOURCES = ("analysis", "recording", "services/viz_node", "telenano")
 
@@ -30,31 +31,31 @@ class LevelCache:
 
     def __init__(self, paths: Sequence[Path], folder: Path | None = None) -> None:
         """Name the place of a recording in its parts."""
-        self._paths = paths
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        self._folder = folder or base / "telenano" / "recordings"
+        self._paths, self._given = paths, folder
 
     def load(self, levels: Levels) -> Mapping[str, Any] | None:
         """Fill the levels, and return what else was kept; None where nothing usable was."""
         try:
             path = self._path()
-            packed = zstandard.ZstdDecompressor().decompress(path.read_bytes(), max_output_size=_MOST_BYTES)
-            found = msgpack.unpackb(packed)
+            data = path.read_bytes()
+            if not 0 < zstandard.frame_content_size(data) <= _MOST_BYTES:
+                return None
+            found = msgpack.unpackb(zstandard.ZstdDecompressor().decompress(data))
             levels.restore(found["levels"])
             facts = found["facts"]
             os.utime(path)
-        except (OSError, zstandard.ZstdError, ValueError, KeyError, TypeError, msgpack.UnpackException):
+        except (*_UNUSABLE, KeyError, msgpack.UnpackException):
             return None
         return facts if isinstance(facts, dict) else None
 
     def save(self, levels: Levels, facts: Mapping[str, Any]) -> None:
         """Keep the levels and what else is known, and remove what was not used for longest where it gets too much."""
-        with contextlib.suppress(OSError, zstandard.ZstdError, TypeError, ValueError):
+        with contextlib.suppress(*_UNUSABLE):
             path = self._path()
             packed = msgpack.packb({"levels": levels.kept(), "facts": dict(facts)})
             if len(packed) > _MOST_BYTES:
                 return
-            self._folder.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             with whole_file(path) as part:
                 part.write_bytes(zstandard.ZstdCompressor(level=1, write_checksum=True).compress(packed))
             self._prune(path)
@@ -68,10 +69,13 @@ class LevelCache:
                 digest.update(file.read(_ENDS_BYTES))
                 file.seek(max(0, known.st_size - _ENDS_BYTES))
                 digest.update(file.read(_ENDS_BYTES))
-        return self._folder / f"{digest.hexdigest()[:32]}.levels"
+        # a process without a home has no cache
+        folder = self._given or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano/recordings"
+        return folder / f"{digest.hexdigest()[:32]}.levels"
 
-    def _prune(self, kept: Path) -> None:
-        found = sorted(self._folder.glob("*.levels"), key=lambda path: path.stat().st_mtime, reverse=True)
+    @staticmethod
+    def _prune(kept: Path) -> None:
+        found = sorted(kept.parent.glob("*.levels"), key=lambda path: path.stat().st_mtime, reverse=True)
         together = 0
         for path in found:
             together += path.stat().st_size
