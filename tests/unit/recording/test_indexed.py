@@ -1,7 +1,10 @@
 """A recording that is read by its index has what one has that is read from one end to the other."""
 
+import contextlib
+import random
 import shutil
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -130,3 +133,22 @@ def test_parts_are_read_as_one(path: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="missing"):
         open_indexed([path, tmp_path / "missing.mcap"])
     assert list(open_indexed([path, path]).select()) == 2 * list(Recording(path).select())
+
+
+def test_a_forged_index_ends_in_nothing_but_what_a_person_can_read(path: Path, tmp_path: Path) -> None:
+    sound = path.read_bytes()
+    footer = len(sound) - 8 - 29
+    (begin,) = struct.unpack_from("<Q", sound, footer + 9)
+    dice = random.Random(7)
+    forged = tmp_path / "forged.mcap"
+    for _ in range(40):
+        data = bytearray(sound)
+        for _ in range(dice.choice((1, 2, 8))):
+            data[dice.randrange(begin, footer)] = dice.choice((0, 255, dice.randrange(256)))
+        struct.pack_into("<I", data, footer + 25, zlib.crc32(bytes(data[begin : footer + 25])))
+        forged.write_bytes(data)
+        with contextlib.suppress(RecordingError):
+            indexed = IndexedRecording(forged)
+            assert sum(1 for _ in indexed.select(WANTED[1])) <= 2000
+            indexed.newest_before(indexed.span_ns[1])
+            assert indexed.info().messages >= 0
