@@ -32,6 +32,8 @@ TICK_S = 1.0 / 30.0
 IDLE_S = 0.25
 # two seconds: a page that is further behind begins anew
 MOST_QUEUED = 60
+# of a page that reads nothing the oldest go
+_MOST_ANSWERS = 256
 # A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
 # for a tenth of a second and more. What it said last holds for this long, and is repeated to the haptic node, which
 # waits for less.
@@ -120,6 +122,8 @@ class Session:
         self.role = role
         self.ready = asyncio.Event()
         self._frames: deque[bytes] = deque()
+        # What a page was told once is not in the snapshot with which it begins anew.
+        self._answers: deque[bytes] = deque(maxlen=_MOST_ANSWERS)
         self._times_s: deque[float] = deque(maxlen=_REQUESTS_PER_S)
 
     def offer(self, frame: bytes) -> bool:
@@ -130,18 +134,23 @@ class Session:
         self.ready.set()
         return True
 
+    def answer(self, frame: bytes) -> None:
+        """Queue an answer, which comes before what changes and is not dropped with it."""
+        self._answers.append(frame)
+        self.ready.set()
+
     def restart(self, frame: bytes) -> None:
-        """Drop what waits, and queue a snapshot."""
+        """Drop the changes that wait, and queue a snapshot."""
         self._frames.clear()
         self._frames.append(frame)
         self.ready.set()
 
     async def next_frame(self) -> bytes:
         """Wait for the next frame."""
-        while not self._frames:
+        while not (self._frames or self._answers):
             self.ready.clear()
             await self.ready.wait()
-        return self._frames.popleft()
+        return (self._answers or self._frames).popleft()
 
     def may_ask(self, now_s: float) -> bool:
         """Return whether a request comes within the rate that a page may have."""
@@ -226,7 +235,7 @@ class Hub:
             return
         self._forms = await asyncio.to_thread(self._make_forms)
         for session in self.sessions:
-            session.offer(_packed({"k": "forms", "forms": self._forms}))
+            session.answer(_packed({"k": "forms", "forms": self._forms}))
 
     def tick(self) -> None:
         """Collect what has come and queue it for every page."""
@@ -291,7 +300,7 @@ class Hub:
             self._push(session, request)
             return
         if isinstance(request, DocumentRequest | PartRequest):
-            session.offer(_packed(await self._read(session, request)))
+            session.answer(_packed(await self._read(session, request)))
             return
         identifier = getattr(request, "id", "")
         try:
@@ -303,7 +312,7 @@ class Hub:
         except Exception as error:  # noqa: BLE001
             # whatever went wrong: who asked for an emergency stop has to be told that there was none
             is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
-        session.offer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text}))
+        session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text}))
 
     async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
         """Return the answer to a page that reads in a recording, which every role may."""
@@ -417,7 +426,7 @@ class Hub:
         if self._open_hand is None or session.role is not Role.OPERATOR or not free:
             reason = "another page holds the hand" if not free else "this page cannot hold the hand"
             if request.held:
-                session.offer(_packed({"k": "hand", "held": False, "text": reason}))
+                session.answer(_packed({"k": "hand", "held": False, "text": reason}))
             return
         if not request.held:
             self._release()
@@ -429,7 +438,7 @@ class Hub:
             self._looked_s, self._silent_s = time.monotonic(), 0.0
             self._hand.push(request.force_n)
         except TelenanoError as error:
-            session.offer(_packed({"k": "hand", "held": False, "text": str(error)}))
+            session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
 
     def _hold(self) -> None:
         """Repeat the force of the page that holds the hand, and let go for one that has said nothing for too long."""

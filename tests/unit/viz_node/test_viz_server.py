@@ -347,7 +347,7 @@ def asked(rig: Rig, name: str, arrived_s: float) -> dict[str, Any]:
     rig.hub.sessions.add(session)
     request = CommandRequest("a", name, "controller", {})
     asyncio.run(rig.hub.handle(session, request, arrived_s))
-    answer: dict[str, Any] = msgpack.unpackb(session._frames.pop())
+    answer: dict[str, Any] = msgpack.unpackb(session._answers.pop())
     return answer
 
 
@@ -402,8 +402,8 @@ def test_who_holds_the_key_down_stops_a_few_times_and_once_more(rig: Rig, monkey
 
     asyncio.run(press())
     assert len(begun) == hubs._MOST_STOPS + 1
-    assert all(msgpack.unpackb(frame)["ok"] for frame in session._frames)
-    assert len(session._frames) == 50
+    assert all(msgpack.unpackb(frame)["ok"] for frame in session._answers)
+    assert len(session._answers) == 50
 
 
 def test_who_asked_for_an_emergency_stop_is_told_whatever_kept_it_from_being_sent(
@@ -526,6 +526,22 @@ def test_a_page_that_does_not_read_holds_up_nobody_and_begins_anew(rig: Rig) -> 
     assert len(slow._frames) == 1
     snapshot = msgpack.unpackb(slow._frames[0])
     assert (snapshot["k"], snapshot["events"][-1]["text"]) == ("snapshot", str(hubs.MOST_QUEUED))
+
+
+def test_an_answer_is_not_dropped_with_what_a_page_has_not_read(rig: Rig) -> None:
+    session = hubs.Session(server.Role.OPERATOR)
+    rig.hub.sessions = {session}
+    for i in range(2 * hubs.MOST_QUEUED):
+        fields = {"kind": "mode", "level": "info", "text": str(i), "seq": i, "data": {}}
+        rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
+        rig.hub.tick()
+        if i in (hubs.MOST_QUEUED // 2, hubs.MOST_QUEUED):
+            # one before the page begins anew, one while no more changes fit in
+            asyncio.run(rig.hub.handle(session, CommandRequest(str(i), "arm", "controller", {}), time.monotonic()))
+    frames = [msgpack.unpackb(asyncio.run(asyncio.wait_for(session.next_frame(), 5.0))) for _ in range(3)]
+    assert [frame.get("id") for frame in frames[:2]] == [str(hubs.MOST_QUEUED // 2), str(hubs.MOST_QUEUED)]
+    assert all(frame["ok"] for frame in frames[:2])
+    assert frames[2]["k"] == "snapshot"
 
 
 class ShortDocument:
