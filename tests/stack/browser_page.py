@@ -129,6 +129,14 @@ class Page:
         # the pad is 25 mm high
         self.page.mouse.move(x, y + down_mm / 25.0 * box["height"], steps=8)
 
+    def follow(self) -> None:
+        """Let the tip follow the hand, again where a server that was held up has refused it, which the page says."""
+        end = time.monotonic() + PATIENCE_S
+        while self.fact("afm/state/slave", "mode") != "follow":
+            assert time.monotonic() < end, f"the tip does not follow: {self.page.inner_text('#answers')!r}"
+            self.answered(lambda: self.click("#mode-bilateral"))
+            self.page.wait_for_timeout(1500.0)
+
     def fact(self, state: str, key: str) -> Any:
         return self.value(f"telenano.store.fact('{state}', '{key}')")
 
