@@ -86,11 +86,12 @@ class NodeProcesses:
         epoch_offset_ns: int,
         on_stopping: Callable[[str], None] = lambda node: None,
         inherited: Mapping[str, Inherited] | None = None,
+        held: Sequence[int] = (),
     ) -> None:
         """Prepare empty logs for the nodes in `commands`, the command line of each by its key.
 
         `stop_order` are keys; `on_stopping` is called with a key before its process is stopped; `inherited` is what
-        some of the nodes are given as well.
+        some of the nodes are given as well, and `held` the descriptors that each of them keeps open.
         """
         self._commands = commands
         self._stop_order = stop_order
@@ -98,6 +99,7 @@ class NodeProcesses:
         self._environment = child_environment(os.environ, epoch_offset_ns)
         self._on_stopping = on_stopping
         self._inherited = inherited or {}
+        self._held = tuple(held)
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         log_directory.mkdir(parents=True, exist_ok=True)
         for node in commands:
@@ -115,7 +117,7 @@ class NodeProcesses:
                 stdout=log,
                 stderr=log,
                 env={**self._environment, **inherited.environment},
-                pass_fds=inherited.descriptors,
+                pass_fds=(*inherited.descriptors, *self._held),
                 # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
                 start_new_session=True,
                 preexec_fn=partial(_die_with, os.getpid()),

@@ -59,8 +59,35 @@ def default_folder(scenario: str, now: datetime) -> Path:
     return Path("sessions") / f"{Path(scenario).stem}-{now:%Y%m%d-%H%M%S}"
 
 
+@contextlib.contextmanager
+def reserved_folder(scenario: str, now: datetime) -> Iterator[Path]:
+    """Make the folder of a session that none was named for, and remove it again where nothing was written to it.
+
+    Of two rigs that start in the same second each has its own.
+    """
+    first = default_folder(scenario, now)
+    for named in (first, *(first.with_name(f"{first.name}-{number}") for number in range(2, 100))):
+        try:
+            named.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError:
+            # What writes to it first reports why that is not possible.
+            pass
+        break
+    try:
+        yield named
+    finally:
+        with contextlib.suppress(OSError):
+            named.rmdir()
+
+
 def run_rig(
-    plan: Plan, observe: Observer, show: Callable[[str], None], beside: Mapping[str, Inherited] | None = None
+    plan: Plan,
+    observe: Observer,
+    show: Callable[[str], None],
+    beside: Mapping[str, Inherited] | None = None,
+    held: Sequence[int] = (),
 ) -> Outcome:
     """Run a planned rig from the first process to the last; TelenanoError if it could not begin.
 
@@ -69,6 +96,7 @@ def run_rig(
         observe: Called with the node of the launcher whenever there may be something new to show.
         show: Called with each line for the user.
         beside: What further processes inherit, by node. They run with the rig, which goes on without them.
+        held: Descriptors that every process inherits: the name and the processors of the rig (`own_rig`).
     """
     beside = {**(beside or {}), **_end_of_relay(plan)}
     signals = StopSignals()
@@ -83,8 +111,9 @@ def run_rig(
         nodes = (*plan.nodes, *beside)
         commands = {node: node_command(node, plan.site_file, plan.scenario_file) for node in nodes}
         clock = participant.clock
+        epoch_ns = clock.epoch_offset_ns
         children = NodeProcesses(
-            commands, STOP_ORDER, log_directory, clock.epoch_offset_ns, lambda node: show(f"stopping {node}"), beside
+            commands, STOP_ORDER, log_directory, epoch_ns, lambda node: show(f"stopping {node}"), beside, held
         )
         stack.enter_context(own_log(log_directory / f"{plan.launcher}.log"))
         supervisor = Supervisor(clock, plan.nodes, children, Watchdog(clock, ProcFiles()), tuple(beside))

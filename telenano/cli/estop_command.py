@@ -4,23 +4,26 @@ import contextlib
 import json
 import os
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from proto.errors import ConfigError, RigError, TelenanoError
-from services.console.emergency_stop import Answer, LocalRig, emergency_stop, keep_for_absent
+from services.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_for_absent
+from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 
 
 class EstopRequest(NamedTuple):
-    """The options of the command: `site` is empty where both are one."""
+    """The options of the command: `site` is empty where both are one, `rig` where each of this user's is meant."""
 
     target: str = "*"
     site: str = ""
     site_file: Path | None = None
     as_json: bool = False
+    rig: str = ""
 
 
 def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
@@ -41,6 +44,8 @@ def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
             request = request._replace(target=value)
         elif option == "--site" and value in ("master", "slave"):
             request = request._replace(site=value)
+        elif option == "--rig" and is_rig_name(value):
+            request = request._replace(rig=value)
         elif option == "--site-file" and value:
             request = request._replace(site_file=site_file_named(Path(value)))
         else:
@@ -80,28 +85,92 @@ def _print(line: str) -> None:
 
 
 def _stop(request: EstopRequest) -> dict[str, Answer]:
+    """Stop the rig that is named, or else every rig of this user: a person in a hurry names none."""
+    if request.rig or os.environ.get(RIG_VARIABLE):
+        return _stop_rig(request, request.rig or os.environ[RIG_VARIABLE], lambda answer: _show(request, answer))
+    first = _reached(request, FIRST_RIG)[0].endpoints
+    # A site file may have folders of its own, which are the same for all.
+    named = [name for name in rigs_with_folders() if _reached(request, name)[0].endpoints != first]
+    others = [name for name in named if _runs(request, name)]
+    if not others:
+        return _stop_rig(request, "", lambda answer: _show(request, answer))
+    # All at once: one that does not answer must not keep the stop from the others.
+    names = [name for name in (FIRST_RIG, *others) if name in others or _runs(request, name)]
+    answers: dict[str, Answer] = {}
+    faults: list[str] = []
+
+    def stop(name: str) -> None:
+        def on_answer(answer: Answer) -> None:
+            named = answer._replace(node=f"{name}/{answer.node}")
+            answers[named.node] = named
+            _show(request, named)
+
+        try:
+            _stop_directly(*rigs[name], request.target, on_answer)
+        except TelenanoError as error:
+            faults.append(f"rig {name}: {error}")
+
+    rigs = {name: _reached(request, name) for name in names}
+    threads = [threading.Thread(target=stop, args=(name,)) for name in names]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if faults:
+        raise RigError("; ".join(faults))
+    return answers
+
+
+def _show(request: EstopRequest, answer: Answer) -> None:
+    if not request.as_json:
+        _print(f"{answer.node} {answer.kind}: {answer.text}")
+
+
+def _runs(request: EstopRequest, name: str) -> bool:
+    """Return whether devices of a rig can be stopped here, or will be started again by its launcher."""
+    rig, reach = _reached(request, name)
+    return bool(reach.direct or reach.by_link) or rig.is_supervised()
+
+
+def _reached(request: EstopRequest, name: str) -> tuple[LocalRig, Reach]:
+    """Return the endpoints of a rig on this machine, and the way to its devices."""
+    before = os.environ.get(RIG_VARIABLE, "")
+    os.environ[RIG_VARIABLE] = name
+    try:
+        site_file = request.site_file
+        rig = LocalRig.packaged(two_machines=bool(request.site)) if site_file is None else LocalRig.read(site_file)
+    finally:
+        os.environ[RIG_VARIABLE] = before
+    return rig, rig.reach(request.target, request.site)
+
+
+def _stop_rig(request: EstopRequest, name: str, show: Callable[[Answer], None]) -> dict[str, Answer]:
+    """Stop the devices of one rig, by every way that there is."""
+    os.environ[RIG_VARIABLE] = name
     site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
-    named = request.site_file is not None
-    rig = LocalRig.read(site_file) if named else LocalRig.packaged(two_machines=bool(request.site))
-    reach = rig.reach(request.target, request.site)
+    rig, reach = _reached(request, name)
     answers: dict[str, Answer] = {}
 
     def on_answer(answer: Answer) -> None:
         answers[answer.node] = answer
-        if not request.as_json:
-            _print(f"{answer.node} {answer.kind}: {answer.text}")
+        show(answer)
 
+    _stop_directly(rig, reach, request.target, on_answer)
+    if reach.by_console or not answers:
+        _stop_by_console(request, site_file, lambda answer: on_answer(answer) if answer.node not in answers else None)
+    return answers
+
+
+def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> None:
+    """Stop the devices that are reached without a console; RigError where none of those that are meant runs."""
     if reach.direct or reach.by_link:
-        emergency_stop(rig, reach, request.target, on_answer)
+        emergency_stop(rig, reach, target, on_answer)
     elif reach.absent and not reach.by_console:
-        if kept := keep_for_absent(rig, reach, request.target):
+        if kept := keep_for_absent(rig, reach, target):
             raise RigError(f"{', '.join(kept)} does not run now: the stop is kept, it comes back in emergency stop")
         raise RigError("no device of the site file runs here: is `telenano up` running with this site file?")
     for device in reach.absent:
         sys.stderr.write(f"telenano: {device} does not run\n")
-    if reach.by_console or not answers:
-        _stop_by_console(request, site_file, lambda answer: on_answer(answer) if answer.node not in answers else None)
-    return answers
 
 
 def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:

@@ -4,12 +4,14 @@ import contextlib
 import importlib
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
+from telenano.cli.rig_choice import choose_rig
 
 # typer has no other name for the base of all errors of the command line.
 _UsageError: Any = typer.BadParameter.__base__
@@ -124,11 +126,32 @@ def _plain(command: Any) -> Any:
     for parameter in command.params:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
             parameter.metavar = "N"
+    if any(parameter.name == "site_file" for parameter in command.params):
+        # What names the address book of a rig names the rig.
+        command.params.append(_rig_option())
     for child in getattr(command, "commands", {}).values():
         # The help is the whole sentence, which would be cut off after 45 letters.
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
         _plain(child)
     return command
+
+
+def _rig_option() -> Any:
+    """Return `--rig`, which chooses the rig and is no argument of a command; typer makes it of a signature alone."""
+    option = typer.Option(
+        "--rig",
+        metavar="NAME",
+        help=f"Rig of several on this machine; default: {RIG_VARIABLE}, else the first one, {FIRST_RIG}.",
+        expose_value=False,
+        is_eager=True,
+        callback=choose_rig,
+    )
+    alone = typer.Typer(add_completion=False)
+
+    @alone.command()
+    def named(rig: Annotated[str | None, option] = None) -> None: ...
+
+    return next(parameter for parameter in typer.main.get_command(alone).params if parameter.name == "rig")
 
 
 class LazyRoot(TyperGroup):

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from proto.errors import ConfigError
+from services.launcher.processors import FOR_A_RIG, fits_text
 
 if TYPE_CHECKING:
     from services.runtime.security.keyring import Keyring
@@ -138,6 +139,17 @@ def check_processors(permitted: int, quota: float | None) -> Finding:
         return Finding("processors", "ok", found)
     advice = f"give the rig {_LEAST_PROCESSORS} or more: a larger machine, `taskset`, or `cpus:` of a container"
     return Finding("processors", "warning", f"{found}; too few for the 1 kHz loops not to disturb each other", advice)
+
+
+def check_rig_processors(permitted: int, held: Sequence[int]) -> Finding:
+    """Check that two processors are left for a further rig: each one that runs holds its own."""
+    name, free = "processors of rigs", permitted - len(held)
+    if not held:
+        return Finding(name, "ok", f"none is held by a rig, {fits_text(free)}")
+    found = f"{', '.join(map(str, held))} held by rigs that run; {fits_text(free)}"
+    if free >= FOR_A_RIG:
+        return Finding(name, "ok", found)
+    return Finding(name, "warning", found, "end one of them: `telenano status --all` lists those of this user")
 
 
 def cpu_quota(groups: Path, membership: Path) -> float | None:

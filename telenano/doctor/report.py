@@ -20,6 +20,7 @@ from rich.text import Text
 from presets import DEFAULT_SITE_FILE
 from presets.plugins import all_installed, known_problems, scenario_files
 from proto.errors import ConfigError, EndpointError
+from services.launcher.processors import held, shared_folder
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_json, report_errors
 from telenano.doctor import checks
@@ -72,6 +73,7 @@ def machine(*, container: bool) -> list[Finding]:
     here = Path.cwd()
     return [
         checks.check_processors(len(permitted), quota),
+        checks.check_rig_processors(len(permitted), held(permitted, shared_folder())),
         checks.check_fifo(checks.attempt_fifo(), _limit(resource.RLIMIT_RTPRIO), runtime_us, container=container),
         checks.check_memory_lock(checks.attempt_memory_lock(), _limit(resource.RLIMIT_MEMLOCK), container=container),
         checks.check_governor(_SYSTEM / "cpu", permitted),

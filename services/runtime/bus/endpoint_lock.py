@@ -12,14 +12,30 @@ from services.runtime.settings.optional_modules import optional_module
 fcntl = optional_module("fcntl")
 
 
+class EndpointInUseError(EndpointError):
+    """Another process holds an endpoint; `holder` is its number, as text."""
+
+    def __init__(self, text: str, holder: str) -> None:
+        super().__init__(text)
+        self.holder = holder
+
+
 class EndpointLock:
-    """Holds an ipc endpoint for this process until it is released; any other endpoint needs no lock."""
+    """Holds an ipc endpoint for this process until it is released; any other endpoint needs no lock.
+
+    The kernel ends the lock with the last process that has its descriptor: this one, and those that inherit it.
+    """
 
     def __init__(self, endpoint: str) -> None:
         """Lock the file beside the socket; EndpointError names the process that holds it."""
         self._socket = Path(endpoint.removeprefix("ipc://")) if endpoint.startswith("ipc://") else None
         self._path = Path(f"{self._socket}.lock")
         self._file = None if self._socket is None else self._acquire(endpoint)
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """What a further process has to inherit to hold the endpoint as well."""
+        return () if self._file is None else (self._file.fileno(),)
 
     def release(self) -> None:
         """Remove socket and lock file, and let the endpoint go."""
@@ -42,8 +58,8 @@ class EndpointLock:
             except BlockingIOError as error:
                 holder = lock.read().strip() or "unknown"
                 lock.close()
-                raise EndpointError(
-                    f"{endpoint} is in use by process {holder}: stop it, or use another site file"
+                raise EndpointInUseError(
+                    f"{endpoint} is in use by process {holder}: stop it, or use another site file", holder
                 ) from error
             if self._is_current(lock):
                 lock.truncate(0)
@@ -54,10 +70,16 @@ class EndpointLock:
             lock.close()
 
     def _open(self, endpoint: str) -> IO[str]:
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
             self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-            return os.fdopen(os.open(self._path, flags, 0o644), "r+")
+            try:
+                descriptor = os.open(self._path, flags, 0o644)
+            except FileNotFoundError:
+                # Another rig has just removed the folder of one that had ended.
+                self._path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+                descriptor = os.open(self._path, flags, 0o644)
+            return os.fdopen(descriptor, "r+")
         except OSError as error:
             raise EndpointError(f"{endpoint}: {self._path} cannot be opened: {error.strerror}") from error
 

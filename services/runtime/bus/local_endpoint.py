@@ -4,13 +4,41 @@ import os
 from pathlib import Path
 
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
+# The rig that a process belongs to, or speaks to; a name is part of a path, and a path of a socket has 107 bytes.
+RIG_VARIABLE = "TELENANO_RIG"
+FIRST_RIG = "main"
+MOST_RIG_LETTERS = 16
+_RIG_FOLDER = "rig-"
 _RUNTIME_PLACEHOLDER = "{runtime}"
 _ESTOP_SUFFIX = ".estop"
 _KEPT_SUFFIX = ".kept"
 
 
 def runtime_directory() -> Path:
-    """Return the private folder of ipc sockets: TELENANO_RUNTIME_DIR, or one of this user's own."""
+    """Return the private folder of the ipc sockets of the rig that TELENANO_RIG names, else of the first one."""
+    return rig_directory(os.environ.get(RIG_VARIABLE, ""))
+
+
+def rig_directory(rig: str) -> Path:
+    """Return the private folder of a rig: that of this user for the first rig, one in it for each other."""
+    base = base_directory()
+    return base if rig in ("", FIRST_RIG) else base / f"{_RIG_FOLDER}{rig}"
+
+
+def rigs_with_folders() -> list[str]:
+    """Return the first rig, and each other that has a folder; whether one of them runs, its locks tell."""
+    names = sorted(path.name.removeprefix(_RIG_FOLDER) for path in base_directory().glob(f"{_RIG_FOLDER}*"))
+    return [FIRST_RIG, *(name for name in names if is_rig_name(name))]
+
+
+def is_rig_name(text: str) -> bool:
+    """Return whether a text can name a rig: small letters, digits, - and _, at most 16."""
+    letters = "abcdefghijklmnopqrstuvwxyz0123456789"
+    return 0 < len(text) <= MOST_RIG_LETTERS and text[0] in letters and set(text) <= {*letters, "-", "_"}
+
+
+def base_directory() -> Path:
+    """Return the folder of all rigs of this user: TELENANO_RUNTIME_DIR, or one of this user's own."""
     named = os.environ.get(RUNTIME_DIRECTORY_VARIABLE)
     if named:
         return Path(named)

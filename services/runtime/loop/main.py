@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from presets.plugins import fault_of_package
 from proto.errors import TelenanoError
 from proto.nodes import sites_of
 from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.runtime.loop.log import StructuredLog, configure_logging
 from services.runtime.loop.node import Node, NodeBus, NodeContext
 from services.runtime.loop.participant import Participant, StopSignals, open_participant, run_loop
@@ -28,6 +30,7 @@ from services.runtime.loop.realtime import (
     raise_file_limit,
     use_huge_pages,
 )
+from services.runtime.security.private_files import check_rig_name
 from services.runtime.settings.config import read_yaml, validate
 from services.runtime.settings.scenario import load_scenario
 
@@ -87,6 +90,7 @@ class NodeArguments(argparse.Namespace):
     scenario: Path
     site: str
     set: list[str]
+    rig: str | None
     with_parent: bool
 
 
@@ -105,6 +109,8 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     parser.add_argument("--scenario", type=Path, required=True, metavar="NAME|FILE", help=about)
     parser.add_argument("--site", choices=sites, default=sites[0], help="site that this process belongs to")
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE", help="change one key")
+    about = f"rig of several on this machine; default: {RIG_VARIABLE}, else the first one, {FIRST_RIG}"
+    parser.add_argument("--rig", metavar="NAME", help=about)
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
     return parser.parse_args(arguments, namespace=NodeArguments())
 
@@ -139,6 +145,8 @@ def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
 def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     if given.with_parent:
         die_with_parent(signal.SIGTERM)
+    if given.rig is not None:
+        os.environ[RIG_VARIABLE] = check_rig_name(given.rig)
     site_file = site_file_named(given.site_file) or DEFAULT_SITE_FILE
     scenario_file = find_scenario(str(given.scenario))
     book = load_site(site_file)

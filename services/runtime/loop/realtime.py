@@ -35,6 +35,10 @@ _TASKS = Path("/proc/self/task")
 # the processors that this process could use before `auto` put it on one of them
 _permitted_before: set[int] = set()
 _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
+# The processors that the launcher of a rig holds for it, or that none was left: then the rig comes behind the others.
+PROCESSORS_VARIABLE, NO_PROCESSORS = "TELENANO_PROCESSORS", "none"
+# One less is what `lower_thread` gives.
+_BEHIND_RIGS = 2
 
 
 class RealtimeConfig(BaseModel):
@@ -87,9 +91,14 @@ def apply_realtime(config: RealtimeConfig, log: StructuredLog, node: str) -> Rea
         return RealtimeStatus(fifo=False, memory_locked=False)
     libc = ctypes.CDLL(None, use_errno=True)
     libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-    fifo = config.scheduler != "normal" and _set_fifo(config, log)
+    own = os.environ.get(PROCESSORS_VARIABLE, "")
+    behind = own == NO_PROCESSORS
+    fifo = config.scheduler != "normal" and _set_fifo(config, log, max(1, config.priority - _BEHIND_RIGS * behind))
     permitted = os.sched_getaffinity(0)
-    cpu = processor_of(node, config, sorted(permitted))
+    usable = permitted & _numbers(own) or permitted
+    cpu = None if behind else processor_of(node, config, sorted(usable))
+    if len(usable) == 1 < len(permitted) and config.cpus == "auto":
+        cpu = next(iter(usable))
     # Without SCHED_FIFO a process must be free to leave a processor that others keep busy, unless it was pinned there.
     if cpu is not None and (fifo or isinstance(config.cpus, dict)):
         _stay_on(cpu)
@@ -114,6 +123,24 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
     masters, slaves = permitted[-2:]
     at_master = node.endswith("@master") and (config.cpus == "link_at_master" or not node.startswith("delay_node"))
     return masters if at_master else slaves
+
+
+def may_use_fifo(priority: int) -> bool:
+    """Return whether this process, and so those that it starts, may have SCHED_FIFO at a priority."""
+    if not is_linux():
+        return False
+    policy, granted = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, policy, granted)
+    return True
+
+
+def _numbers(text: str) -> set[int]:
+    """Return the numbers in a list with commas; what is no number is none."""
+    return {int(part) for part in text.split(",") if part.isdigit()}
 
 
 @contextlib.contextmanager
@@ -239,9 +266,9 @@ def _stay_on(cpu: int) -> None:
         ) from error
 
 
-def _set_fifo(config: RealtimeConfig, log: StructuredLog) -> bool:
+def _set_fifo(config: RealtimeConfig, log: StructuredLog, priority: int) -> bool:
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError as error:
         if config.scheduler == "fifo":
             raise ConfigError(

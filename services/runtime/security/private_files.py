@@ -7,7 +7,14 @@ from pathlib import Path
 
 from presets.regular_files import NotRegularError, open_regular
 from proto.errors import ConfigError
-from services.runtime.bus.local_endpoint import RUNTIME_DIRECTORY_VARIABLE, runtime_directory
+from services.runtime.bus.local_endpoint import (
+    MOST_RIG_LETTERS,
+    RIG_VARIABLE,
+    RUNTIME_DIRECTORY_VARIABLE,
+    base_directory,
+    is_rig_name,
+    runtime_directory,
+)
 
 _ANY_ACCESS = 0o077
 _CHANGE = 0o022
@@ -115,9 +122,22 @@ def check_runtime_directory(*, make: bool = False) -> None:
     Raises:
         ConfigError: The folder belongs to another user, or is open to others.
     """
-    folder = runtime_directory()
-    if make:
-        # If the folder cannot be made, that is reported when a socket in it cannot be bound.
-        with contextlib.suppress(OSError):
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    check_private_folder(folder, f"name another one by {RUNTIME_DIRECTORY_VARIABLE}")
+    if rig := os.environ.get(RIG_VARIABLE, ""):
+        check_rig_name(rig)
+    # That of a rig beside the first one is in that of all.
+    for folder in dict.fromkeys((base_directory(), runtime_directory())):
+        if make:
+            # If the folder cannot be made, that is reported when a socket in it cannot be bound.
+            with contextlib.suppress(OSError):
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        check_private_folder(folder, f"name another one by {RUNTIME_DIRECTORY_VARIABLE}")
+
+
+def check_rig_name(text: str) -> str:
+    """Return the name of a rig; ConfigError when a text is none: it is part of the path of each socket."""
+    if not is_rig_name(text):
+        raise ConfigError(
+            f"--rig or {RIG_VARIABLE}: {text!r} cannot name a rig: a name has small letters, digits, - and _, "
+            f"{MOST_RIG_LETTERS} at most, and begins with a letter or digit"
+        )
+    return text

@@ -1,8 +1,10 @@
 """`telenano status`: the state of a running rig, from the messages of a moment at every socket of it."""
 
 import contextlib
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal
+from datetime import datetime
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Group
@@ -10,7 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from presets import DEFAULT_SITE_FILE
+from services.launcher.processors import fits_text, held, permitted, shared_folder
 from services.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
+from services.launcher.rigs import RigFacts, about_rig, running_rigs
+from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.runtime.bus.observer import Observer
 from services.runtime.loop.main import load_site
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
@@ -36,19 +41,58 @@ _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at
 
 
 def status(
-    site_file: SiteFileOption = DEFAULT_SITE_FILE, duration: ListenOption = _DEFAULT_S, as_json: JsonOption = False
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    duration: ListenOption = _DEFAULT_S,
+    show_all: Annotated[bool, typer.Option("--all", help="List the rigs of this user on this machine.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Show the state of a running rig; exit code 1 if a node does not report or waits for something."""
+    if show_all:
+        print_rigs(running_rigs(), as_json=as_json)
+        return
     with report_errors(as_json):
         book = load_site(site_file)
         with contextlib.closing(Observer(book, NEEDED)) as observer:
             rig_status = listen(observer, duration)
-    print_status(rig_status, expected_nodes(book.nodes, observer.subscribers), as_json=as_json)
+    about = about_rig(os.environ.get(RIG_VARIABLE) or FIRST_RIG) if book.uses_runtime_directory else {}
+    print_status(rig_status, expected_nodes(book.nodes, observer.subscribers), about, as_json=as_json)
 
 
-def print_status(rig_status: RigStatus, expected: Sequence[str], *, as_json: bool) -> None:
+def print_rigs(rigs: Sequence[RigFacts], *, as_json: bool) -> None:
+    """Print a row for each rig, and which processors are free for another one."""
+    usable = permitted()
+    taken = held(usable, shared_folder())
+    free = sorted(usable - set(taken))
+    rows = [{"rig": rig.name, "site": rig.site, **rig.about} for rig in rigs]
+    if as_json:
+        print_json({"rigs": rows, "processors": {"free": free, "held": taken}})
+        return
+    if not rigs:
+        typer.echo("no rig of this user runs on this machine")
+    table = Table("rig", "process", "scenario", "since", "processors", "results")
+    for rig in rigs:
+        about = rig.about
+        begun = datetime.fromtimestamp(about["begun_s"]).strftime("%H:%M:%S") if about else ""
+        name = rig.name if rig.site == "master" else f"{rig.name}@{rig.site}"
+        process = str(about.get("process", ""))
+        table.add_row(name, process, about.get("scenario", ""), begun, processors_text(about), about.get("out", ""))
+    if rigs:
+        console().print(table)
+    typer.echo(f"processors: {fits_text(len(free))}")
+
+
+def processors_text(about: Mapping[str, Any]) -> str:
+    """Return in words which processors a rig has for itself."""
+    if about.get("behind"):
+        return "none: behind the other rigs"
+    return ", ".join(map(str, about.get("processors", ()))) or "any"
+
+
+def print_status(
+    rig_status: RigStatus, expected: Sequence[str], about: Mapping[str, Any] | None = None, *, as_json: bool
+) -> None:
     """Print the state of a rig and exit with 1 if a node has a problem."""
-    document = document_of(rig_status, expected)
+    document = {**document_of(rig_status, expected), "rig": dict(about) if about else None}
     if not as_json:
         console().print(status_tables(document))
     if document["problems"]:
@@ -84,6 +128,8 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
         if clock := link["clock"]:
             ahead_ms, uncertainty_ms = clock["offset_s"] * 1e3, clock["uncertainty_s"] * 1e3
             yield "clocks", Text(f"the slave's clock is {ahead_ms:.3f} ms ahead, ± {uncertainty_ms:.3f} ms")
+    if about := document.get("rig"):
+        yield "processors", Text(processors_text(about), "yellow" if about.get("behind") else "")
     for law in document["laws"]:
         yield f"law {law['src']}", _law_text(law)
     for hand in document["hand"]:

@@ -1,8 +1,10 @@
 """`telenano up`: run a scenario on a rig, record it, and write figure and summary."""
 
+import contextlib
 import signal
 import sys
 from datetime import datetime
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -12,7 +14,8 @@ from proto.errors import ReportError
 from recording.multi_file import open_recordings
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
-from services.launcher.run import Outcome, default_folder, report_of, run_rig, with_far_recording
+from services.launcher.rigs import own_rig
+from services.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from services.runtime.security.keyring import Keyring
 from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
@@ -60,30 +63,54 @@ def up(
         if sweep:
             _sweep(sweep, request, options, as_json=as_json)
             return
-        plan = make_plan(request, default_folder(request.scenario, datetime.now()))
-        if request.delay_ms is not None:
-            text = f"--delay-ms {request.delay_ms:g} is one way: a round trip of {2 * request.delay_ms:g} ms"
-            typer.echo(f"telenano: {text}, as --round-trip-ms {2 * request.delay_ms:g}", err=True)
-        for text in known_problems():
-            typer.echo(f"telenano: {text}; it is left out", err=True)
-        if text := _clock_text(plan):
-            typer.echo(f"telenano: warning: {text}", err=True)
-        for text in Keyring().expiring() if plan.book.requires_keys else ():
-            typer.echo(f"telenano: warning: {text}: `telenano doctor` says what to do", err=True)
-        if plan.warning:
-            typer.echo(f"telenano: {plan.warning}", err=True)
-        if text := plan.stiffness_warning:
-            typer.echo(f"telenano: warning: {text}", err=True)
-        view = _open_view(live=not headless and not as_json, quiet=as_json)
-        with inherited_by_page(plan, typer.echo) as beside, view:
-            outcome = run_rig(plan, view.observe, view.show, beside)
-        _restore_default_signals()
-        outcome = with_far_recording(outcome, plan, view.show)
-        try:
-            summary = report_of(outcome, plan, view.show, options)
-        except ReportError as error:
-            fail_with_summary(error, str(plan.out), as_json=as_json)
+        with _folder_of(request) as folder:
+            outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
+
+
+def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
+    """Return the folder of a session while a block runs, a new one where none is asked for."""
+    if request.out is not None:
+        return contextlib.nullcontext(request.out)
+    return reserved_folder(request.scenario, datetime.now())
+
+
+def _run(
+    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, as_json: bool
+) -> tuple[Outcome, dict[str, Any] | None, Plan]:
+    """Run the session, in a folder where none is asked for, and make its report."""
+    plan = make_plan(request, folder)
+    _warn(request, plan)
+    view = _open_view(live=not headless and not as_json, quiet=as_json)
+    with own_rig(plan, _tell) as own, inherited_by_page(plan, typer.echo) as beside, view:
+        outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors)
+    _restore_default_signals()
+    outcome = with_far_recording(outcome, plan, view.show)
+    try:
+        return outcome, report_of(outcome, plan, view.show, options), plan
+    except ReportError as error:
+        fail_with_summary(error, str(plan.out), as_json=as_json)
+
+
+def _warn(request: UpRequest, plan: Plan) -> None:
+    """Print what is easily overlooked in a session that is about to start."""
+    if request.delay_ms is not None:
+        text = f"--delay-ms {request.delay_ms:g} is one way: a round trip of {2 * request.delay_ms:g} ms"
+        _tell(f"{text}, as --round-trip-ms {2 * request.delay_ms:g}")
+    for text in known_problems():
+        _tell(f"{text}; it is left out")
+    if text := _clock_text(plan):
+        _tell(f"warning: {text}")
+    for text in Keyring().expiring() if plan.book.requires_keys else ():
+        _tell(f"warning: {text}: `telenano doctor` says what to do")
+    if plan.warning:
+        _tell(plan.warning)
+    if text := plan.stiffness_warning:
+        _tell(f"warning: {text}")
+
+
+def _tell(text: str) -> None:
+    typer.echo(f"telenano: {text}", err=True)
 
 
 def _clock_text(plan: Plan) -> str:

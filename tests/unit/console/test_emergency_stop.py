@@ -17,7 +17,7 @@ import zmq
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto import decode, encode
 from proto.contract import examples
-from proto.errors import EndpointError
+from proto.errors import EndpointError, RigError
 from proto.messages import SessionControl
 from proto.nodes import DEVICES
 from proto.topics import TOPICS
@@ -27,6 +27,7 @@ from services.runtime.bus.estop_inlet import EstopInlet
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.commands import CommandHandler
+from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
 
 HAND, TIP, LINK, RECORDER = "haptic_node@master", "afm_node@slave", "delay_node@master", "recorder@master"
@@ -116,6 +117,69 @@ def test_both_devices_are_stopped_each_under_the_name_of_its_site(
     recorder.wait_for(2)
     assert {control.src for control in recorder.taken} == {"estop@master", "estop@slave"}
     assert len({control.id for control in (*hand.taken, *tip.taken)}) == 1
+
+
+@pytest.fixture
+def two_rigs(tmp_path: Path, run: Callable[..., Device], monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Device]]:
+    """The instrument of the first rig and that of another one, each with its hand."""
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("TELENANO_RIG", "")
+    (tmp_path / "rig-lab").mkdir(mode=0o700)
+    devices = [run(node) for node in (HAND, TIP)]
+    others = [Device(tmp_path / "rig-lab", node) for node in (HAND, TIP)]
+    for device in others:
+        device.start()
+        assert device.ready.wait(10)
+    yield [*devices, *others]
+    for device in others:
+        device.ended.set()
+        device.join()
+
+
+def test_whoever_names_no_rig_stops_all_of_them(two_rigs: list[Device], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_estop(EstopRequest(as_json=True)) == 0
+    answers = json.loads(capsys.readouterr().out)["answers"]
+    assert sorted(answers) == sorted(f"{rig}/{node}" for rig in ("main", "lab") for node in (HAND, TIP))
+    assert all(device.taken for device in two_rigs)
+
+
+@pytest.mark.parametrize(
+    ("rig", "stopped"), [("main", [True, True, False, False]), ("lab", [False, False, True, True])]
+)
+def test_whoever_names_a_rig_stops_that_one(two_rigs: list[Device], rig: str, stopped: list[bool]) -> None:
+    assert run_estop(EstopRequest(rig=rig)) == 0
+    assert [bool(device.taken) for device in two_rigs] == stopped
+
+
+def test_a_rig_that_does_not_answer_does_not_keep_the_stop_from_the_others(
+    two_rigs: list[Device], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = estop_command.emergency_stop
+
+    def stop(rig: LocalRig, *given: Any) -> Any:
+        if "rig-lab" in rig.endpoints[TIP]:
+            return real(rig, *given)
+        two_rigs[3].wait_for(1)
+        raise RigError(f"{TIP} did not answer estop within 5 s")
+
+    monkeypatch.setattr(estop_command, "emergency_stop", stop)
+    assert run_estop(EstopRequest()) == 1
+    assert two_rigs[2].taken and two_rigs[3].taken
+    assert f"telenano: rig main: {TIP} did not answer estop within 5 s" in capsys.readouterr().err
+
+
+def test_a_rig_in_folders_of_its_site_file_is_stopped_once(
+    tmp_path: Path,
+    run: Callable[..., Device],
+    site_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "rig-lab").mkdir(mode=0o700)
+    run(HAND), run(TIP)
+    assert run_estop(EstopRequest(site_file=site_file)) == 0
+    assert sorted(capsys.readouterr().out.splitlines()) == [f"{TIP} ack: stopped", f"{HAND} ack: stopped"]
 
 
 def test_from_one_site_the_tip_is_stopped_through_the_link(
@@ -312,10 +376,12 @@ def test_an_inlet_leaves_no_socket_and_belongs_to_one_node(tmp_path: Path) -> No
         ("estop --site=master", EstopRequest(site="master")),
         ("session estop --target afm_node", EstopRequest(target="afm_node")),
         ("estop --site-file my.yaml", EstopRequest(site_file=Path("my.yaml"))),
+        ("estop --rig lab", EstopRequest(rig="lab")),
         # what is wrong or asks for help is left to the usual way
         ("estop --help", None),
         ("estop --site", None),
         ("estop --site nowhere", None),
+        ("estop --rig ../lab", None),
         ("estop now", None),
         ("estop --fast", None),
         ("session mark estop=1", None),

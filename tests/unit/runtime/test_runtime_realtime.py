@@ -95,6 +95,32 @@ def test_each_side_of_the_link_has_a_processor(node: str, permitted: list[int], 
     assert processor_of(node, own, permitted) == {"controller@master": 5, "controller@slave": 6}.get(node)
 
 
+@pytest.mark.parametrize(
+    ("variable", "node", "pinned", "priority"),
+    [
+        ("1,2", "haptic_node@master", {1}, 50),
+        ("1,2", "afm_node@slave", {2}, 50),
+        # one site alone has one
+        ("1", "afm_node@slave", {1}, 50),
+        # none was left: any processor, behind the rigs that hold theirs
+        ("none", "haptic_node@master", None, 48),
+        # processors that this process may not use are those of another machine
+        ("7,8", "haptic_node@master", {2}, 50),
+        ("", "afm_node@slave", {3}, 50),
+    ],
+)
+def test_a_rig_stays_on_the_processors_that_it_holds(
+    monkeypatch: pytest.MonkeyPatch, variable: str, node: str, pinned: set[int] | None, priority: int
+) -> None:
+    fake, asked = machine(monkeypatch, permitted=True), []
+    monkeypatch.setenv(realtime.PROCESSORS_VARIABLE, variable)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2, 3})
+    monkeypatch.setattr(os, "sched_setaffinity", lambda process, numbers: asked.append(set(numbers)))
+    apply_realtime(RealtimeConfig(), ListLog(), node)
+    assert asked == ([] if pinned is None else [pinned])
+    assert [row[3] for row in fake.asked if row[0] == "scheduler"] == [priority]
+
+
 @pytest.mark.parametrize("granted", [os.SCHED_FIFO, os.SCHED_OTHER])
 def test_work_at_the_start_is_done_without_fifo_and_what_was_granted_comes_back(
     monkeypatch: pytest.MonkeyPatch, granted: int

@@ -109,6 +109,25 @@ def test_libzmq() -> None:
 
 
 @pytest.mark.parametrize(
+    ("held", "level", "words"),
+    [
+        ((), "ok", "none is held by a rig, 4 free, enough for 2 more rigs"),
+        ((2, 3), "ok", "2, 3 held by rigs that run; 2 free, enough for 1 more rig"),
+        (
+            (1, 2, 3),
+            "warning",
+            "1, 2, 3 held by rigs that run; 1 free, enough for 0 more rigs: a further one",
+        ),
+    ],
+)
+def test_processors_that_rigs_hold(held: tuple[int, ...], level: str, words: str) -> None:
+    finding = checks.check_rig_processors(4, held)
+    assert finding.level == level
+    assert finding.found.startswith(words)
+    assert bool(finding.advice) == (level == "warning")
+
+
+@pytest.mark.parametrize(
     ("permitted", "quota", "level"),
     [(2, None, "ok"), (1, None, "warning"), (8, 2.0, "ok"), (8, 1.5, "warning"), (8, 0.0, "warning")],
 )

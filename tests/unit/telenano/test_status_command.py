@@ -22,6 +22,7 @@ from services.launcher.rig_status import (
     problems_of,
     stalled_inputs,
 )
+from services.launcher.rigs import RigFacts
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.bus.observer import ObservedMessage, Observer
@@ -391,3 +392,47 @@ def test_nobody_publishes(tmp_path: Path) -> None:
     with pytest.raises(RigError, match="no node reports"):
         listen(observer, 0.0)
     observer.close()
+
+
+def test_all_rigs_are_listed_with_what_each_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    about = {
+        "process": 4711,
+        "scenario": "fig12",
+        "begun_s": 0.0,
+        "out": "/out/1",
+        "processors": [2, 3],
+        "behind": False,
+    }
+    behind = {**about, "process": 4712, "processors": [], "behind": True}
+    rigs = [RigFacts("main", "master", about), RigFacts("2", "master", behind), RigFacts("lab", "slave", {})]
+    monkeypatch.setattr(status, "running_rigs", lambda: rigs)
+    monkeypatch.setattr(status, "held", lambda numbers, folder: (2, 3))
+    monkeypatch.setattr(status, "permitted", lambda: {0, 1, 2, 3})
+    result = CliRunner().invoke(app, ["status", "--all"], env={"COLUMNS": "200"})
+    assert result.exit_code == 0
+    for words in ("4711", "fig12", "2, 3", "none: behind the other rigs", "lab@slave", "/out/1"):
+        assert words in result.stdout
+    assert "processors: 2 free, enough for 1 more rig" in result.stdout
+    document = json.loads(CliRunner().invoke(app, ["status", "--all", "--json"]).stdout)
+    assert document["processors"] == {"free": [0, 1], "held": [2, 3]}
+    assert document["rigs"] == [
+        {"rig": "main", "site": "master", **about},
+        {"rig": "2", "site": "master", **behind},
+        {"rig": "lab", "site": "slave"},
+    ]
+
+
+def test_no_rig_is_said_to_be_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(status, "running_rigs", list)
+    assert "no rig of this user runs on this machine" in CliRunner().invoke(app, ["status", "--all"]).stdout
+
+
+@pytest.mark.parametrize(("behind", "words"), [(False, "2, 3"), (True, "none: behind the other rigs")])
+def test_a_rig_is_shown_with_its_processors(monkeypatch: pytest.MonkeyPatch, behind: bool, words: str) -> None:
+    about = {"processors": [] if behind else [2, 3], "behind": behind}
+    monkeypatch.setattr(status, "about_rig", lambda name: about)
+    _, out, _ = run(monkeypatch, *map(health, RIG))
+    [line] = [line for line in out.splitlines() if line.startswith("processors ")]
+    assert words in line
+    _, out, _ = run(monkeypatch, *map(health, RIG), arguments=("--json",))
+    assert json.loads(out)["rig"] == about

@@ -1,0 +1,264 @@
+"""Rigs side by side: each has a name, a folder of its own for its sockets, and processors of its own.
+
+A name and a processor are locks of the kernel, which the processes of the rig inherit: they are free again when the
+last of these has ended, however it ended.
+"""
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from proto.errors import ConfigError, EndpointError, RigError
+from proto.nodes import site_of
+from services.launcher import processors
+from services.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
+from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
+from services.runtime.loop.main import load_site
+from services.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, RealtimeConfig, may_use_fifo
+from services.runtime.security.private_files import check_runtime_directory, write_private
+from services.runtime.settings.optional_modules import optional_module
+
+if TYPE_CHECKING:
+    # Whoever only asks which rigs run needs no models of nodes.
+    from services.launcher.plan import Plan
+
+fcntl = optional_module("fcntl")
+_NAMES = (FIRST_RIG, *map(str, range(2, 100)))
+# A rig whose launcher was killed has ended when its nodes have made their devices safe.
+_ENDING_S, _GLANCE_S, _LOOK_S = 15.0, 1.0, 0.1
+_LOCK = "rig@"
+_NEEDED = {"slave": 1}
+
+
+class RigFacts(NamedTuple):
+    """A rig that runs: `about` is what its launcher wrote of itself, empty in the first moments."""
+
+    name: str
+    site: str
+    about: dict[str, Any]
+
+
+class Own(NamedTuple):
+    """What this rig has for itself: its name, processors, and the descriptors that its processes inherit."""
+
+    name: str
+    processors: tuple[int, ...] = ()
+    descriptors: tuple[int, ...] = ()
+
+
+@contextlib.contextmanager
+def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None = None) -> Iterator[Own]:
+    """Take a name and processors for a rig while the block runs; its processes find both in their environment.
+
+    Args:
+        plan: The planned rig. One with nodes on other machines, or in folders of its site file, is not moved aside.
+        show: Called with what a person has to know: another name than the first one, or processors that are not free.
+        lock_folder: The folder of the locks of processors; the machine's own if None.
+
+    Yields:
+        What the rig has for itself.
+
+    Raises:
+        RigError: A rig of the given name runs.
+        ConfigError: The folder of the rig cannot be used.
+    """
+    if plan.attach:
+        # Its nodes run already, in the folder and on the processors that they were given.
+        yield Own(os.environ.get(RIG_VARIABLE, FIRST_RIG))
+        return
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_environment_kept())
+        name, held = FIRST_RIG, ()
+        if plan.book.uses_runtime_directory:
+            name, lock = _named(plan, show)
+            stack.callback(_leave, name, site_of(plan.launcher), lock)
+            # Its path is longer than that of the first rig, which was checked with the site file.
+            load_site(plan.site_file)
+            held = lock.descriptors
+            _remove_stale_folders(name, plan.launcher)
+        claimed, behind = _claim(plan, show, lock_folder or processors.shared_folder())
+        stack.callback(processors.release, claimed)
+        if plan.book.uses_runtime_directory:
+            _describe(plan, name, tuple(sorted(claimed)), behind=behind)
+        yield Own(name, tuple(sorted(claimed)), (*held, *claimed.values()))
+
+
+@contextlib.contextmanager
+def _environment_kept() -> Iterator[None]:
+    names = (RIG_VARIABLE, PROCESSORS_VARIABLE)
+    before = {name: os.environ.get(name) for name in names}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]:
+    """Lock the name that was given, or else the first free one, and make it that of this process."""
+    given = os.environ.get(RIG_VARIABLE, "")
+    # Where others connect over a network, the ports are those of the site file, whatever the folder is.
+    may_move = not given and not plan.book.spans_machines
+    begun_s = time.monotonic()
+    names, passed = iter(_NAMES if may_move else (given or FIRST_RIG,)), ""
+    name = next(names)
+    while True:
+        os.environ[RIG_VARIABLE] = name
+        check_runtime_directory(make=True)
+        try:
+            lock = EndpointLock(f"ipc://{rig_directory(name)}/{_LOCK}{site_of(plan.launcher)}")
+        except EndpointInUseError as error:
+            # Another command may only be looking at a name, or tidying up after one that was killed.
+            patience_s = _ENDING_S if _has_ended(error.holder) else 0.0 if may_move else _GLANCE_S
+            if time.monotonic() - begun_s < patience_s:
+                time.sleep(_LOOK_S)
+                continue
+            passed = passed or f"rig {name} is in use by process {error.holder}"
+            name = next(names, "")
+            if not name:
+                hint = "stop it, or give this one another name by --rig NAME"
+                raise RigError(f"{passed}: {hint}; `telenano status --all` lists the rigs") from error
+            continue
+        if passed:
+            show(f"{passed}; this one is rig {name}: other commands reach it with --rig {name}")
+        return name, lock
+
+
+def _has_ended(holder: str) -> bool:
+    """Return whether the launcher that took a lock is gone, whose nodes then hold it until they have ended."""
+    try:
+        os.kill(int(holder), 0)
+    except ProcessLookupError:
+        return True
+    except (ValueError, PermissionError):
+        return False
+    return False
+
+
+def _leave(name: str, site: str, lock: EndpointLock) -> None:
+    """Remove what only the running rig needs, and let the name go."""
+    with contextlib.suppress(OSError):
+        _about_file(name, site).unlink()
+    lock.release()
+    if name != FIRST_RIG:
+        with contextlib.suppress(OSError):
+            rig_directory(name).rmdir()
+
+
+def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict[int, int], bool]:
+    """Lock processors for the nodes of the loop, and tell them by the environment; also whether they come behind."""
+    os.environ.pop(PROCESSORS_VARIABLE, None)
+    config = plan.scenario.realtime_in_force()
+    permitted = processors.permitted()
+    if isinstance(config.cpus, dict):
+        claimed = processors.claim_these(config.cpus.values(), folder)
+        if others := sorted(set(config.cpus.values()) - set(claimed)):
+            show(f"warning: realtime.cpus: other rigs hold {_list(others)}, and both will be late there")
+        return claimed, False
+    if config.cpus == "free" or len(permitted) < processors.FOR_A_RIG or not _wants_fifo(config):
+        return {}, False
+    needed = _NEEDED.get(plan.site or "", processors.FOR_A_RIG)
+    claimed = processors.claim(needed, permitted, folder)
+    if claimed:
+        os.environ[PROCESSORS_VARIABLE] = ",".join(map(str, sorted(claimed)))
+        return claimed, False
+    taken = _list(processors.held(permitted, folder))
+    text = f"warning: no {needed} processors are free for this rig: other rigs hold {taken} of {len(permitted)}"
+    if plan.site is not None:
+        show(f"{text}; it shares theirs, and all of them may be late")
+        return {}, False
+    os.environ[PROCESSORS_VARIABLE] = NO_PROCESSORS
+    show(
+        f"{text}; it runs behind them on what they leave, and may not reach its rate: end one of them "
+        "(`telenano status --all` lists them), or give a lower realtime.rate_hz"
+    )
+    return {}, True
+
+
+def _wants_fifo(config: RealtimeConfig) -> bool:
+    """Return whether the nodes will stay on a processor: without SCHED_FIFO they have to be free to leave it."""
+    return config.scheduler != "normal" and may_use_fifo(config.priority)
+
+
+def _list(numbers: Any) -> str:
+    return ", ".join(map(str, numbers)) or "none"
+
+
+def _about_file(name: str, site: str) -> Path:
+    return rig_directory(name) / f"{_LOCK}{site}.json"
+
+
+def _describe(plan: "Plan", name: str, claimed: tuple[int, ...], *, behind: bool) -> None:
+    """Write what `telenano status` says of this rig."""
+    about = {
+        "process": os.getpid(),
+        "scenario": plan.scenario.name,
+        "begun_s": time.time(),
+        "out": str(plan.out),
+        "processors": claimed,
+        "behind": behind,
+    }
+    try:
+        write_private(_about_file(name, site_of(plan.launcher)), json.dumps(about))
+    except OSError as error:
+        raise RigError(f"{rig_directory(name)}: cannot be written: {error.strerror}") from error
+
+
+def running_rigs() -> list[RigFacts]:
+    """Return the rigs of this user that run on this machine, one for each launcher."""
+    found = []
+    for name in rigs_with_folders():
+        for lock in sorted(rig_directory(name).glob(f"{_LOCK}*.lock")):
+            site = lock.name.removeprefix(_LOCK).removesuffix(".lock")
+            if _is_held(lock):
+                found.append(RigFacts(name, site, about_rig(name, site)))
+    return found
+
+
+def about_rig(name: str, site: str = "master") -> dict[str, Any]:
+    """Return what the launcher of a rig wrote of itself; empty where none runs."""
+    try:
+        found = json.loads(_about_file(name, site).read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _is_held(lock: Path) -> bool:
+    try:
+        with lock.open() as file:
+            # It is shared, so that two that look do not see each other.
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def _remove_stale_folders(own: str, launcher: str) -> None:
+    """Remove the folders of rigs that were killed: nothing of them runs, nor will it ever."""
+    for name in rigs_with_folders():
+        if name not in (own, FIRST_RIG):
+            _remove_if_stale(rig_directory(name), f"{_LOCK}{site_of(launcher)}")
+
+
+def _remove_if_stale(folder: Path, first: str) -> None:
+    with contextlib.suppress(EndpointError, ConfigError, OSError):
+        # Its name is held meanwhile, so that no rig begins there.
+        name = EndpointLock(f"ipc://{folder / first}")
+        try:
+            if any(_is_held(lock) for lock in folder.glob("*.lock") if lock.name != f"{first}.lock"):
+                return
+            for path in folder.iterdir():
+                if path.name != f"{first}.lock":
+                    path.unlink()
+        finally:
+            name.release()
+        folder.rmdir()
