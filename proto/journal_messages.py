@@ -21,7 +21,7 @@ class NodeJournal(Message):
     """
 
     first_turn: Count = Field(description="Number of the first turn, counted from 0 at the start of the node")
-    epoch_offset_ns: Annotated[int, Field(ge=-(2**63), lt=2**63)] = Field(
+    epoch_offset_ns: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)] = Field(
         description="What the node's clock is ahead of its monotonic clock [ns]"
     )
     inputs: Annotated[tuple[JournalInput, ...], FailFast(), Field(max_length=MAX_ITEMS)] = Field(

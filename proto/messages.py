@@ -70,7 +70,7 @@ class _OneFault:
 
 
 Source = Annotated[str, Field(pattern=SOURCE_PATTERN, max_length=64)]
-Count = Annotated[int, Field(ge=0, lt=2**63)]
+Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Facts = Annotated[dict[str, Annotated[Scalar, _OneFault()]], Field(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
@@ -366,7 +366,7 @@ class LinkDelay(Message):
     transit_ns: Count = Field(
         description="Least time that a message was measured to take between two machines besides [ns]; 0 on one"
     )
-    clock_ahead_ns: Annotated[int, Field(ge=-(2**63), lt=2**63)] = Field(
+    clock_ahead_ns: Annotated[int, Field(ge=-(2**63), le=2**63 - 1)] = Field(
         description="What the slave's clock is ahead of the master's [ns]; 0 where they cannot be told apart"
     )
 

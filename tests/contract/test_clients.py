@@ -1,0 +1,85 @@
+"""What a client in another language relies on: bounds that survive doubles, who sends what, keys made elsewhere."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+import zmq
+from typer.testing import CliRunner
+
+from presets import DEFAULT_SITE_FILE
+from proto import TOPICS
+from proto.contract import FOLDER
+from proto.nodes import LINK, name_of, site_of
+from services.runtime.loop.main import load_site
+from telenano.cli.root import app
+
+SCHEMAS = {path.stem: json.loads(path.read_text()) for path in sorted((FOLDER / "schemas").glob("*.json"))}
+VECTORS = json.loads((FOLDER / "golden" / "vectors.json").read_text())
+
+
+def integers(value: Any, schema: Any, root: Any) -> Iterator[tuple[int, Any]]:
+    """Return each integer of a message, with its part of the schema."""
+    if "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].rpartition("/")[2]]
+    for choice in schema.get("anyOf", ()):
+        if isinstance(value, int) and choice.get("type") == "integer":
+            yield value, choice
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from integers(part, schema.get("properties", {}).get(key, {}), root)
+    elif isinstance(value, list):
+        items = schema.get("prefixItems") or [schema.get("items", {})] * len(value)
+        for part, kind in zip(value, items, strict=True):
+            yield from integers(part, kind, root)
+    elif isinstance(value, int) and schema.get("type") == "integer":
+        yield value, schema
+
+
+def test_a_validator_that_keeps_numbers_as_doubles_takes_every_golden_vector() -> None:
+    seen = 0
+    for vector in VECTORS:
+        root = SCHEMAS[vector["message"]]
+        for value, schema in integers(vector["fields"], root, root):
+            seen += 1
+            assert float(value) <= float(schema.get("maximum", 2**63)), (vector["topic"], vector["case"], value)
+            assert float(value) < float(schema.get("exclusiveMaximum", 2**64)), (vector["topic"], vector["case"], value)
+    assert seen > 1000
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_no_bound_of_64_bits_is_exclusive(name: str) -> None:
+    assert "9223372036854775808" not in json.dumps(SCHEMAS[name]).replace("-9223372036854775808", "")
+
+
+def table_of_nodes() -> dict[str, tuple[set[str], set[str]]]:
+    text = (FOLDER / "SPEC.md").read_text().partition("<!-- nodes: ")[2].partition("<!-- end of nodes")[0]
+    rows = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| `")]
+    return {node.strip("`"): (names(own), names(forwarded)) for node, own, forwarded in rows}
+
+
+def names(cell: str) -> set[str]:
+    return {part.strip("` ") for part in cell.split(",")} - {"–"}
+
+
+def test_the_table_of_who_sends_what_is_what_the_address_book_subscribes_to() -> None:
+    book, table = load_site(DEFAULT_SITE_FILE), table_of_nodes()
+    everywhere = {topic.name for topic in TOPICS.values() if "*" in topic.publishers}
+    assert set(book.nodes) <= set(table)
+    for node in book.nodes:
+        own, forwarded = table[node]
+        assert set(book.published_by(node)) == own | forwarded | everywhere
+        assert bool(forwarded) == (name_of(node) == LINK)
+    assert table[f"{LINK}@slave"][1] >= {"teleop/forward"} and site_of(f"{LINK}@slave") == "slave"
+
+
+def test_a_pair_of_keys_from_libzmq_alone_is_allowed(tmp_path: Path) -> None:
+    public, _ = (part.decode() for part in zmq.curve_keypair())
+    arguments = ["keys", "allow", "unity", public, "--role", "observe", "--dir", str(tmp_path)]
+    tmp_path.chmod(0o700)
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    [row] = yaml.safe_load((tmp_path / "allowed.yaml").read_text())["keys"]
+    assert (row["name"], row["public_key"], row["roles"]) == ("unity", public, ["observe"])
