@@ -24,12 +24,13 @@ from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
+from recording.ros2_export import export_ros2
 from recording.sender_time import SenderClock, SenderOrder
 from recording.table_batches import Columns, Kinds, OpenTable, Write, write_tables
 from recording.tables import plain
 from recording.whole_files import whole_file, whole_folder
 
-Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf"]
+Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf", "ros2"]
 
 
 def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> CopyResult:
@@ -40,6 +41,7 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
     of their sending. Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset
     (`hdf5`), in the table `columns.csv` (`csv`), in the schema (`mcap-json`, `mcap-protobuf`). Attachments and metadata
     of the recording, so scenario, versions and seeds, go along: as files beside the tables (`csv`), else inside.
+    `ros2` is an MCAP file with the topics and messages of ROS 2 (`recording.ros2`).
 
     It has its name only when it is complete, and nothing is left of one that is not.
 
@@ -68,6 +70,8 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
 def _export(recording: Recording, target: Path, kind: Format, selection: Selection) -> CopyResult:
     if kind in ("mcap-json", "mcap-protobuf"):
         return _export_mcap(recording, target, selection, _as_json if kind == "mcap-json" else _as_protobuf)
+    if kind == "ros2":
+        return export_ros2(recording, target, selection)
     if kind == "hdf5":
         h5py = _package("h5py", "hdf5")
         with whole_file(target, replace=False) as file:
@@ -125,6 +129,7 @@ def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     return {"title": schema.get("title", ""), **simple(schema)}
 
 
+_TEXT = "_text"
 _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
 
 
@@ -295,13 +300,11 @@ def _viewer_channel(channel: RecordedChannel, payload: _Payload, several: bool) 
 
 def _as_json(topic: str) -> _Payload:
     model = _model_of(topic)
-    schema: dict[str, Any] = (
-        {"type": "object", "properties": {}} if model is None else plain_schema(model.model_json_schema())
-    )
+    schema: dict[str, Any] = {"type": "object", "properties": {}} if model is None else viewer_schema(model)
     name = topic if model is None else f"telenano.{model.__name__}"
 
     def encode(fields: dict[str, Any]) -> bytes:
-        return json.dumps(fitted(fields, schema), separators=(",", ":")).encode()
+        return viewer_json(fields, schema)
 
     return _Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
 
@@ -318,6 +321,29 @@ def _as_protobuf(topic: str) -> _Payload:
 
 def _model_of(topic: str) -> type[Record] | None:
     return RECORDS.get(topic) or (TOPICS[topic].model if topic in TOPICS else None)
+
+
+def viewer_schema(model: type[Record]) -> dict[str, Any]:
+    """Return the plain schema of the JSON of a message; beside each time in ns there is the same in digits.
+
+    A viewer in JavaScript keeps numbers as doubles, which round the time of today to 256 ns.
+    """
+    schema = plain_schema(model.model_json_schema())
+    times = [name for name, part in schema["properties"].items() if _is_time(name, part)]
+    texts = {f"{name}{_TEXT}": {"type": "string", "description": f"{name} in digits"} for name in times}
+    return {**schema, "properties": {**schema["properties"], **texts}}
+
+
+def viewer_json(fields: Mapping[str, Any], schema: Mapping[str, Any]) -> bytes:
+    """Return a message as the JSON that its `viewer_schema` describes."""
+    found = fitted(dict(fields), schema)
+    known = schema["properties"]
+    texts = {f"{name}{_TEXT}": str(part) for name, part in found.items() if f"{name}{_TEXT}" in known}
+    return json.dumps({**found, **texts}, separators=(",", ":")).encode()
+
+
+def _is_time(name: str, schema: Mapping[str, Any]) -> bool:
+    return name.endswith("_ns") and schema.get("type") == "integer"
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:

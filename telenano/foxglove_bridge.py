@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, MutableMapping, S
 from typing import TYPE_CHECKING, Any, Protocol
 
 from proto import TOPICS
-from recording.export import fitted, plain_schema
+from recording.export import viewer_json, viewer_schema
 from recording.messages import RecordedMessage
 from recording.tables import plain
 from services.viz_node.access import Access
@@ -298,13 +298,13 @@ class Bridge:
             kept = message.log_ns - due_ns < self._period_ns
             self._due_ns[key] = (due_ns if kept else message.log_ns) + self._period_ns
         outlet, schema = self._outlets.get(key) or self._open(key, message.topic)
-        payload = json.dumps(fitted(plain(message), schema), separators=(",", ":")).encode()
+        payload = viewer_json(plain(message), schema)
         outlet.log(payload, log_time=message.publish_ns)
         self.sent += 1
 
     def _open(self, key: tuple[str, str], topic: str) -> tuple[Outlet, dict[str, Any]]:
         model = TOPICS[topic].model
-        schema = plain_schema(model.model_json_schema())
+        schema = viewer_schema(model)
         opened = self._server.open("/".join(key), f"telenano.{model.__name__}", json.dumps(schema).encode())
         self._outlets[key] = opened, schema
         return opened, schema

@@ -72,7 +72,8 @@ def own_rig(plan: "Plan", show: Callable[[str], Any], lock_folder: Path | None =
         return
     with contextlib.ExitStack() as stack:
         stack.enter_context(_environment_kept())
-        name, held = FIRST_RIG, ()
+        name = FIRST_RIG
+        held: tuple[int, ...] = ()
         if plan.book.uses_runtime_directory:
             name, lock = _named(plan, show)
             stack.callback(_leave, name, site_of(plan.launcher), lock)

@@ -96,6 +96,7 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
         return _stop_rig(request, "", lambda answer: _show(request, answer))
     # All at once: one that does not answer must not keep the stop from the others.
     names = [name for name in (FIRST_RIG, *others) if name in others or _runs(request, name)]
+    rigs = {name: _reached(request, name) for name in names}
     answers: dict[str, Answer] = {}
     faults: list[str] = []
 
@@ -106,11 +107,11 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
             _show(request, named)
 
         try:
-            _stop_directly(*rigs[name], request.target, on_answer)
+            rig, reach = rigs[name]
+            _stop_directly(rig, reach, request.target, on_answer)
         except TelenanoError as error:
             faults.append(f"rig {name}: {error}")
 
-    rigs = {name: _reached(request, name) for name in names}
     threads = [threading.Thread(target=stop, args=(name,)) for name in names]
     for thread in threads:
         thread.start()

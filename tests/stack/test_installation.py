@@ -129,6 +129,7 @@ VERBS = {
     "bag export REFERENCE --to hdf5 --out h5": "export",
     "bag export REFERENCE --to mcap-json --out json.mcap": "launcher studies",
     "bag export REFERENCE --to mcap-protobuf --out protobuf.mcap": "export",
+    "bag export REFERENCE --to ros2 --out ros2.mcap": "ros2",
     "bag plot REFERENCE afm/state.tip_force_n.2 --out plot.png": "launcher studies",
     "report REFERENCE --out report": "launcher studies",
     "compare REFERENCE --paper --out compare": "launcher studies",

@@ -69,6 +69,7 @@ class ExportFormat(StrEnum):
     HDF5 = "hdf5"
     MCAP_JSON = "mcap-json"
     MCAP_PROTOBUF = "mcap-protobuf"
+    ROS2 = "ros2"
 
 
 @app.command()
@@ -296,7 +297,7 @@ def export(
     exclude: ExcludeOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf."""
+    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf, ROS 2 ros2."""
     with report_errors(as_json):
         _print_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
 

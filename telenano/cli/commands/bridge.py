@@ -25,6 +25,7 @@ from telenano.cli.options import (
 )
 from telenano.cli.output import report_errors
 from telenano.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer, address_of
+from telenano.ros2_bridge import DEFAULT_ROUTER, Ros2Bridge, close_session, is_connected, zenoh_publishers
 
 TOKEN_VARIABLE = "TELENANO_BRIDGE_TOKEN"
 
@@ -85,7 +86,40 @@ def foxglove(
                 _hand_on(Bridge(server, rate), live, duration, is_waiting=nobody_runs(book))
 
 
-def _hand_on(bridge: Bridge, live: LiveRecording, duration: float | None, *, is_waiting: bool) -> None:
+@app.command()
+def ros2(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    router: Annotated[
+        str,
+        typer.Option("--router", metavar="HOST:PORT", help="Router of rmw_zenoh, `ros2 run rmw_zenoh_cpp rmw_zenohd`."),
+    ] = DEFAULT_ROUTER,
+    domain: Annotated[
+        int, typer.Option("--domain", min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="Domain of ROS.")
+    ] = 0,
+    namespace: Annotated[str, typer.Option("--namespace", metavar="NAME", help="What stands before each topic.")] = "",
+    rate: Annotated[
+        float, typer.Option("--rate", min=0.0, metavar="HZ", help="Most of each topic a second; 0: all.")
+    ] = DEFAULT_RATE_HZ,
+    duration: DurationOption = None,
+) -> None:
+    """Publish positions and forces in ROS 2 by the names of CRTK, until Ctrl-C; no ROS has to be installed here.
+
+    It only sends: nothing that comes from ROS reaches the rig.
+    """
+    with report_errors(False):
+        book = load_site(site_file)
+        with contextlib.ExitStack() as open_parts:
+            open_publisher = zenoh_publishers(router, domain)
+            open_parts.callback(close_session)
+            bridge = open_parts.enter_context(contextlib.closing(Ros2Bridge(open_publisher, rate, namespace)))
+            live = open_parts.enter_context(LiveRecording(book))
+            typer.echo(f"publishing to the router at {router}, domain {domain}")
+            if not is_connected():
+                typer.echo(f"telenano: no router answers at {router} yet; the bridge goes on trying", err=True)
+            _hand_on(bridge, live, duration, is_waiting=nobody_runs(book))
+
+
+def _hand_on(bridge: Bridge | Ros2Bridge, live: LiveRecording, duration: float | None, *, is_waiting: bool) -> None:
     if is_waiting:
         # A rig may be started after its bridge.
         typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)

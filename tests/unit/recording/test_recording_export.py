@@ -460,3 +460,16 @@ def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatc
     monkeypatch.setattr("recording.table_batches.columns_of", counted)
     export_recording(writer.path, tmp_path / "parquet", "parquet")
     assert (max(lengths), sum(lengths)) == (64, 1000)
+
+
+def test_a_reader_that_keeps_numbers_as_doubles_has_each_time_in_digits(rich: Path, tmp_path: Path) -> None:
+    target = tmp_path / "viewer.mcap"
+    export_recording(rich, target, "mcap-json", Selection.of(["haptic/state"], []))
+    with target.open("rb") as stream:
+        rows = [(schema, json.loads(message.data)) for schema, _, message in make_reader(stream).iter_messages()]
+    [schema] = {schema.data for schema, _ in rows if schema is not None}
+    assert json.loads(schema)["properties"]["t_ns_text"]["type"] == "string"
+    for seq, (_, fields) in enumerate(rows):
+        assert int(fields["t_ns_text"]) == fields["t_ns"] == haptic_state(seq).t_ns
+        assert int(fields["answered_t_ns_text"]) == fields["answered_t_ns"]
+    assert any(int(float(fields["t_ns"])) != int(fields["t_ns_text"]) for _, fields in rows)
