@@ -40,7 +40,7 @@ def conditions(
         ConfigError: A section of the scenario cannot be read; the message names it.
     """
     origin = f"{recording.path}: scenario.yaml"
-    controller = validate(ControllerConfig, scenario.controller, origin, "controller")
+    controller = validate(ControllerConfig, scenario.controller_in_force, origin, "controller")
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
     laws, round_trip_ms = _law_status(recording, start_ns, end_ns)
     versions = recording.metadata.get("versions", {})

@@ -50,6 +50,7 @@ HOLD_WINDOW_S = (2.2, 2.5)
 RELEASE_WINDOW_S = 1.0
 # A difference of two clocks that is below one period of the loop shows in no figure.
 _LOOP_PERIOD_S = 1e-3
+_DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
@@ -109,18 +110,23 @@ class Traffic:
 
     messages: dict[str, int]
     overruns: int
+    loop_rate_hz: float = _DECLARED_LOOP_HZ
 
     def rates_hz(self, duration_s: float) -> dict[str, float]:
         return {name: round(count / duration_s, 3) for name, count in sorted(self.messages.items())}
 
     def completeness(self, duration_s: float) -> dict[str, float]:
-        """Return the recorded share of the declared number of messages, for channels of one source and a rate."""
+        """Return the recorded share of the declared number of messages, for channels of one source and a rate.
+
+        The topics of the loop are declared at 1 kHz, and have the rate of the scenario.
+        """
         shares = {}
         for name, count in sorted(self.messages.items()):
             topic = TOPICS.get(name.partition("@")[0])
             if topic is not None and topic.rate_hz is not None and "*" not in topic.publishers:
                 # Both ends of the session may fall between two messages.
-                shares[name] = min(1.0, round(count / (topic.rate_hz * duration_s), 5))
+                loop = topic.rate_hz == _DECLARED_LOOP_HZ
+                shares[name] = min(1.0, round(count / ((self.loop_rate_hz if loop else topic.rate_hz) * duration_s), 5))
         return shares
 
 
@@ -337,7 +343,8 @@ def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
             count = int(message.fields()["overruns"])
             first, _ = overruns.get(message.src, (count, count))
             overruns[message.src] = (first, count)
-    return Traffic(messages, sum(max(0, last - first) for first, last in overruns.values()))
+    late = sum(max(0, last - first) for first, last in overruns.values())
+    return Traffic(messages, late, 1.0 / _scenario(recording).period_s)
 
 
 def _hold_ratio(series: SessionSeries) -> float | None:

@@ -474,6 +474,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         key=key,
         book=AddressBook(nodes={}),
         site_file=Path(),
+        period_s=loaded.scenario.period_s,
         # Traces of the link with relative names are sought beside this file.
         scenario_file=Path(recording.metadata.get("recording", {}).get("scenario_file", "")),
         clock=clock,

@@ -15,7 +15,7 @@ def build(context: NodeContext, config: AfmConfig) -> AfmNode:
     """Build the node with its instrument."""
     # Loading and compiling the dynamic model takes seconds, in which the law beside it has to keep its period.
     with ordinary_scheduling() if config.model == "dynamic" else nullcontext():
-        return AfmNode(context, config, driver_of(config))
+        return AfmNode(context, config, driver_of(config, context.period_s))
 
 
 AFM_NODE = NodeKind("afm_node", AfmConfig, ordinary(build, INPUTS))

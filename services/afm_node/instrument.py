@@ -12,12 +12,13 @@ from services.afm_node.programs.program import Instrument
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import ProgramRunner
 from services.afm_node.safety import SafetyParams
+from services.runtime.loop.node import LOOP_PERIOD_S
 
 
-def driver_of(config: AfmConfig) -> AfmDriver:
+def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
     if config.driver == "modbus" and config.modbus is not None:
-        return modbus_driver(config.modbus, config.to_params().safety)
+        return modbus_driver(config.modbus, config.to_params().safety, period_s)
     if config.driver in DRIVERS.found:
         driver = DRIVERS.found[config.driver]
         device: AfmDriver = driver.build(getattr(config, driver.name) or driver.config(), config.to_params().safety)
@@ -62,7 +63,7 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
     return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip, **_particles(config))
 
 
-def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:
+def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     """Return the driver of a real instrument; ConfigError names what is wrong with its files."""
     try:
         from services.afm_node.devices.modbus_driver import ModbusAfm
@@ -75,7 +76,7 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams) -> AfmDriver:
     own = {"host": section.host, "port": section.port}
     network = calibration.network.model_copy(update={key: value for key, value in own.items() if value is not None})
     calibration = calibration.model_copy(update={"network": network})
-    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits)
+    return ModbusAfm(calibration, read_map(calibration.instrument.map), limits, period_s=period_s)
 
 
 def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:

@@ -28,9 +28,6 @@ from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
-PERIOD_S = 1e-3
-_PERIOD_NS = round(PERIOD_S * 1e9)
-_COMMAND_WAIT_NS = command_wait_ns(_PERIOD_NS)
 _PROGRAM_PERIOD_NS = 100_000_000
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
@@ -76,7 +73,7 @@ class AfmNodeState(NamedTuple):
 
 
 class AfmNode(Node):
-    """The instrument: afm/command in, afm/state out, one state a command, and a thousand a second without any.
+    """The instrument: afm/command in, afm/state out, one state a command, and one a period without any.
 
     Every command goes through the guard (`safety_step`) first; what the guard let through and the
     device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
@@ -92,11 +89,15 @@ class AfmNode(Node):
     journalled = True
     # After this the tick is in the slave's half and the link, which may share its processor.
     idle_after = "afm/command"
-    period_s = PERIOD_S
     state_kind = AfmNodeState
 
     def __init__(self, context: NodeContext, config: AfmConfig, driver: AfmDriver) -> None:
         super().__init__(context)
+        self.period_s = context.period_s
+        self._period_ns = round(self.period_s * 1e9)
+        self._command_wait_ns = command_wait_ns(self._period_ns)
+        # A step as long as the period is no pause.
+        self._longest_step_s = max(_LONGEST_STEP_S, 2.0 * self.period_s)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
         self._driver = driver
@@ -106,7 +107,7 @@ class AfmNode(Node):
         self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._lateral = config.to_lateral_params()
         self._reach = reach_of(config, driver)
-        self._programs = runner_of(config, driver, self._reach, PERIOD_S)
+        self._programs = runner_of(config, driver, self._reach, self.period_s)
         self._sample = "" if self._reach is None else _sample_text(config, self._reach)
         self._begin = config.begin
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
@@ -118,11 +119,11 @@ class AfmNode(Node):
             self.device_delay = DeviceDelay(driver.latency_s, driver.calibration_identity)
         # compile before the first command comes; dt and inputs change nothing in the retracted state
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
-        safety.safety_step(self._limits, self._memory.guard, asked, PERIOD_S)
+        safety.safety_step(self._limits, self._memory.guard, asked, self.period_s)
         driver.exchange(self._memory.guard.base_m)
         self._report_device(driver.report)
         self._memory.stepped_ns = self.clock.monotonic_ns()
-        self._memory.due_ns = self._memory.stepped_ns + _PERIOD_NS
+        self._memory.due_ns = self._memory.stepped_ns + self._period_ns
         if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
@@ -157,7 +158,7 @@ class AfmNode(Node):
             command_age_s = self._command_age_s()
             self.stale += command_age_s > self._limits.command_deadline_s
             self._step(self.clock.monotonic_ns(), command_age_s)
-            self._memory.due_ns = self._memory.stepped_ns + _COMMAND_WAIT_NS
+            self._memory.due_ns = self._memory.stepped_ns + self._command_wait_ns
         elif type(message) is LinkDelay:
             self.freshness.record(message)
         elif type(message) is ClockPing:
@@ -167,7 +168,7 @@ class AfmNode(Node):
         """Step without a command: the guard judges the silence."""
         self._judge_stall(now_ns)
         self._step(now_ns)
-        self._memory.due_ns = now_ns + _PERIOD_NS
+        self._memory.due_ns = now_ns + self._period_ns
 
     def on_control(self, control: SessionControl) -> str:
         if control.command == "estop":
@@ -275,7 +276,7 @@ class AfmNode(Node):
 
         With `withdraw` the step asks for a retraction, whatever afm/command asks for.
         """
-        elapsed_s = min(max(now_ns - self._memory.stepped_ns, 1) * 1e-9, _LONGEST_STEP_S)
+        elapsed_s = min(max(now_ns - self._memory.stepped_ns, 1) * 1e-9, self._longest_step_s)
         self._memory.stepped_ns = now_ns
         if self._programs.name:
             return self._step_program(elapsed_s, estop=estop)

@@ -44,7 +44,7 @@ class _OwnSections(Settings):
 
     law: str = _LAW
     period_s: Annotated[float, Field(ge=1e-4, le=0.1)] = Field(
-        default=1e-3, description="Period of the hand's samples [s]"
+        default=1e-3, description="Period of the hand's samples [s]; realtime.rate_hz gives it, where this is not given"
     )
     switch_limit_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
         default=2.0, description="Longest wait for the other half when the law changes; then the hand is let go [s]"

@@ -8,15 +8,15 @@ from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.physics.disturbances import DisturbedHaptic
 from services.runtime.loop.main import NodeKind, ordinary, run_node
-from services.runtime.loop.node import NodeContext
+from services.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:
     """Build the node with its device."""
-    return HapticNode(context, config, _device(config))
+    return HapticNode(context, config, _device(config, context.period_s))
 
 
-def _device(config: HapticConfig) -> HapticDevice:
+def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
     if config.driver in DRIVERS.found:
         driver = DRIVERS.found[config.driver]
         device: HapticDevice = driver.build(getattr(config, driver.name) or driver.config(), config.limits)
@@ -27,7 +27,7 @@ def _device(config: HapticConfig) -> HapticDevice:
     from services.haptic_node.devices.serial_driver import SerialHandle
 
     calibration = read_calibration(Path(config.serial.calibration))
-    return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits)
+    return SerialHandle(config.serial.port, config.serial.baud, calibration, config.limits, period_s=period_s)
 
 
 HAPTIC_NODE = NodeKind("haptic_node", HapticConfig, ordinary(build, INPUTS))

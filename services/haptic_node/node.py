@@ -26,13 +26,12 @@ from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
-PERIOD_S = 1e-3
 _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
 _NOT_RUNNING_S = -1.0
-# A younger sample of a real device needs no remark.
-_FRESH_S = 2 * PERIOD_S
+# A sample of a real device that is younger than so many periods needs no remark.
+_FRESH_PERIODS = 2
 
 
 class HapticMemory(msgspec.Struct, array_like=True):
@@ -65,7 +64,7 @@ class HapticNodeState(NamedTuple):
 
 
 class HapticNode(Node):
-    """The operator's device on an absolute grid of 1 kHz: haptic/command in, haptic/state out.
+    """The operator's device on an absolute grid, by default of 1 kHz: haptic/command in, haptic/state out.
 
     Every command goes through the guard (`safety.step`) first; what the guard let through and the
     device really did is what is published. The guard judges the age of the command, by its own time stamp, and that of
@@ -79,11 +78,11 @@ class HapticNode(Node):
     journalled = True
     # After this the tick is in the master's half, and soon at the slave's side.
     idle_after = ""
-    period_s = PERIOD_S
     state_kind = HapticNodeState
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
         super().__init__(context)
+        self.period_s = context.period_s
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
         self.device = device
@@ -108,7 +107,7 @@ class HapticNode(Node):
         self._report_device(device.report)
         # The steps are compiled before the grid starts, not in its first tick.
         self._guarded()
-        self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(PERIOD_S * 1e9))
+        self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(self.period_s * 1e9))
 
     def admits(self, received: Received) -> bool:
         return self._replay_guard.admits(received)
@@ -151,7 +150,7 @@ class HapticNode(Node):
         periods = self._grid.advance(now_ns)
         self.freshness.turn_ns = self._grid.deadline_ns
         self.overruns = self._grid.overruns
-        elapsed_s = periods * PERIOD_S
+        elapsed_s = periods * self.period_s
         if self._memory.session_ticks is not None:
             self._memory.session_ticks += periods
         applied = self._guarded()
@@ -192,7 +191,7 @@ class HapticNode(Node):
         self.device.close()
 
     def _session_s(self) -> float:
-        return _NOT_RUNNING_S if self._memory.session_ticks is None else self._memory.session_ticks * PERIOD_S
+        return _NOT_RUNNING_S if self._memory.session_ticks is None else self._memory.session_ticks * self.period_s
 
     def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
         """Take the force of a person without a device; say once where the scenario has another operator."""
@@ -232,7 +231,7 @@ class HapticNode(Node):
         )
         self._memory.estop_requested = self._memory.arm_requested = False
         # The step covers one period of motion, however long the process stalled, so that the hand feels no jump.
-        self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, PERIOD_S)
+        self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, self.period_s)
         return applied
 
     def _publish_state(
@@ -270,7 +269,7 @@ class HapticNode(Node):
         self._switch_pressed = report.estop_pressed
         if report.text != self._device_text:
             self._device_text = report.text
-            ready = report.status == "ok" and report.age_s <= _FRESH_S
+            ready = report.status == "ok" and report.age_s <= _FRESH_PERIODS * self.period_s
             self.event("node" if ready else "fault", "info" if ready else "warning", report.text)
 
     def _report_changes(self, applied: safety.SafetyOutputs) -> None:

@@ -63,6 +63,7 @@ class ModbusAfm:
         registers: RegisterMap,
         limits: SafetyParams,
         *,
+        period_s: float = _PERIOD_S,
         connect: Connect | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
@@ -71,6 +72,7 @@ class ModbusAfm:
         if faults:
             raise DeviceError("; ".join(faults))
         self.exchanges = 0
+        self._period_s = period_s
         self._calibration, self._map = calibration, registers
         self._where = f"{calibration.network.host}:{calibration.network.port}"
         self._limits = limits
@@ -162,8 +164,8 @@ class ModbusAfm:
         if self._calibration.latency_s is not None:
             return self._calibration.latency_s
         requests = 3 if self._map.exchange == "write_then_read" else 1
-        periods = requests * math.ceil(self._map.device_cycle_s / requests / _PERIOD_S)
-        return (3 * periods - 1) / 2 * _PERIOD_S
+        periods = requests * math.ceil(self._map.device_cycle_s / requests / self._period_s)
+        return (3 * periods - 1) / 2 * self._period_s
 
     def open(self) -> None:
         """Connect, identify, set up, retract and take a first sample.
@@ -409,7 +411,7 @@ class ModbusAfm:
         age_s = max(now_ns - self._sampled_ns, 0) * 1e-9 if self._sampled_ns else 0.0
         ready = self._phase is _Phase.READY
         # an exchange in the loop's time takes whole periods
-        stale_s = STALE_CYCLES * (self._map.device_cycle_s + _PERIOD_S)
+        stale_s = STALE_CYCLES * (self._map.device_cycle_s + self._period_s)
         volts = self._output_v, self._readings.sample.bridge_voltage_v
         status = DeviceReport("ok" if age_s <= stale_s else "stale", age_s, self._readings.in_range, self._text, *volts)
         self._report = status if ready else status._replace(status="lost", force_valid=True)

@@ -34,7 +34,7 @@ RETRY_NS = 500 * _MS
 _NOTICE_NS = 1000 * _MS
 _MOST_DROPPED = 50
 _PERIOD_S = 1e-3
-_SLOW_S = 2 * _PERIOD_S
+_SLOW_PERIODS = 2
 _BITS_A_BYTE = 10
 _COMMAND_BYTES = 20
 _STATE_BYTES = 40
@@ -68,11 +68,13 @@ class SerialHandle:
         calibration: HandleCalibration | None,
         limits: LimitsConfig,
         *,
+        period_s: float = _PERIOD_S,
         open_port: OpenPort = SerialPort,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.path = path
+        self._period_s = period_s
         self.hello: wire.Hello | None = None
         # The number of the last session that was ready; it changes with each boot of the device.
         self._session: int | None = None
@@ -142,14 +144,14 @@ class SerialHandle:
         """Return the latency of the calibration, or else that of the protocol [s].
 
         A command waits for the device's next millisecond, and the sample for the next command, which asks for it: one
-        period together, whatever the phase of the two clocks. The device's servo holds its drive for a period, half of
-        one in the mean, where a simulated one is continuous. The answer is there at the tick after, or after as many as
-        the bytes take.
+        period of the loop together, whatever the phase of the two clocks. The device's servo holds its drive for a
+        millisecond, half of one in the mean, where a simulated one is continuous. The answer is there at the tick
+        after, or after as many as the bytes take.
         """
         if calibration.latency_s is not None:
             return calibration.latency_s
         on_line_s = (_COMMAND_BYTES + _STATE_BYTES) * _BITS_A_BYTE / self._baud
-        return _PERIOD_S * (1.5 + math.ceil(on_line_s / _PERIOD_S))
+        return 0.5 * _PERIOD_S + self._period_s * (1.0 + math.ceil(on_line_s / self._period_s))
 
     @property
     def report(self) -> DeviceReport:
@@ -289,7 +291,7 @@ class SerialHandle:
     def _on_hello(self, hello: wire.Hello, now_ns: int) -> None:
         if self._phase is not _Phase.ASKING or hello.nonce != self._nonce:
             return
-        fault = refusal(hello, self._calibration)
+        fault = refusal(hello, self._calibration, self._period_s)
         if fault:
             self._lose(now_ns, f"{self.path}: {fault}")
             return
@@ -352,7 +354,7 @@ class SerialHandle:
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
         """Say once what goes on for long: samples that are old, frames that are bad (once a second at most)."""
-        if age_s <= _SLOW_S or status == "lost":
+        if age_s <= _SLOW_PERIODS * self._period_s or status == "lost":
             self._slow_since_ns = 0
         elif self._slow_since_ns == 0:
             self._slow_since_ns = now_ns
@@ -415,7 +417,7 @@ def reset_text(before: int | None, session: int) -> str:
     return f"the handle was reset: session {session}, not {before}"
 
 
-def refusal(hello: wire.Hello, calibration: HandleCalibration | None) -> str:
+def refusal(hello: wire.Hello, calibration: HandleCalibration | None, period_s: float) -> str:
     """Return why a device must not be driven with a calibration; empty if it may."""
     if hello.major != wire.MAJOR:
         return f"the handle speaks protocol {hello.major}.{hello.minor}, {wire.MAJOR} is needed: flash its firmware"
@@ -424,8 +426,8 @@ def refusal(hello: wire.Hello, calibration: HandleCalibration | None) -> str:
     found = f"{hello.device_id:016x}"
     if found != calibration.device_id:
         return f"the handle is {found}, and the calibration is that of {calibration.device_id}"
-    if hello.max_rate_hz < round(1.0 / _PERIOD_S):
-        return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / _PERIOD_S)} are needed"
+    if hello.max_rate_hz < round(1.0 / period_s):
+        return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / period_s)} are needed"
     return ""
 
 

@@ -163,7 +163,8 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
     signals = StopSignals()
     raise_file_limit()
     with open_participant(key, book, signals.descriptor) as participant:
-        wiring = Wiring(**vars(participant), site_file=site_file, scenario_file=scenario_file)
+        found = {**vars(participant), "period_s": loaded.scenario.period_s}
+        wiring = Wiring(**found, site_file=site_file, scenario_file=scenario_file)
         node, bus = kind.build(wiring, config)
         # This takes tens of ms for a large process, in which the others on its processor have their periods to keep.
         with ordinary_scheduling():

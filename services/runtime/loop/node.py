@@ -29,6 +29,8 @@ from services.runtime.loop.node_state import FindInput
 from services.runtime.loop.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
+# of a rig that gives no `realtime.rate_hz`
+LOOP_PERIOD_S = 1e-3
 HEALTH_PERIOD_NS = 500_000_000
 # At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.
 STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
@@ -46,6 +48,8 @@ class NodeContext:
     stop_requested: bool = False
     # An emergency stop is kept in this file until the node is armed; None where the node has no such file.
     kept_stop: Path | None = None
+    # The period of the loop, by `realtime.rate_hz` [s].
+    period_s: float = LOOP_PERIOD_S
     # The loop runs these tasks in its idle gaps.
     deferred: DeferredTasks = field(init=False)
 

@@ -20,6 +20,7 @@ from services.runtime.loop.clock import Clock, SystemClock
 from services.runtime.loop.hang_guard import HangGuard
 from services.runtime.loop.log import RateLimitedLog, StructuredLog
 from services.runtime.loop.node import (
+    LOOP_PERIOD_S,
     STARTING_PERIOD_NS,
     Node,
     NodeBus,
@@ -40,7 +41,7 @@ NO_REALTIME = RealtimeStatus(fifo=False, memory_locked=False)
 class Participant:
     """A process on the bus: its name there, its clock, and the sockets that it opens.
 
-    `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus.
+    `wake_descriptor` becomes readable at a stop signal, to end the wait of a bus; `period_s` is that of the loop.
     """
 
     key: str
@@ -49,6 +50,7 @@ class Participant:
     log: StructuredLog
     network: Transport
     wake_descriptor: int
+    period_s: float = LOOP_PERIOD_S
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
     batches: list[OutgoingBatch] = field(default_factory=list)
 
@@ -126,7 +128,7 @@ class Participant:
         return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
 
     def context(self, bus: Bus) -> NodeContext:
-        return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop())
+        return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop(), period_s=self.period_s)
 
     def kept_stop(self) -> Path | None:
         """Return where emergency stops of a device are kept; None for other nodes, and without an ipc endpoint."""

@@ -61,6 +61,10 @@ class RealtimeConfig(BaseModel):
         "slave's nodes on another; link_at_master: the link with the master's, which auto means where the AFM has "
         "model dynamic; free: any; or a mapping of node or node@site to a processor",
     )
+    rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = Field(
+        default=1000.0,
+        description="Rate of hand, instrument, law and devices [Hz]; what a machine reaches is in docs/performance.md",
+    )
     huge_pages: bool = Field(
         default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
     )

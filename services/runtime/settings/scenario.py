@@ -1,11 +1,12 @@
 """The scenario file: one section a node; the supervisor reads all of it, each node its own section."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeGuard, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from services.runtime.loop.realtime import RealtimeConfig
 from services.runtime.settings.config import layered, validate
@@ -29,6 +30,26 @@ class Scenario(BaseModel):
     recorder: dict[str, Any] = Field(default={}, description="Section of the recorder")
     viz_node: dict[str, Any] = Field(default={}, description="Section of the server of the page")
 
+    @model_validator(mode="after")
+    def _check_rate(self) -> Self:
+        given = self.controller.get("period_s")
+        rate_hz = self.realtime.rate_hz
+        if "rate_hz" in self.realtime.model_fields_set and _is_number(given) and abs(given * rate_hz - 1.0) > 1e-6:
+            text = f"realtime.rate_hz: {rate_hz:g} and controller.period_s: {given:g} disagree"
+            raise ValueError(f"{text}: give realtime.rate_hz alone")
+        return self
+
+    @property
+    def period_s(self) -> float:
+        """Period of the loop [s], in whole nanoseconds: that of `realtime.rate_hz`, or the one that the law gives."""
+        given = self.controller.get("period_s")
+        return float(given) if _is_number(given) else round(1e9 / self.realtime.rate_hz) / 1e9
+
+    @property
+    def controller_in_force(self) -> dict[str, Any]:
+        """The section of both halves of the law, whose period is that of the loop."""
+        return {**self.controller, "period_s": self.controller.get("period_s", self.period_s)}
+
     def realtime_in_force(self) -> RealtimeConfig:
         """Return what nodes ask of the machine, with the processors that `auto` means.
 
@@ -37,6 +58,11 @@ class Scenario(BaseModel):
         """
         busy = self.afm_node.get("model") == "dynamic" and self.realtime.cpus == "auto"
         return self.realtime.model_copy(update={"cpus": "link_at_master"}) if busy else self.realtime
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    """Return whether a value that its own section has not checked yet is a period."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0.0
 
 
 # A scenario may name what a package brings at these places; each place has a kind of plug-in (`presets.plugins`).
@@ -71,7 +97,9 @@ class LoadedScenario:
 
     def section(self, name: str, model: type[M]) -> M:
         """Return a node's section, validated; ConfigError names file and key."""
-        return validate(model, getattr(self.scenario, name), self.origin, name)
+        of_law = name == "controller" and "period_s" in model.model_fields
+        section = self.scenario.controller_in_force if of_law else getattr(self.scenario, name)
+        return validate(model, section, self.origin, name)
 
 
 def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:

@@ -1,5 +1,6 @@
 """The haptic node: grid, programme, deadline on commands, e-stop, and the stamps of the loop's age."""
 
+import itertools
 from typing import Any
 
 import pytest
@@ -224,3 +225,17 @@ def test_a_device_that_is_late_by_less_goes_on(hand: Hand) -> None:
     hand.tick()
     assert hand.states()[-1].mode == "position"
     assert hand.bench.take("session/event") == []
+
+
+@pytest.mark.parametrize("rate_hz", [100, 1000, 2000])
+def test_the_grid_is_that_of_the_rate_of_the_rig(bench_of: Any, rate_hz: int) -> None:
+    bench = bench_of("haptic_node@master")
+    bench.context.period_s = 1.0 / rate_hz
+    hand = Hand(bench)
+    hand.control("arm"), hand.control("start")
+    hand.tick(rate_hz // 10)
+    states = hand.states()
+    assert {b.t_ns - a.t_ns for a, b in itertools.pairwise(states)} == {10**9 // rate_hz}
+    assert {state.step_s for state in states} == {1.0 / rate_hz}
+    assert states[-1].session_s == pytest.approx(0.1, rel=1e-9, abs=0.0)
+    assert hand.node.period_s == 1.0 / rate_hz

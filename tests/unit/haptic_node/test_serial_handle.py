@@ -13,6 +13,7 @@ from handle_line import PATH, Line, Rig, calibration
 from proto.errors import ConfigError, RefusedError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.devices import wire
+from services.haptic_node.devices.serial_driver import refusal
 from services.haptic_node.driver import DeviceError, DriveCommand
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
@@ -281,6 +282,15 @@ def test_wrong_device_is_refused_at_open_and_nothing_is_driven(answer: dict[str,
         line.driver.open()
     assert line.closed == 1
     assert not line.handle.core.mode
+
+
+@pytest.mark.parametrize(("rate_hz", "refused"), [(100, False), (1000, False), (2000, True)])
+def test_a_handle_is_refused_by_a_loop_that_is_faster_than_it(line: Line, rate_hz: int, refused: bool) -> None:
+    line.driver.open()
+    assert line.driver.hello is not None
+    slow = line.driver.hello._replace(max_rate_hz=1000)
+    text = refusal(slow, calibration(), 1.0 / rate_hz)
+    assert text == ("the handle takes 1000 commands a second, 2000 are needed" if refused else "")
 
 
 def test_nobody_there_is_a_sentence_after_three_seconds() -> None:

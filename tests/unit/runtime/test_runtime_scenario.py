@@ -110,3 +110,38 @@ def test_the_dynamic_cantilever_has_the_processor_of_the_slave_without_the_link(
         document = {**facts, "afm_node": {"model": model}, "realtime": {"cpus": cpus, "spin_s": 5e-5}}
         found = Scenario.model_validate(document).realtime_in_force()
         assert (found.cpus, found.spin_s) == (expected, 5e-5)
+
+
+class Period(BaseModel):
+    period_s: float = 1e-3
+
+
+@pytest.mark.parametrize(
+    ("flags", "period_s"),
+    [
+        ((), 0.001),
+        (("realtime.rate_hz=2000.0",), 0.0005),
+        (("realtime.rate_hz=100.0",), 0.01),
+        # whole nanoseconds, as the grid of the hand
+        (("realtime.rate_hz=300.0",), 0.003333333),
+        (("controller.period_s=0.002",), 0.002),
+        (("controller.period_s=0.0005", "realtime.rate_hz=2000.0"), 0.0005),
+    ],
+)
+def test_one_key_has_the_rate_of_the_whole_loop(path: Path, flags: tuple[str, ...], period_s: float) -> None:
+    loaded = load_scenario(path, flags)
+    assert loaded.scenario.period_s == period_s
+    assert loaded.section("controller", Period).period_s == period_s
+
+
+@pytest.mark.parametrize("rate", ["1000.0", "500.0"])
+def test_two_keys_that_disagree_are_refused(path: Path, rate: str) -> None:
+    flags = ["controller.period_s=0.0005", f"realtime.rate_hz={rate}"]
+    with pytest.raises(ConfigError, match=r"controller\.period_s: 0\.0005 disagree: give realtime\.rate_hz alone"):
+        load_scenario(path, flags)
+
+
+@pytest.mark.parametrize("given", ["text", "true", "[1]", "-1.0", ".inf"])
+def test_a_period_that_is_none_is_left_to_its_own_section(path: Path, given: str) -> None:
+    loaded = load_scenario(path, [f"controller.period_s={given}", "realtime.rate_hz=500.0"])
+    assert loaded.scenario.period_s == 0.002
