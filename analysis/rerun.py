@@ -510,7 +510,12 @@ class _RerunWiring(Wiring):
         return cast(ZmqPublisher, RerunOutlet(self.rerun_bus, key))
 
     def subscribers(
-        self, connections: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+        self,
+        connections: Mapping[str, Sequence[str]],
+        *,
+        apart: bool = False,
+        newest_only: bool = False,
+        shared: bool = False,
     ) -> list[Subscriber]:
         """Return none: the re-run hands the messages over itself."""
         return []

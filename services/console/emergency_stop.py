@@ -6,7 +6,6 @@ the stop it keeps it in a file beside the inlet of each device, for one that can
 """
 
 import os
-import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -18,7 +17,7 @@ import zmq
 
 from proto.errors import RigError
 from proto.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
-from services.runtime.bus.local_endpoint import estop_endpoint, kept_stop_path, local_endpoint
+from services.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_stop_path, local_endpoint
 from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.kept_stop import keep
 
@@ -81,11 +80,11 @@ class LocalRig:
 
     def has_inlet(self, node: str) -> bool:
         """Return whether a node runs here and takes emergency stops."""
-        return node in self.endpoints and _is_bound(estop_endpoint(self.endpoints[node]))
+        return node in self.endpoints and is_bound(estop_endpoint(self.endpoints[node]))
 
     def is_supervised(self) -> bool:
         """Return whether a launcher runs here, which starts a device again that does not run."""
-        return any(node in self.endpoints and _is_bound(self.endpoints[node]) for node in LAUNCHERS)
+        return any(node in self.endpoints and is_bound(self.endpoints[node]) for node in LAUNCHERS)
 
     def reach(self, target: str, site: str) -> Reach:
         """Return the way to each device that a target means, from one site, or as empty text from both at once."""
@@ -99,7 +98,7 @@ class LocalRig:
                 found["direct"].append(device)
             elif has_link and site_of(device) == "slave" and not (here and only_here):
                 found["by_link"].append(device)
-            elif here and only_here and not _is_bound(self.endpoints[device]):
+            elif here and only_here and not is_bound(self.endpoints[device]):
                 found["absent"].append(device)
             elif here or site == "master":
                 found["by_console"].append(device)
@@ -253,17 +252,3 @@ def _answer(frames: list[bytes], identifier: str) -> Answer | None:
         return found if fields["id"] == identifier and found.kind in ("ack", "refused") else None
     except (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException):
         return None
-
-
-def _is_bound(endpoint: str) -> bool:
-    """Return whether a process has an ipc endpoint: a socket that a killed one left behind does not answer."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.setblocking(False)
-        try:
-            probe.connect(endpoint.removeprefix("ipc://"))
-        except BlockingIOError:
-            # Another process has it, and is not fast enough to serve all that connect.
-            return True
-        except OSError:
-            return False
-    return True

@@ -25,12 +25,17 @@ def connect(
     participant: Participant,
     sites: Sequence[str] = SITES,
     wanted: Callable[[str, str], bool] = lambda topic, node: True,
+    *,
+    shared: bool = False,
 ) -> list[Listener]:
     """Subscribe at each node at `sites` to every recorded topic that it publishes.
 
-    `wanted(topic, node)` selects among them: what is not subscribed to is not even sent.
+    `wanted(topic, node)` selects among them: what is not subscribed to is not even sent. With `shared` the nodes may be
+    read once for all observers.
     """
-    readers = participant.observe(lambda topic, node: TOPICS[topic].recorded and wanted(topic, node), sites)
+    readers = participant.observe(
+        lambda topic, node: TOPICS[topic].recorded and wanted(topic, node), sites, shared=shared
+    )
     return [Listener(node, reader) for node, reader in readers.items()]
 
 
@@ -66,7 +71,7 @@ class LiveRecording:
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self._listeners = connect(participant)
+        self._listeners = connect(participant, shared=True)
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:

@@ -34,7 +34,7 @@ _TCP = re.compile(r"tcp://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+):([0-9]{1,5})")
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _NO_ENDPOINT = "is neither ipc:///absolute/path nor tcp://host:port (1-65535)"
 # sun_path holds 108 bytes on Linux, with its closing zero
-_LONGEST_IPC_PATH = 107
+LONGEST_IPC_PATH = 107
 
 NodeKey = Annotated[str, Field(pattern=SOURCE_PATTERN)]
 MachineName = Annotated[str, Field(pattern=MACHINE_PATTERN)]
@@ -176,7 +176,7 @@ class AddressBook(Settings):
         """Return where a node takes emergency stops; None without an ipc endpoint, or with one that is too long."""
         local = self.local_endpoint(node)
         endpoint = "" if local is None else estop_endpoint(local)
-        return endpoint if 0 < len(os.fsencode(endpoint.removeprefix("ipc://"))) <= _LONGEST_IPC_PATH else None
+        return endpoint if 0 < len(os.fsencode(endpoint.removeprefix("ipc://"))) <= LONGEST_IPC_PATH else None
 
     def kept_stop(self, node: str) -> Path | None:
         """Return the file that keeps an emergency stop for a node; None where it takes none at an inlet."""
@@ -362,8 +362,8 @@ def _check_endpoint(node: str, endpoint: str) -> None:
         path = endpoint.removeprefix("ipc://")
         if not path.startswith("/"):
             raise ValueError(f"nodes.{node}: {endpoint} needs an absolute path, such as ipc://{{runtime}}/{node}")
-        if len(os.fsencode(path)) > _LONGEST_IPC_PATH:
-            raise ValueError(f"nodes.{node}: {path} is longer than the {_LONGEST_IPC_PATH} bytes of a socket path")
+        if len(os.fsencode(path)) > LONGEST_IPC_PATH:
+            raise ValueError(f"nodes.{node}: {path} is longer than the {LONGEST_IPC_PATH} bytes of a socket path")
         return
     if not _is_tcp(endpoint):
         raise ValueError(f"nodes.{node}: {endpoint} {_NO_ENDPOINT}{_bracket_hint(endpoint)}")

@@ -1,6 +1,7 @@
-"""Where the sockets of a rig are on this machine. It imports nothing: an emergency stop has no time for models."""
+"""Where the sockets of a rig are on this machine. It imports no model: an emergency stop has no time for models."""
 
 import os
+import socket
 from pathlib import Path
 
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
@@ -11,6 +12,7 @@ MOST_RIG_LETTERS = 16
 _RIG_FOLDER = "rig-"
 _RUNTIME_PLACEHOLDER = "{runtime}"
 _ESTOP_SUFFIX = ".estop"
+_FAN_OUT_SUFFIX = ".fan"
 _KEPT_SUFFIX = ".kept"
 
 
@@ -67,6 +69,25 @@ def estop_endpoint(endpoint: str) -> str:
     return endpoint + _ESTOP_SUFFIX
 
 
+def fan_out_endpoint(endpoint: str) -> str:
+    """Return where observers of the node with an ipc endpoint connect, if its rig reads it once for all of them."""
+    return endpoint + _FAN_OUT_SUFFIX
+
+
 def kept_stop_path(endpoint: str) -> Path:
     """Return the file that keeps an emergency stop for the device with an ipc endpoint until it is armed."""
     return Path(estop_endpoint(endpoint).removeprefix("ipc://") + _KEPT_SUFFIX)
+
+
+def is_bound(endpoint: str) -> bool:
+    """Return whether a process has an ipc endpoint: a socket that a killed one left behind does not answer."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(endpoint.removeprefix("ipc://"))
+        except BlockingIOError:
+            # Another process has it, and is not fast enough to serve all that connect.
+            return True
+        except OSError:
+            return False
+    return True

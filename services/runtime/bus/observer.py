@@ -47,8 +47,10 @@ def known_name(name: str) -> tuple[str, str | None]:
 class Observer:
     """One connection to every socket of the rig, so that original and copy are counted apart."""
 
-    def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS) -> None:
+    def __init__(self, book: AddressBook, wanted: Collection[str] = TOPICS, *, shared: bool = True) -> None:
         """Connect for some topics, or for all, as the machine that this process runs on.
+
+        With `shared` the nodes are read through the process that does that once for all observers, where a rig has it.
 
         Raises:
             ConfigError: This machine lacks a key that the rig demands.
@@ -57,7 +59,7 @@ class Observer:
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self.subscribers = participant.observe(lambda topic, node: topic in wanted)
+        self.subscribers = participant.observe(lambda topic, node: topic in wanted, shared=shared)
         self._poller = zmq.Poller()
         for subscriber in self.subscribers.values():
             self._poller.register(subscriber.socket, zmq.POLLIN)

@@ -15,6 +15,7 @@ from proto.errors import ConfigError, EndpointError
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Subscriber
 from services.runtime.bus.estop_inlet import EstopInlet
+from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.clock import Clock
 from services.runtime.loop.realtime import lower_thread
@@ -149,7 +150,12 @@ class Transport:
         return publisher
 
     def subscribers(
-        self, sources: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+        self,
+        sources: Mapping[str, Sequence[str]],
+        *,
+        apart: bool = False,
+        newest_only: bool = False,
+        shared: bool = False,
     ) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): one socket for this machine, one for each other machine.
 
@@ -157,9 +163,11 @@ class Transport:
             sources: The topics by node.
             apart: Whether each node gets a socket of its own, in order, so that the endpoint of a message is known.
             newest_only: True for a reader that acts on the newest message of each `latest` topic.
+            shared: Whether the rig may read the node once for all observers, where these are apart.
         """
         if apart:
-            return [self._reader({node: topics}, _READER_SILENCE_MS) for node, topics in sources.items()]
+            plans = [{node: topics} for node, topics in sources.items()]
+            return [self._reader(plan, _READER_SILENCE_MS, shared=shared) for plan in plans]
         groups: dict[str, dict[str, Sequence[str]]] = {"": {}}
         for node, topics in sources.items():
             near = self._book.endpoint(node, self.machine).startswith("ipc://")
@@ -200,8 +208,13 @@ class Transport:
         for handler in self._handlers:
             handler.close()
 
-    def _reader(self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False) -> Subscriber:
+    def _reader(
+        self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False, shared: bool = False
+    ) -> Subscriber:
         endpoints = {node: self._book.connect_endpoint(node, self.machine) for node in plan}
+        if shared:
+            further = {node: fan_out_endpoint(endpoint) for node, endpoint in endpoints.items()}
+            endpoints |= {node: endpoint for node, endpoint in further.items() if is_bound(endpoint)}
         by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
             return Subscriber(self._context, self._clock, by_endpoint, newest_only=newest_only)

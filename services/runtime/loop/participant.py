@@ -73,18 +73,28 @@ class Participant:
         return publisher
 
     def subscribers(
-        self, connections: Mapping[str, Sequence[str]], *, apart: bool = False, newest_only: bool = False
+        self,
+        connections: Mapping[str, Sequence[str]],
+        *,
+        apart: bool = False,
+        newest_only: bool = False,
+        shared: bool = False,
     ) -> list[Subscriber]:
         """Connect to nodes (keys) for topics (values): a socket for each machine, or with `apart` for each node."""
-        opened = self.network.subscribers(connections, apart=apart, newest_only=newest_only)
+        opened = self.network.subscribers(connections, apart=apart, newest_only=newest_only, shared=shared)
         return [self.resources.enter_context(contextlib.closing(subscriber)) for subscriber in opened]
 
-    def observe(self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES) -> dict[str, Subscriber]:
-        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of it."""
+    def observe(
+        self, wanted: Callable[[str, str], bool], sites: Sequence[str] = SITES, *, shared: bool = False
+    ) -> dict[str, Subscriber]:
+        """Connect to each node at `sites` by a socket of its own, for the topics that are `wanted` of it.
+
+        With `shared` it may be the socket of the process that reads the node once for all observers.
+        """
         topics_of = self.book.observed(self.network.machine, sites)
         plan = {node: [topic for topic in topics if wanted(topic, node)] for node, topics in topics_of.items()}
         plan = {node: topics for node, topics in plan.items() if topics}
-        return dict(zip(plan, self.subscribers(plan, apart=True), strict=True))
+        return dict(zip(plan, self.subscribers(plan, apart=True, shared=shared), strict=True))
 
     def bus(self, topics: Sequence[str], *, newest_only: bool = False) -> ZmqBus:
         """Open the bus of an ordinary node: its own endpoint and connections for its inputs.

@@ -12,6 +12,7 @@ import typer
 from presets.plugins import known_problems
 from proto.errors import ReportError
 from recording.multi_file import open_recordings
+from services.launcher.fan_out import fan_out
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.rigs import own_rig
@@ -82,7 +83,12 @@ def _run(
     plan = make_plan(request, folder)
     _warn(request, plan)
     view = _open_view(live=not headless and not as_json, quiet=as_json)
-    with own_rig(plan, _tell) as own, inherited_by_page(plan, typer.echo) as beside, view:
+    with (
+        own_rig(plan, _tell) as own,
+        fan_out(plan, own.descriptors),
+        inherited_by_page(plan, typer.echo) as beside,
+        view,
+    ):
         outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors)
     _restore_default_signals()
     outcome = with_far_recording(outcome, plan, view.show)

@@ -1,0 +1,52 @@
+"""The process that reads each node of a rig once for all of its observers, as long as the launcher runs."""
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+
+from proto.nodes import NODES
+from services.launcher.plan import Plan
+from services.runtime.bus.address_book import LONGEST_IPC_PATH
+from services.runtime.bus.local_endpoint import fan_out_endpoint
+
+_STOP_S = 2.0
+_PARTS = ("rig", "endpoint", "launcher")
+
+
+def endpoints_of(plan: Plan) -> list[str]:
+    """Return the local endpoints of the nodes that run as long as the rig does, where the path has room for another."""
+    rows = [row.key for row in NODES if row.part in _PARTS and row.key in plan.book.nodes]
+    found = [endpoint for node in rows if (endpoint := plan.book.local_endpoint(node)) is not None]
+    return [each for each in found if len(os.fsencode(fan_out_endpoint(each)[len("ipc://") :])) <= LONGEST_IPC_PATH]
+
+
+@contextlib.contextmanager
+def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
+    """Run the process while the block runs. Where it has died, observers that come later connect to the nodes.
+
+    Args:
+        plan: The planned rig. One that spans machines, or whose nodes run already, has none.
+        held: Descriptors that every process of the rig inherits.
+    """
+    if plan.attach or plan.site is not None or not plan.book.uses_runtime_directory:
+        yield
+        return
+    # It ends when its standard input does, so also with a launcher that is killed.
+    process = subprocess.Popen(
+        [sys.executable, "-m", "services.runtime.bus.fan_out", *endpoints_of(plan)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        pass_fds=held,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        try:
+            process.communicate(timeout=_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
