@@ -18,11 +18,14 @@ from typing import Any
 KINDS = ("none", "direct", "shared")
 # The sessions begin some seconds after the processes; the observers connect when the rig runs.
 START_S, MARGIN_S = 4.0, 2.0
+# They have imported all that they need when the rig starts: that takes more processor time than to listen.
 OBSERVER = """
-import sys, time
+import sys
 from presets import DEFAULT_SITE_FILE
 from services.runtime.bus.observer import Observer
 from services.runtime.loop.main import load_site
+print("ready", flush=True)
+sys.stdin.readline()
 observer, count = Observer(load_site(DEFAULT_SITE_FILE), shared=sys.argv[1] == "shared"), 0
 for _ in observer.listen(float(sys.argv[2])):
     count += 1
@@ -35,17 +38,22 @@ def session(kind: str, observers: int, duration_s: float, folder: Path) -> dict[
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(folder / "run")}
     command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json", "--out", str(folder / kind)]
     command += ["--overwrite", "--duration", str(duration_s)]
-    rig = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-    time.sleep(START_S)
     listening_s = duration_s - MARGIN_S
     # They are as important as those of a person: ordinary processes.
-    readers = [
-        subprocess.Popen(
-            [sys.executable, "-c", OBSERVER, kind, str(listening_s)], env=environment, stdout=subprocess.PIPE, text=True
-        )
-        for _ in range(observers if kind != "none" else 0)
-    ]
-    received = [int(reader.communicate()[0] or 0) for reader in readers]
+    reader = [sys.executable, "-c", OBSERVER, kind, str(listening_s)]
+    pipe = subprocess.PIPE
+    count = observers if kind != "none" else 0
+    readers = [subprocess.Popen(reader, env=environment, stdin=pipe, stdout=pipe, text=True) for _ in range(count)]
+    for each in readers:
+        assert each.stdout is not None
+        each.stdout.readline()
+    rig = subprocess.Popen(command, env=environment, stdout=pipe, text=True)
+    time.sleep(START_S)
+    for each in readers:
+        assert each.stdin is not None
+        each.stdin.write("go\n")
+        each.stdin.flush()
+    received = [int(each.communicate()[0] or 0) for each in readers]
     out, _ = rig.communicate()
     summary = json.loads(out)
     return {
