@@ -68,7 +68,7 @@ def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> Non
         cat = rigs[0].telenano("bag", "cat", f"{row['out']}/session.mcap", "--topics", "session/control")
         marks = [json.loads(line)["message"] for line in cat.stdout.splitlines()]
         # A command is repeated until it is answered.
-        assert {m["parameters"]["label"] for m in marks if m["command"] == "mark"} == {row["rig"]}
+        assert {str(m["parameters"]["label"]) for m in marks if m["command"] == "mark"} == {row["rig"]}
     assert listed(rigs[0]) == {}
     assert not (rigs[0].sockets / "rig-2").exists()
 
