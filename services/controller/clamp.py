@@ -64,5 +64,5 @@ def clamped(params: ClampParams, wanted: SlaveReference, signal: PortSignal, tip
     if not (params.enabled and tip.following and signal.active):
         return wanted
     allowed = max(params.force_scale * signal.force_n, 0.0) + params.margin_n - params.force_scale * tip.force_n
-    most = tip.base_position_m + params.reach_m_per_n * allowed
+    most = tip.base_position_m + tip.outstanding_m + params.reach_m_per_n * allowed
     return SlaveReference(min(wanted.position_m, most), wanted.active)

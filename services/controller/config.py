@@ -1,5 +1,6 @@
 """Configuration of the controller: which law, and the parameters of each."""
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -84,16 +85,18 @@ class _OwnSections(Settings):
         scales = section.position_scale, section.force_scale
         return self.clamp.to_params(section.to_params(self.period_s), *scales, self.period_s)
 
-    def stiffness_limit_n_per_m(self) -> float | None:
+    def stiffness_limit_n_per_m(self, late: int = 0) -> float | None:
         """Return the stiffest sample [N/m] that the slave half bears; None where it closes no loop of its own.
 
-        Laws of packages state theirs as this project's do: `stiffness_limit_n_per_m(period_s)` of their settings.
+        An integrator with a dead time of `late` periods, by which the instrument answers late, is stable up to
+        sin(pi / (4 late + 2)) of what one without is. Laws of packages state theirs as this project's do:
+        `stiffness_limit_n_per_m(period_s)` of their settings.
         """
         section, clamp = self.law_config(), self.clamp_params()
         limits = [section.stiffness_limit_n_per_m(self.period_s)] if hasattr(section, "stiffness_limit_n_per_m") else []
         if clamp.enabled:
             limits.append(2.0 / (clamp.force_scale * clamp.reach_m_per_n))
-        return float(min(limits)) if limits else None
+        return float(min(limits)) * math.sin(math.pi / (4 * late + 2)) if limits else None
 
     def stiffness_doubts(self, stiffness_n_per_m: float) -> str:
         """Return why a sample [N/m] is too stiff for the law in force; empty where it is not."""

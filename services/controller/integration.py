@@ -19,14 +19,21 @@ The slave half works in commands to the instrument, which says of each state whi
 
     state      event                            decision                                          next
     any        signal, n periods of the hand    receive by what the half is behind, command       waiting
+    waiting    signal less than a period after  none, where the half has a loop of its own: the   waiting
+               the last step                    answer to the last command is that to this one
     any        signal that begins anew          start, or start anew, then as n = 1               waiting
     waiting    signal                           before that: answer with the newest sample        settled, and on
-    waiting    state with the newest command    account for all commands; answer if to a signal   settled
+    waiting    state with the newest command    account for all commands; answer if to a signal;  settled, or
+               if late and no signal comes: then as in settled                             waiting
     waiting    state with an older command      account for the commands up to it                 waiting
     settled    state with the newest command    the instrument stepped by itself: receive by      waiting, or
                                                 what the half is behind, command; if the last     settled
                                                 signal still counts, else none
     any        stall of the process             nothing is owed any more                          settled
+
+A loop of the half against the sample has the force that was measured last, and signals of a burst come quicker than
+that. So it takes one step for each that the instrument has carried out, and, where the instrument answers late, one for
+each period. Signals that it passes over add to what it is behind.
 
 Before the instrument has answered, a half that keeps account of its local steps answers without accounting (EARLY): to
 such a half the tip would have stood for this step and moved twice as fast in the next, which takes twice the energy
@@ -173,7 +180,8 @@ class Commands(NamedTuple):
     """What was asked of the instrument: the numbers of the newest command, and of the newest that it has carried out.
 
     -1 is none. steps: periods of the newest commands, the newest first, and in the last place the sum of all that are
-    older; waiting: whether the newest is waited for; answers: whether it belongs to a signal.
+    older; waiting: whether the newest is waited for; answers: whether it belongs to a signal; lasts_ns: until when the
+    steps last that were commanded, one period each [ns].
     """
 
     newest: int
@@ -181,6 +189,7 @@ class Commands(NamedTuple):
     steps: tuple[int, int, int, int, int, int, int, int]
     waiting: bool
     answers: bool
+    lasts_ns: int
 
 
 class SlaveTiming(NamedTuple):
@@ -193,17 +202,21 @@ class SlaveTiming(NamedTuple):
 
 
 class Settled(NamedTuple):
-    """What the slave half does (NOTHING to GO_ON), the periods to account for, and whether the answer is sent."""
+    """What the slave half does (NOTHING to GO_ON), the periods to account for, and whether the answer is sent.
+
+    goes_on: whether it steps once more behind an ANSWER, as in GO_ON.
+    """
 
     what: int
     periods: int
     answers: bool
+    goes_on: bool
 
 
 @inlined
 def slave_begin() -> SlaveTiming:
     """Return the timing of a slave half before the first signal."""
-    commands = Commands(-1, -1, (0, 0, 0, 0, 0, 0, 0, 0), False, True)
+    commands = Commands(-1, -1, (0, 0, 0, 0, 0, 0, 0, 0), False, True, 0)
     return SlaveTiming(no_sample(), nothing_heard(), Pacing(1, 0, 1), commands)
 
 
@@ -240,13 +253,35 @@ def slave_signalled(
 
 
 @inlined
+def slave_passes_over(timing: SlaveTiming, params: TimingParams, now_ns: int) -> bool:
+    """Return whether the half makes no step at a signal now: the instrument still has one, and its time is not over.
+
+    Half a period is left to signals that come early.
+    """
+    outstanding = timing.commands.newest > timing.commands.carried_out
+    return params.local_ns > 0 and outstanding and now_ns < timing.commands.lasts_ns - params.period_ns // 2
+
+
+@inlined
+def slave_passed_over(timing: SlaveTiming) -> SlaveTiming:
+    """Return the timing after a signal without a step: the command that is waited for answers this one as well."""
+    c, pacing = timing.commands, timing.pacing
+    commands = Commands(c.newest, c.carried_out, c.steps, c.waiting, True, c.lasts_ns)
+    behind = Pacing(pacing.elapsed, pacing.behind + pacing.elapsed, pacing.step)
+    return SlaveTiming(timing.hand, timing.heard, behind, commands)
+
+
+@inlined
 def slave_stepped(timing: SlaveTiming, params: TimingParams, now_ns: int, elapsed: int) -> SlaveTiming:
     """Return the timing with the step that the half has to make now; elapsed: periods of a signal, 0 without one."""
     heard = timing.heard
     silent_ns = silence_ns(heard, now_ns)
     silent = 0 if silent_ns < params.period_ns else silent_ns // params.period_ns
     behind, step = paced(timing.pacing.behind, elapsed, _ENDLESS if heard.received_ns < 0 else silent)
-    return SlaveTiming(timing.hand, heard, Pacing(timing.pacing.elapsed, behind, step), timing.commands)
+    c = timing.commands
+    begins_ns = max(c.lasts_ns, now_ns) if c.newest > c.carried_out else now_ns
+    commands = Commands(c.newest, c.carried_out, c.steps, c.waiting, c.answers, begins_ns + params.period_ns)
+    return SlaveTiming(timing.hand, heard, Pacing(timing.pacing.elapsed, behind, step), commands)
 
 
 @inlined
@@ -255,7 +290,8 @@ def slave_commanded(timing: SlaveTiming, number: int, answers: bool) -> SlaveTim
     c = timing.commands
     first, second, third, fourth, fifth, sixth, _, _ = c.steps
     steps = (timing.pacing.step, first, second, third, fourth, fifth, sixth, _owed(c, _LAST - 1))
-    commands = Commands(number, number - 1 if c.newest < 0 else c.carried_out, steps, True, answers)
+    carried_out = number - 1 if c.newest < 0 else c.carried_out
+    commands = Commands(number, carried_out, steps, True, answers, c.lasts_ns)
     return SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
 
 
@@ -263,10 +299,10 @@ def slave_commanded(timing: SlaveTiming, number: int, answers: bool) -> SlaveTim
 def slave_unanswered(timing: SlaveTiming, early: bool) -> tuple[SlaveTiming, Settled]:
     """Return what a signal settles that comes while a command is waited for; early: without accounting for it."""
     if not timing.commands.waiting:
-        return timing, Settled(NOTHING, 0, False)
+        return timing, Settled(NOTHING, 0, False, False)
     if early:
-        return timing, Settled(ANSWER_EARLY, 0, timing.commands.answers)
-    return _settled(timing, ANSWER, 0)
+        return timing, Settled(ANSWER_EARLY, 0, timing.commands.answers, False)
+    return _settled(timing, ANSWER, 0, False)
 
 
 @inlined
@@ -285,29 +321,33 @@ def slave_measured(
     """
     c, heard = timing.commands, timing.heard
     later = c.newest - number
-    if later == 0 and c.waiting:
-        return _settled(timing, ANSWER, 0)
     if later == 0:
-        counts = heard.received_ns >= 0 and params.local_ns > 0 and silence_ns(heard, now_ns) <= params.local_ns
-        return timing, Settled(GO_ON if counts and follows and not held else NOTHING, 0, False)
+        silent_ns = silence_ns(heard, now_ns)
+        counts = heard.received_ns >= 0 and params.local_ns > 0 and silent_ns <= params.local_ns
+        goes_on = counts and follows and not held
+        if c.waiting:
+            # an instrument that answers late would make a loop in a silence as much slower
+            late = now_ns >= c.lasts_ns - params.period_ns // 2 and 2 * silent_ns >= 3 * params.period_ns
+            return _settled(timing, ANSWER, 0, goes_on and late)
+        return timing, Settled(GO_ON if goes_on else NOTHING, 0, False, False)
     if held or number <= c.carried_out or not 0 < later < _LAST:
-        return timing, Settled(NOTHING, 0, False)
-    return _settled(timing, ACCOUNT, later)
+        return timing, Settled(NOTHING, 0, False, False)
+    return _settled(timing, ACCOUNT, later, False)
 
 
 @inlined
-def _settled(timing: SlaveTiming, what: int, later: int) -> tuple[SlaveTiming, Settled]:
+def _settled(timing: SlaveTiming, what: int, later: int, goes_on: bool) -> tuple[SlaveTiming, Settled]:
     """Settle all commands but those that were sent later than the one carried out."""
     commands, periods = _carried_out(timing.commands, later)
     after = SlaveTiming(timing.hand, timing.heard, timing.pacing, commands)
-    return after, Settled(what, periods, what == ANSWER and timing.commands.answers)
+    return after, Settled(what, periods, what == ANSWER and timing.commands.answers, goes_on)
 
 
 @inlined
 def _carried_out(c: Commands, later: int) -> tuple[Commands, int]:
     """Return the commands after all but the last `later` were carried out, and the periods of those that were."""
     waiting = c.waiting and later > 0
-    return Commands(c.newest, c.newest - later, c.steps, waiting, c.answers), _owed(c, later)
+    return Commands(c.newest, c.newest - later, c.steps, waiting, c.answers, c.lasts_ns), _owed(c, later)
 
 
 @inlined

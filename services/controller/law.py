@@ -30,7 +30,10 @@ class HandSample(NamedTuple):
 
 
 class TipMeasurement(NamedTuple):
-    """What the AFM measured: base x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands."""
+    """What the AFM measured: base x_s applied [m], F_s [N], h [m] where known; `following`: it obeys commands.
+
+    `outstanding_m`: how far commands that it had not carried out by then will still move the base [m].
+    """
 
     base_position_m: float
     force_n: float
@@ -38,6 +41,7 @@ class TipMeasurement(NamedTuple):
     separation_valid: bool
     in_contact: bool
     following: bool
+    outstanding_m: float
 
 
 class PortSignal(NamedTuple):
@@ -129,7 +133,13 @@ def longest_pause_periods(silence_limit_s: float, period_s: float) -> int:
 NO_SIGNAL = port_signal(position_m=0.0, silence_s=1e9)
 # before the instrument has said anything
 NO_TIP = TipMeasurement(
-    base_position_m=0.0, force_n=0.0, separation_m=0.0, separation_valid=False, in_contact=False, following=False
+    base_position_m=0.0,
+    force_n=0.0,
+    separation_m=0.0,
+    separation_valid=False,
+    in_contact=False,
+    following=False,
+    outstanding_m=0.0,
 )
 
 # Params and states are NamedTuples of the law's own, so the table of laws cannot name them: each law's module does.

@@ -83,6 +83,7 @@ def _tip_sample(rng: random.Random) -> TipMeasurement:
         separation_valid=rng.random() < 0.5,
         in_contact=rng.random() < 0.7,
         following=rng.random() < 0.8,
+        outstanding_m=rng.choice((0.0, _quantity(POSITION, rng))),
     )
 
 

@@ -16,7 +16,13 @@ from services.numerics.compiled import compiled_form, is_step
 
 _HAND = HandSample(5e-3, 0.01, 0.7, True)
 _TIP = TipMeasurement(
-    base_position_m=1.1e-8, force_n=7e-9, separation_m=1e-10, separation_valid=True, in_contact=True, following=True
+    base_position_m=1.1e-8,
+    force_n=7e-9,
+    separation_m=1e-10,
+    separation_valid=True,
+    in_contact=True,
+    following=True,
+    outstanding_m=0.0,
 )
 _PERIOD_S = 1e-3
 # Two positions this close are the same one, after rounding.

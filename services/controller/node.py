@@ -36,6 +36,8 @@ from services.controller.integration import (
     slave_begin,
     slave_commanded,
     slave_measured,
+    slave_passed_over,
+    slave_passes_over,
     slave_signalled,
     slave_silenced,
     slave_stalled,
@@ -63,6 +65,8 @@ SLAVE_INPUTS = ("teleop/forward", "afm/state", "afm/program", "link/delay", "ses
 # A program that is silent for so long is over [ns]: it reports ten times a second.
 _PROGRAM_SILENCE_NS = 500_000_000
 _NO_COMMAND = -2
+# An instrument that is behind by more commands than this is taken to be at the oldest of them.
+_MOST_OUTSTANDING = 7
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")
 # The hand comes to rest like a free virtual mass while this half waits for the other one.
@@ -90,14 +94,18 @@ class MasterState(NamedTuple):
 class SlaveState(NamedTuple):
     """The state of the slave half.
 
-    tip, reference: the newest sample, and the newest reference; lateral_n: force on the tip in x and y [N];
-    instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a program of the instrument [ns].
+    tip, reference: the newest sample, and the newest reference; asked_m: the references of the newest commands, the
+    newest first, and carried_out_m, that of the one which the instrument had carried out at its newest sample [m];
+    lateral_n: force on the tip in x and y [N]; instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a
+    program of the instrument [ns].
     """
 
     half: HalfState
     timing: SlaveTiming
     tip: TipMeasurement
     reference: SlaveReference
+    asked_m: tuple[float, ...]
+    carried_out_m: float
     lateral_n: tuple[float, float]
     instrument_ns: int
     instrument_lost: bool
@@ -310,6 +318,8 @@ class SlaveController(ControllerHalf):
         self._instrument_ns = 0
         self._instrument_lost = False
         self._lateral_n = ZERO_XY
+        self._asked_m: tuple[float, ...] = (0.0,)
+        self._carried_out_m = 0.0
         # The instrument images or measures by itself until then, and obeys no hand.
         self._occupied_until_ns = 0
 
@@ -319,6 +329,8 @@ class SlaveController(ControllerHalf):
             timing=self.timing,
             tip=self.tip,
             reference=self.reference,
+            asked_m=self._asked_m,
+            carried_out_m=self._carried_out_m,
             lateral_n=self._lateral_n,
             instrument_ns=self._instrument_ns,
             instrument_lost=self._instrument_lost,
@@ -328,6 +340,7 @@ class SlaveController(ControllerHalf):
     def restore(self, state: SlaveState, find: FindInput) -> None:
         self.restore_half(state.half)
         self.timing, self.tip, self.reference = state.timing, state.tip, state.reference
+        self._asked_m, self._carried_out_m = state.asked_m, state.carried_out_m
         self._lateral_n, self._instrument_ns = state.lateral_n, state.instrument_ns
         self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
 
@@ -403,11 +416,15 @@ class SlaveController(ControllerHalf):
             self.law_state = self.law.slave_start(self.params, self.tip)
         elif begins and not self.switching:
             self.law_state = self._interrupted()
-        if self._instrument_lost:
-            self.reference = SlaveReference(self.reference.position_m, False)
-        elif not self.switching:
-            self._receive(self.latest_signal(), self.timing.pacing.elapsed)
-        self._publish_command(answers=True)
+        goes_on = not (begins or self._instrument_lost or self.switching)
+        if goes_on and slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
+            self.timing = slave_passed_over(self.timing)
+        else:
+            if self._instrument_lost:
+                self.reference = SlaveReference(self.reference.position_m, False)
+            elif not self.switching:
+                self._receive(self.latest_signal(), self.timing.pacing.elapsed)
+            self._publish_command(answers=True)
         self.steps += 1
         self.report_status(None)
 
@@ -415,8 +432,9 @@ class SlaveController(ControllerHalf):
         """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
         self.timing = slave_stepped(self.timing, self.timing_params, self.clock.now_ns(), elapsed)
         dt_s = self.timing.pacing.step * self.config.period_s
-        self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, self.tip, dt_s)
-        self.reference = clamped(self._clamp, wanted, signal, self.tip)
+        tip = TipMeasurement(*self.tip[:-1], self._asked_m[0] - self._carried_out_m)
+        self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, tip, dt_s)
+        self.reference = clamped(self._clamp, wanted, signal, tip)
 
     def _publish_command(self, *, answers: bool) -> None:
         mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
@@ -428,6 +446,7 @@ class SlaveController(ControllerHalf):
             hand_t_ns=self._hand_stamp[1],
         )
         self.timing = slave_commanded(self.timing, command.seq, answers)
+        self._asked_m = (self.reference.position_m, *self._asked_m[:_MOST_OUTSTANDING])
 
     def _doubt_instrument(self) -> None:
         """Mark an instrument that has been silent for too long as not following, whatever it published last."""
@@ -453,6 +472,7 @@ class SlaveController(ControllerHalf):
             in_contact=message.in_contact,
             following=message.mode in ("follow", "hold")
             and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
+            outstanding_m=0.0,
         )
         self.state = "running" if self.tip.following else "safe"
         if self._instrument_lost:
@@ -463,6 +483,8 @@ class SlaveController(ControllerHalf):
         follows = self.law_state is not None and self.signal.active and self.tip.following
         # an instrument that has no command yet names the first one
         number = message.command_seq if message.hand_t_ns > 0 else _NO_COMMAND
+        later = max(self.timing.commands.newest - number, 0)
+        self._carried_out_m = self._asked_m[min(later, len(self._asked_m) - 1)]
         self.timing, settled = slave_measured(self.timing, self.timing_params, now_ns, number, self.switching, follows)
         self._settle(settled)
 
@@ -475,10 +497,7 @@ class SlaveController(ControllerHalf):
 
     def _settle(self, settled: Settled) -> None:
         """Carry out what is due after a state of the instrument, or where none came."""
-        if settled.what == GO_ON:
-            self._receive(self.latest_signal(), 0)
-            self._publish_command(answers=False)
-        elif settled.what != NOTHING:
+        if settled.what not in (NOTHING, GO_ON):
             if settled.what == ANSWER and self.switching:
                 self.law_state = self._standing()
             dt_s = settled.periods * self.config.period_s
@@ -487,6 +506,9 @@ class SlaveController(ControllerHalf):
                 self.law_state = state
             if settled.answers:
                 self._publish_answer(signal)
+        if settled.what == GO_ON or settled.goes_on:
+            self._receive(self.latest_signal(), 0)
+            self._publish_command(answers=False)
 
     def _publish_answer(self, signal: PortSignal) -> None:
         if not self.passes_deadband(signal, self.timing.pacing.elapsed * self.config.period_s):

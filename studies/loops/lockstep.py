@@ -212,6 +212,8 @@ def _tip_of(answer: AfmOutputs) -> TipMeasurement:
         separation_valid=True,
         in_contact=answer.in_contact,
         following=following,
+        # the instrument carries out each command before the next one comes
+        outstanding_m=0.0,
     )
 
 

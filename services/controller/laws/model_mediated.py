@@ -336,7 +336,7 @@ def slave_receive(
         return state, SlaveReference(state.position_m, True)
     allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - p.force_scale * tip.force_n
     reach = allowed / params.guard_n_s_per_m * p.period_s
-    start = followed(p, state.position_m, tip.base_position_m)
+    start = followed(p, state.position_m, tip)
     base = start + min(signal.position_m - start, p.position_scale * reach)
     return SlaveState(base), SlaveReference(base, True)
 

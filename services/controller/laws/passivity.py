@@ -450,7 +450,7 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p, k = params.mass, params.coupling_n_per_m
-    coupled = is_coupled(p, signal) and tip.following and has_arrived(p, state.position_m, tip.base_position_m)
+    coupled = is_coupled(p, signal) and tip.following and has_arrived(p, state.position_m, tip)
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
         account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
@@ -484,7 +484,7 @@ def slave_receive(
     if account.remaining_j < 0.0:
         # The coupling has given more than it had: it presses no further, and gives way by small steps.
         way = 0.0 if way * force > 0.0 else 0.25 * way
-    base = followed(p, state.position_m, tip.base_position_m) + p.position_scale * way
+    base = followed(p, state.position_m, tip) + p.position_scale * way
     state = SlaveState(
         position_m=base,
         stretch_m=stretch,

@@ -388,7 +388,7 @@ def slave_receive(
         allowed = max(p.force_scale * signal.force_n, 0.0) + params.margin_n - last_n
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
-    base = followed(p, state.position_m, tip.base_position_m) + p.position_scale * way
+    base = followed(p, state.position_m, tip) + p.position_scale * way
     state = slave_state(
         position_m=base,
         inbox=inbox,

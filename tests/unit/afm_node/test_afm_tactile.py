@@ -35,7 +35,9 @@ def felt(states: list[Any], **settings: Any) -> tuple[np.ndarray, np.ndarray]:
     master, slave = law.master_start(params, hand), None
     found = []
     for state in states:
-        tip = TipMeasurement(0.0 - state.base_position_m[2], state.tip_force_n[2], 0.0, False, state.in_contact, True)
+        tip = TipMeasurement(
+            0.0 - state.base_position_m[2], state.tip_force_n[2], 0.0, False, state.in_contact, True, 0.0
+        )
         slave = law.slave_start(params, tip) if slave is None else slave
         _, signal = law.slave_send(params, slave, tip, 1e-3)
         master, reference = law.master_receive(params, master, hand, signal._replace(silence_s=0.0), 1e-3)

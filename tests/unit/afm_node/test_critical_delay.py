@@ -50,7 +50,7 @@ def growth_per_s(round_trip: int, cycle_s: float) -> float:
     for _ in range(300):
         line.pass_ms(1)
         sample = line.driver.exchange(0.0)
-    tip = TipMeasurement(sample.base_m, 0.0, 0.0, False, False, True)
+    tip = TipMeasurement(sample.base_m, 0.0, 0.0, False, False, True, 0.0)
     hand = HandSample(0.0, 0.0, 0.0, True)
     master, slave = law.master_start(params, hand), law.slave_start(params, tip)
     forward = deque([NO_SIGNAL] * (round_trip // 2))
@@ -63,7 +63,7 @@ def growth_per_s(round_trip: int, cycle_s: float) -> float:
         slave, reference = law.slave_receive(params, slave, forward.popleft(), tip, PERIOD_S)
         line.pass_ms(1)
         sample = line.driver.exchange(reference.position_m)
-        tip = TipMeasurement(sample.base_m, sample.force_n, 0.0, False, False, True)
+        tip = TipMeasurement(sample.base_m, sample.force_n, 0.0, False, False, True, 0.0)
         slave, answer = law.slave_send(params, slave, tip, PERIOD_S)
         backward.append(answer._replace(silence_s=0.0))
         master, _ = law.master_receive(params, master, hand, backward.popleft(), PERIOD_S)

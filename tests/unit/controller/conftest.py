@@ -53,7 +53,7 @@ def loop(
     params, behind = config.params(), config.clamp_params()
     scales = getattr(params, "mass", getattr(params, "impedance", params))
     hand = HandSample(0.0, 0.0, 0.0, True)
-    tip = TipMeasurement(0.0, environment(0.0), 0.0, False, touches(environment(0.0)), True)
+    tip = TipMeasurement(0.0, environment(0.0), 0.0, False, touches(environment(0.0)), True, 0.0)
     master, slave = law.master_start(params, hand), law.slave_start(params, tip)
     out: list[tuple[int, int, Any]] = []
     back: list[tuple[int, int, Any]] = []
@@ -77,7 +77,7 @@ def loop(
             slave, wanted = law.slave_receive(params, slave, last._replace(silence_s=silence), tip, PERIOD_S)
             wanted = clamped(behind, wanted, last, tip)
             force = environment(wanted.position_m)
-            before, tip = tip, TipMeasurement(wanted.position_m, force, 0.0, False, touches(force), True)
+            before, tip = tip, TipMeasurement(wanted.position_m, force, 0.0, False, touches(force), True, 0.0)
             way = (tip.base_position_m - before.base_position_m) / scales.position_scale
             left += 0.5 * (before.force_n + tip.force_n) * scales.force_scale * way
             slave, reply = law.slave_send(params, slave, tip, PERIOD_S)

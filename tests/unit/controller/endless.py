@@ -70,7 +70,7 @@ def _loop(name: str) -> Callable[..., Any]:
         k, b = arm
         forward, backward = ways
         ticks = len(path)
-        tip = TipMeasurement(0.0, 0.0, 0.0, False, False, True)
+        tip = TipMeasurement(0.0, 0.0, 0.0, False, False, True, 0.0)
         hand = HandSample(0.0, 0.0, 0.0, True)
         master, slave = master_start(params, hand), slave_start(params, tip)
         arrived, returned = np.full(ticks + window, -1, np.int64), np.full(ticks + window, -1, np.int64)
@@ -96,7 +96,7 @@ def _loop(name: str) -> Callable[..., Any]:
                 way = (wanted.position_m - tip.base_position_m) / POSITION_SCALE
                 pushed = stiffness * wanted.position_m if wanted.position_m > 0.0 else 0.0
                 energy -= 0.5 * FORCE_SCALE * (pushed + tip.force_n) * way
-                tip = TipMeasurement(wanted.position_m, pushed, 0.0, False, pushed > 0.0, True)
+                tip = TipMeasurement(wanted.position_m, pushed, 0.0, False, pushed > 0.0, True, 0.0)
                 slave, reply = slave_send(params, slave, tip, PERIOD_S)
                 if fresh:
                     answers[n % window], behind[n % window] = reply, served

@@ -12,7 +12,7 @@ PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)
 
 
 def tip(force_n: float, *, following: bool = True) -> TipMeasurement:
-    return TipMeasurement(1e-8, force_n, 0.0, False, force_n != 0.0, following)
+    return TipMeasurement(1e-8, force_n, 0.0, False, force_n != 0.0, following, 0.0)
 
 
 def pressing(force_n: float, *, active: bool = True) -> Any:

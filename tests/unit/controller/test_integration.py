@@ -28,6 +28,8 @@ from services.controller.integration import (
     slave_begin,
     slave_commanded,
     slave_measured,
+    slave_passed_over,
+    slave_passes_over,
     slave_signalled,
     slave_silenced,
     slave_stalled,
@@ -40,7 +42,7 @@ MS = 1_000_000
 MASTER, SLAVE = TimingParams(MS, 50, 0), TimingParams(MS, 50, 50 * MS)
 BEGIN_NS = 10**18
 SEND, REPEAT, REST = Sampled(False, 1, False), Sampled(False, 0, True), Sampled(False, 0, False)
-NOT_SETTLED = Settled(NOTHING, 0, False)
+NOT_SETTLED = Settled(NOTHING, 0, False, False)
 
 
 def sampled(timing: MasterTiming, ms: float, *, repeated: bool = False, commanded: bool = False) -> Any:
@@ -132,7 +134,7 @@ def measured(timing: SlaveTiming, ms: float, number: int, *, held: bool = False,
 def test_the_slave_answers_when_the_instrument_has_carried_out_its_newest_command() -> None:
     timing = signalled(slave_begin(), 0, 7)
     settled_timing, settled = measured(timing, 0, 7)
-    assert settled == Settled(ANSWER, 1, True)
+    assert settled == Settled(ANSWER, 1, True, False)
     assert not settled_timing.commands.waiting
     # of a command that is not its own it knows nothing
     for number in (5, 6, 8):
@@ -147,7 +149,7 @@ def test_an_instrument_that_steps_by_itself_takes_the_slave_along_while_the_sign
     assert measured(timing, 1.5, 7, held=True)[1].what == NOTHING
     # what its own command did is accounted for, and not sent
     own = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 3 * MS // 2, 0), 8, False)
-    assert measured(own, 1.5, 8)[1] == Settled(ANSWER, 1, False)
+    assert measured(own, 1.5, 8)[1] == Settled(ANSWER, 1, False, False)
     without = TimingParams(MS, 50, 0)
     for now_ns in (BEGIN_NS, BEGIN_NS + MS):
         assert slave_measured(timing, without, now_ns, 7, False, True)[1].what == NOTHING
@@ -158,16 +160,16 @@ def test_a_slave_that_waits_for_its_command_neither_goes_on_nor_takes_one_back()
     # the instrument has carried out the one before, and stands still while the law changes
     assert measured(timing, 1, 7, held=True) == (timing, NOT_SETTLED)
     accounted, settled = measured(timing, 1, 7)
-    assert settled == Settled(ACCOUNT, 1, False)
+    assert settled == Settled(ACCOUNT, 1, False, False)
     assert accounted.commands.waiting
-    assert measured(accounted, 1, 8)[1] == Settled(ANSWER, 1, True)
+    assert measured(accounted, 1, 8)[1] == Settled(ANSWER, 1, True, False)
 
 
 @pytest.mark.parametrize("first", [0, 1, 7])
 def test_the_first_command_is_accounted_for_whatever_its_number_is(first: int) -> None:
     timing = signalled(signalled(slave_begin(), 0, first), 1, first + 1)
-    assert measured(timing, 1, first + 1)[1] == Settled(ANSWER, 2, True)
-    assert measured(timing, 1, first)[1] == Settled(ACCOUNT, 1, False)
+    assert measured(timing, 1, first + 1)[1] == Settled(ANSWER, 2, True, False)
+    assert measured(timing, 1, first)[1] == Settled(ACCOUNT, 1, False, False)
 
 
 def test_before_the_first_command_a_state_of_the_instrument_settles_nothing() -> None:
@@ -183,7 +185,7 @@ def test_up_to_six_commands_back_are_told_apart_and_all_are_accounted_for_by_the
     # the steps: 1, and then 2, 3, 1, 2, 3, ...
     assert measured(timing, ms, 12) == (timing, NOT_SETTLED)
     older, settled = measured(timing, ms, 13)
-    assert settled == Settled(ACCOUNT, 1 + sum(number % 3 + 1 for number in range(1, 14)), False)
+    assert settled == Settled(ACCOUNT, 1 + sum(number % 3 + 1 for number in range(1, 14)), False, False)
     assert measured(older, ms, 19)[1].periods == sum(number % 3 + 1 for number in range(14, 20))
     assert measured(timing, ms, 19)[1].periods == 1 + sum(number % 3 + 1 for number in range(1, 20))
 
@@ -229,13 +231,47 @@ def test_the_last_signal_counts_for_a_nanosecond_where_that_is_the_setting() -> 
 
 def test_a_signal_before_the_instrument_has_answered_is_answered_and_accounted_for_once() -> None:
     timing = signalled(slave_begin(), 0, 7)
-    assert slave_unanswered(timing, True) == (timing, Settled(ANSWER_EARLY, 0, True))
-    assert slave_unanswered(timing, False)[1] == Settled(ANSWER, 1, True)
+    assert slave_unanswered(timing, True) == (timing, Settled(ANSWER_EARLY, 0, True, False))
+    assert slave_unanswered(timing, False)[1] == Settled(ANSWER, 1, True, False)
     two = signalled(signalled(timing, 1, 8), 3, 9)
     first, settled = measured(two, 3, 8)
-    assert settled == Settled(ACCOUNT, 2, False)
+    assert settled == Settled(ACCOUNT, 2, False, False)
     assert measured(first, 3, 8)[1] == measured(first, 3, 7)[1] == NOT_SETTLED
-    assert measured(first, 3, 9)[1] == Settled(ANSWER, 2, True)
+    assert measured(first, 3, 9)[1] == Settled(ANSWER, 2, True, False)
+
+
+def test_a_signal_of_a_burst_is_passed_over_until_the_instrument_or_half_a_period_has_gone_on() -> None:
+    timing = signalled(slave_begin(), 0, 7)
+    half_ns = BEGIN_NS + MS // 2
+    assert [slave_passes_over(timing, SLAVE, half_ns + ns) for ns in (-MS // 2, -1, 0)] == [True, True, False]
+    # one period for each step while the instrument is late, however early the signals come
+    two = slave_commanded(slave_stepped(timing, SLAVE, half_ns, 1), 8, True)
+    assert [slave_passes_over(two, SLAVE, half_ns + MS + ns) for ns in (-1, 0)] == [True, False]
+    # a step of before counts no more when the instrument has carried out all, or a pause was longer
+    assert not slave_passes_over(measured(two, 0.5, 8)[0], SLAVE, half_ns)
+    later = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 9 * MS, 1), 8, True)
+    assert later.commands.lasts_ns == BEGIN_NS + 10 * MS
+    # a half that follows a reference has no force to wait for
+    assert not slave_passes_over(timing, TimingParams(MS, 50, 0), BEGIN_NS)
+
+
+def test_what_is_passed_over_adds_to_what_the_half_is_behind_and_is_answered_with_the_last_command() -> None:
+    own = slave_commanded(slave_stepped(signalled(slave_begin(), 0, 7), SLAVE, BEGIN_NS, 0), 8, False)
+    timing, _ = slave_signalled(own, SLAVE, BEGIN_NS, BEGIN_NS + 2 * MS, True)
+    over = slave_passed_over(timing)
+    assert over.pacing.behind == timing.pacing.behind + 2
+    assert measured(over, 0, 8)[1].answers
+    assert not measured(timing, 0, 8)[1].answers
+
+
+def test_a_half_whose_instrument_is_late_goes_on_in_a_silence_without_a_step_of_the_instruments_own() -> None:
+    timing = signalled(slave_begin(), 0, 7)
+    for ms, follows, goes_on in ((1.4, True, False), (1.5, True, True), (1.5, False, False), (51, True, False)):
+        assert measured(timing, ms, 7, follows=follows)[1] == Settled(ANSWER, 1, True, goes_on)
+    # one that has answered in time makes its own steps
+    own = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 3 * MS, 0), 8, False)
+    assert not measured(own, 3.4, 8)[1].goes_on
+    assert measured(own, 4.5, 8)[1].goes_on
 
 
 def test_nothing_is_owed_after_a_stall() -> None:

@@ -84,7 +84,7 @@ class Bench:
 
     def __init__(self, name: str) -> None:
         self.law, self.params = LAWS[name], params_of(name)
-        self.x, self.tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, False, False)
+        self.x, self.tip = 0.0, TipMeasurement(0.0, 0.0, 0.0, False, False, False, 0.0)
         self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
         self.slave = self.law.slave_start(self.params, self.tip)
 
@@ -100,7 +100,7 @@ class Bench:
                 self.params, self.slave, signal._replace(silence_s=0.0), self.tip, T
             )
             base = 0.0 if retracted else wanted.position_m
-            self.tip = TipMeasurement(base, 20.0 * base, 0.0, False, base != 0.0, not retracted)
+            self.tip = TipMeasurement(base, 20.0 * base, 0.0, False, base != 0.0, not retracted, 0.0)
             self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, T)
             self.master, reference = self.law.master_receive(
                 self.params, self.master, hand, answer._replace(silence_s=0.0), T

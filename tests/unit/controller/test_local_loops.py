@@ -1,5 +1,6 @@
 """The slave halves against the sample: how stiff one they bear, and what a burst of messages does to them."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -28,15 +29,19 @@ def config_of(name: str, **section: Any) -> ControllerConfig:
     return ControllerConfig.model_validate({"law": name, name: section})
 
 
-def swing_after(name: str, stiffness: float, steps: int, **section: Any) -> float:
-    """Return how far the force of a half swings in the end [N]: alone on a spring, a hand of 1 N that gives way."""
+def swing_after(name: str, stiffness: float, steps: int, late: int = 0, **section: Any) -> float:
+    """Return how far the force of a half swings in the end [N]: alone on a spring, a hand of 1 N that gives way.
+
+    late: how many steps late the instrument tells what it measured.
+    """
     law, params = LAWS[name], config_of(name, **section).params()
     base, dt = 1e-11, STEPS[name] * T
-    tip = TipMeasurement(base, stiffness * base, 0.0, False, True, True)
+    tip = TipMeasurement(base, stiffness * base, 0.0, False, True, True, 0.0)
     slave = law.slave_start(params, tip)
     signal = NO_SIGNAL._replace(position_m=2e-8, force_n=1e-8, energy_j=0.0, active=True, silence_s=0.0)
-    forces = []
+    forces, told = [], [tip] * (late + 1)
     for n in range(steps):
+        tip = told[-1 - late]._replace(outstanding_m=told[-1].base_position_m - told[-1 - late].base_position_m)
         # waves that go on as those of a hand of 1 N do, and energy for all that may happen
         if name == "wave":
             signal = signal._replace(position_m=SCALE * 0.01 * dt * n, energy_j=0.005 * dt * n)
@@ -45,9 +50,9 @@ def swing_after(name: str, stiffness: float, steps: int, **section: Any) -> floa
         if n == steps // 2:
             signal = signal._replace(force_n=0.5 * signal.force_n)
         slave, wanted = law.slave_receive(params, slave, signal, tip, dt)
-        tip = tip._replace(base_position_m=wanted.position_m, force_n=stiffness * wanted.position_m)
-        slave, _ = law.slave_send(params, slave, tip, dt)
-        forces.append(FORCE_SCALE * tip.force_n)
+        told.append(tip._replace(base_position_m=wanted.position_m, force_n=stiffness * wanted.position_m))
+        slave, _ = law.slave_send(params, slave, told[-1 - late], dt)
+        forces.append(FORCE_SCALE * told[-1].force_n)
     return max(forces[-20:]) - min(forces[-20:])
 
 
@@ -60,6 +65,18 @@ def test_a_half_bears_samples_up_to_its_stated_stiffness_and_swings_just_beyond(
     assert limit is not None
     assert swing_after(name, 0.97 * limit, 1500, **section) < 0.05
     assert swing_after(name, 1.03 * limit, 1500, **section) > 0.2
+
+
+@pytest.mark.parametrize("late", [1, 2, 4])
+@pytest.mark.parametrize("name", LOCAL)
+def test_an_instrument_that_is_late_lowers_the_limit_as_the_document_derives(name: str, late: int) -> None:
+    limit = config_of(name).stiffness_limit_n_per_m(late)
+    assert limit is not None
+    assert limit == pytest.approx(
+        config_of(name).stiffness_limit_n_per_m() * math.sin(math.pi / (4 * late + 2)), rel=1e-12
+    )
+    assert swing_after(name, 0.9 * limit, 1500, late) < 0.05
+    assert swing_after(name, 1.1 * limit, 1500, late) > 0.2
 
 
 def test_the_limits_are_those_that_the_document_derives() -> None:
@@ -110,9 +127,11 @@ def test_a_law_that_never_touches_breaks_a_rule(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("name", LOCAL)
 @pytest.mark.parametrize("messages", [3, 30, 300])
-def test_a_burst_that_the_base_has_not_followed_moves_it_no_further_than_one_message(name: str, messages: int) -> None:
+def test_a_base_that_does_not_go_where_it_is_sent_is_sent_no_further_than_by_one_message(
+    name: str, messages: int
+) -> None:
     law, params = LAWS[name], config_of(name).params()
-    tip = TipMeasurement(0.0, 2e-9, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 2e-9, 0.0, False, True, True, 0.0)
     signal = NO_SIGNAL._replace(position_m=1e-9, force_n=1e-8, energy_j=1.0, active=True, silence_s=0.0)
     slave = law.slave_start(params, tip)
     # the first takes the half up

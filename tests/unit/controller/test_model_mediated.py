@@ -112,7 +112,7 @@ def test_surface_met_late_begins_under_the_hand_almost_without_force() -> None:
 
 
 def test_guard_presses_no_harder_than_the_hand() -> None:
-    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
     state = slave_start(PARAMS, tip)
     signal = NO_SIGNAL._replace(position_m=15e-9, force_n=1e-8, active=True, silence_s=0.0)
     for _ in range(300):
@@ -124,14 +124,14 @@ def test_guard_presses_no_harder_than_the_hand() -> None:
 
 
 def test_guard_takes_long_gaps_without_pressing_through() -> None:
-    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
     signal = NO_SIGNAL._replace(position_m=1e-7, force_n=1e-8, active=True, silence_s=0.0)
     state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, 0.05)
     assert 20.0 * (state.position_m - 9e-9) <= 1e-8
 
 
 def test_uncoupled_tip_stays_and_a_retracted_one_gets_the_reference() -> None:
-    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
     signal = NO_SIGNAL._replace(position_m=15e-9, silence_s=0.0)
     assert slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, T)[1].position_m == 9e-9
     away = tip._replace(following=False)

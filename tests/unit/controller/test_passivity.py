@@ -88,7 +88,7 @@ def test_account_takes_growing_counters_only_and_caps_its_store() -> None:
 
 
 def test_silence_credits_nothing_that_was_received_before() -> None:
-    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True, 0.0)
     hand = HandSample(0.0, 0.0, 0.0, True)
     received = NO_SIGNAL._replace(active=True, silence_s=0.0, energy_j=3e-3)
     slave, _ = slave_receive(KEPT, slave_start(KEPT, tip), received, tip, T)
@@ -112,7 +112,7 @@ def test_silence_credits_nothing_that_was_received_before() -> None:
     st.integers(0, 9),
 )
 def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[float, float, int]], delay: int) -> None:
-    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True, 0.0)
     hand = HandSample(0.0, 0.0, 0.0, True)
     master, slave = master_start(PARAMS, hand), slave_start(PARAMS, tip)
     sent: list[Any] = []
@@ -124,7 +124,7 @@ def test_channel_is_passive_whatever_hand_tip_and_link_do(ticks: list[tuple[floa
         # some signals are lost, and an old one may come again
         received = sent[max(0, n - delay - lost)]
         slave, wanted = slave_receive(PARAMS, slave, received._replace(silence_s=0.0), tip, T)
-        tip = TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True)
+        tip = TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True, 0.0)
         slave, reply = slave_send(PARAMS, slave, tip, T)
         replies.append(reply)
         answer = replies[max(0, len(replies) - 1 - delay - lost)]

@@ -38,7 +38,7 @@ PARAMS = SHIPPED._replace(shared=0.0, refill_n_s_per_m=0.0)
 # a base that slides a tenth of the way in a period, and a clamp that is never in the way
 SLOW = PARAMS._replace(relaxed=0.1, margin_n=1e3)
 SCALE = PARAMS.mass.position_scale
-FREE = TipMeasurement(0.0, 0.0, 5e-9, True, False, True)
+FREE = TipMeasurement(0.0, 0.0, 5e-9, True, False, True, 0.0)
 HAND = HandSample(0.0, 0.0, 0.0, True)
 ANSWER = NO_SIGNAL._replace(active=True, silence_s=0.0)
 
@@ -420,7 +420,7 @@ def test_each_port_sends_its_place_its_force_and_the_energy_that_went_in() -> No
                     True, 0.0, 0.0)  # fmt: skip
     assert not master_send(PARAMS, MasterState(mass._replace(coupled=False), account, 0.0), hand, T)[1].active
     base = SlaveState(1e-9, 2e-4, 0.0, 0.0, 1e-9, 0.0, account, True)
-    tip = TipMeasurement(3e-9, 1e-9, 5e-9, True, False, True)
+    tip = TipMeasurement(3e-9, 1e-9, 5e-9, True, False, True, 0.0)
     expected = exactly(PARAMS.coupling_n_per_m * 2e-4 / PARAMS.mass.force_scale)
     assert slave_send(PARAMS, base, tip, T) == (
         base,

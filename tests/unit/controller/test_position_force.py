@@ -68,7 +68,7 @@ def test_half_that_does_not_follow_keeps_the_tip() -> None:
 
 
 def test_slave_passes_reference_and_force() -> None:
-    tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True)
+    tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True, 0.0)
     state, reference = slave_receive(PARAMS, slave_start(PARAMS, tip), NO_SIGNAL._replace(position_m=1e-8), tip, 1e-3)
     assert reference == (1e-8, True)
     _, signal = slave_send(PARAMS, state, tip, 1e-3)

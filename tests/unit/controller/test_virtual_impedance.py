@@ -126,7 +126,7 @@ def test_change_of_position_scale_does_not_move_the_tip() -> None:
 
 
 def test_slave_half_passes_through() -> None:
-    tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True)
+    tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True, 0.0)
     state = slave_start(PARAMS, tip)
     assert state.position_m == 9e-9
     state, reference = slave_receive(PARAMS, state, answer(0.0)._replace(position_m=1.1e-8), tip, PERIOD_S)

@@ -111,7 +111,7 @@ def test_all_that_was_lost_on_the_way_arrives_with_the_next_signal() -> None:
 
 @given(st.lists(st.tuples(st.floats(-20.0, 20.0), st.floats(-2e-8, 2e-8), st.integers(0, 3)), min_size=5, max_size=60))
 def test_neither_half_sends_or_gives_more_than_it_received(ticks: list[tuple[float, float, int]]) -> None:
-    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True, 0.0)
     master = master_start(PARAMS, HandSample(0.0, 0.0, 0.0, True))
     slave = slave_start(PARAMS, tip)
     answer = NO_SIGNAL._replace(active=True, silence_s=0.0)
@@ -121,7 +121,7 @@ def test_neither_half_sends_or_gives_more_than_it_received(ticks: list[tuple[flo
         master, signal = master_send(PARAMS, master, hand, T)
         if lost != 1:
             slave, wanted = slave_receive(PARAMS, slave, signal._replace(silence_s=0.0), tip, T)
-            before, tip = tip, TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True)
+            before, tip = tip, TipMeasurement(wanted.position_m, tip_force, 0.0, False, True, True, 0.0)
             at_tip += 0.5e8 * (before.force_n + tip.force_n) * (tip.base_position_m - before.base_position_m) / 1.5e-6
             sent_before = slave.sent_j
             slave, reply = slave_send(PARAMS, slave, tip, T)
@@ -182,7 +182,7 @@ def test_silence_lets_the_hand_go_and_keeps_the_tip(run_loop: Any) -> None:
 @pytest.mark.parametrize("off", [(), (3000, 3400, 3401, 3800, 3850)])
 def test_hand_whose_device_is_off_for_a_moment_keeps_what_is_on_its_way(off: tuple[int, ...]) -> None:
     # the guard of the device misses a command: off for 20 ms each time, over 60 ms each way
-    tip, x, delay = TipMeasurement(0.0, 0.0, 0.0, False, False, True), 0.0, 60
+    tip, x, delay = TipMeasurement(0.0, 0.0, 0.0, False, False, True, 0.0), 0.0, 60
     master, slave = master_start(PARAMS, HandSample(0.0, 0.0, 0.0, True)), slave_start(PARAMS, tip)
     sent: list[Any] = [NO_SIGNAL] * delay
     answers: list[Any] = [NO_SIGNAL] * delay
@@ -192,7 +192,7 @@ def test_hand_whose_device_is_off_for_a_moment_keeps_what_is_on_its_way(off: tup
         master, signal = master_send(PARAMS, master, hand, T)
         sent.append(signal._replace(silence_s=0.0))
         slave, wanted = slave_receive(PARAMS, slave, sent[n], tip, T)
-        before, tip = tip, TipMeasurement(wanted.position_m, 20.0 * wanted.position_m, 0.0, False, True, True)
+        before, tip = tip, TipMeasurement(wanted.position_m, 20.0 * wanted.position_m, 0.0, False, True, True, 0.0)
         left += 0.5e8 * (before.force_n + tip.force_n) * (tip.base_position_m - before.base_position_m) / 1.5e-6
         slave, answer = slave_send(PARAMS, slave, tip, T)
         answers.append(answer._replace(silence_s=0.0))
@@ -223,7 +223,7 @@ def test_line_of_a_hand_that_stays_off_is_let_down_after_the_silence_limit() -> 
 
 
 def test_force_that_the_line_begins_under_fades_and_is_granted_once() -> None:
-    tip = TipMeasurement(9e-9, 1e-8, 0.0, False, True, True)
+    tip = TipMeasurement(9e-9, 1e-8, 0.0, False, True, True, 0.0)
     heard = NO_SIGNAL._replace(active=True, silence_s=0.0, position_m=9e-9)
     state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), heard, tip, T)
     # 1 N at the hand's scale, which fades with tau_0 = 1 s
@@ -240,7 +240,7 @@ def test_force_that_the_line_begins_under_fades_and_is_granted_once() -> None:
 
 @pytest.mark.parametrize(("silence_s", "moves"), [(0.0, True), (0.019, True), (0.021, False)])
 def test_base_stands_when_all_waves_have_died_out(silence_s: float, moves: bool) -> None:
-    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True)
+    tip = TipMeasurement(0.0, 0.0, 0.0, False, True, True, 0.0)
     heard = NO_SIGNAL._replace(active=True, silence_s=0.0)
     state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), heard, tip, T)
     late = heard._replace(position_m=1e-9, energy_j=1.0, silence_s=silence_s)

@@ -16,14 +16,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from proto.topics import deadline_of
 from services.controller.discretisation import exact_discretisation
-from services.controller.law import HandSample, PortSignal
+from services.controller.law import HandSample, PortSignal, TipMeasurement
 from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, StiffnessOrNoneNPerM, TimeS
 from services.numerics.compiled import compiled
 
 # No hand and no tip comes so far; in an unstable loop a reference stays finite here.
 FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
-# A base that is behind its reference by less than this [m] counts as one that follows it: half a step of a converter of
-# 12 bits over a stage of 0.4 um, with some margin.
+# A base that is off the reference of the command that it has carried out by less than this [m] counts as one that
+# follows it: half a step of a converter of 12 bits over a stage of 0.4 um, with some margin.
 FOLLOWED_M = 6e-11
 # A base that is further away than this, at the hand's scale, was sent there by something else than the loop of the half
 # [m].
@@ -130,21 +130,24 @@ def bounded(value: float, most: float) -> float:
 
 
 @compiled
-def followed(params: MassParams, reference_m: float, base_m: float) -> float:
-    """Return from where a base [m] goes on: its reference [m], no further ahead of it than it may be.
+def followed(params: MassParams, reference_m: float, tip: TipMeasurement) -> float:
+    """Return from where a base goes on [m]: where it will be when it has done all that was asked, up to reference_m.
 
-    Messages of a burst come quicker than the base moves and than the force is measured. A loop that went on from its
-    own reference would take n steps against one force; so it takes one.
+    A base that did not go where it was sent, because it was held or its speed was limited, goes on from where it is:
+    what is still missing of the commands that it has carried out is no longer due. What it has not carried out yet is
+    no such lead, because a late instrument still will.
     """
-    if not has_arrived(params, reference_m, base_m):
+    if not has_arrived(params, reference_m, tip):
         return reference_m
-    return base_m + bounded(reference_m - base_m, FOLLOWED_M)
+    expected = tip.base_position_m + tip.outstanding_m
+    return expected + bounded(reference_m - expected, FOLLOWED_M)
 
 
 @compiled
-def has_arrived(params: MassParams, reference_m: float, base_m: float) -> bool:
-    """Return whether a base [m] is near where it was sent [m]: until then its motion is none of the law's."""
-    return abs(reference_m - base_m) <= max(params.position_scale * ARRIVED_M, 2.0 * FOLLOWED_M)
+def has_arrived(params: MassParams, reference_m: float, tip: TipMeasurement) -> bool:
+    """Return whether a base is near where it was sent [m]: until then its motion is none of the law's."""
+    missing = reference_m - (tip.base_position_m + tip.outstanding_m)
+    return abs(missing) <= max(params.position_scale * ARRIVED_M, 2.0 * FOLLOWED_M)
 
 
 @compiled
