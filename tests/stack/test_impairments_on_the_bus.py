@@ -1,0 +1,55 @@
+"""The real bus over each kind of impairment that the link has, and over bursts, beside lockstep over the same link."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from impairments import KINDS, cell_of, direction_of, fault_of, outcomes, scenario_over, write_bursts, write_traces
+
+from studies.loops.cells import Cell, CellResult
+from studies.loops.validate import RECORDING_NAME
+
+# what servo and clocks leave of the balance [J]
+LEAST_J = -1e-6
+
+
+def on_the_bus(rig: Any, cell: Cell, kind: dict[str, Any]) -> tuple[CellResult, CellResult]:
+    """Run a cell over a kind of link; return what became of it, and in lockstep over what the recording has."""
+    scenario: Path = rig.folder / "cell.yaml"
+    document = scenario_over(cell, direction_of(kind, rig.folder))
+    scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    rig.run(scenario=str(scenario))
+    return outcomes(cell, rig.out / RECORDING_NAME)
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("kind", KINDS)
+def test_bus_and_lockstep_agree(rig: Any, kind: str) -> None:
+    write_traces(rig.folder)
+    found, expected = on_the_bus(rig, cell_of("wave", 20.0), KINDS[kind])
+    assert fault_of(found, expected) == ""
+    assert found.lowest_energy_j > LEAST_J
+
+
+@pytest.mark.parametrize(
+    ("law", "messages"),
+    [
+        ("wave", 60),
+        *(
+            pytest.param(law, messages, marks=pytest.mark.endurance)
+            for law in ("wave", "passivity")
+            for messages in (2, 5, 20, 60)
+            if (law, messages) != ("wave", 60)
+        ),
+    ],
+)
+def test_bursts_100_us_apart_make_no_energy_on_the_bus(rig: Any, law: str, messages: int) -> None:
+    """On 80 N/m, where a half that took a step for each message made up to -21 mJ after pauses of 60 ms."""
+    write_bursts(rig.folder / "delivery.txt", messages)
+    found, _ = on_the_bus(rig, cell_of(law, 80.0), KINDS["delivery_trace"])
+    assert found.lowest_energy_j > LEAST_J
+    assert not found.guarded, found.reason
+    assert found.peak_n is not None
+    assert found.peak_n < 1.4
+    assert found.tip_n == pytest.approx(1.0, abs=0.1)
