@@ -33,7 +33,7 @@ from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
 from studies import option_values
-from studies.loops.link import Schedule, schedule_of, symmetric_link
+from studies.loops.link import Schedule, Uneven, schedule_of, symmetric_link, uneven_schedule
 from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
 
 ENVIRONMENTS = ("spring", "wall", "contact", "body")
@@ -133,6 +133,10 @@ class Cell(Conditions):
     burst: float | None = Field(
         default=None, ge=1.0, le=1e4, description="Mean number of messages lost in a row; none: each by itself"
     )
+    uneven: Uneven | None = Field(
+        default=None, description="A link that is uneven in time both ways, instead of jitter and loss"
+    )
+    uneven_ms: float = Field(default=30.0, gt=0.0, le=1e4, description="Its slots, outages, pauses or teeth [ms]")
 
     @property
     def key(self) -> str:
@@ -147,8 +151,9 @@ class Cell(Conditions):
 
     @property
     def round_trip_s(self) -> float:
-        """Round trip [s], jitter at its widest and the devices included."""
-        return (self.round_trip_ms + self.device_latency_ms + 2.0 * self.jitter_ms) * 1e-3
+        """Round trip [s], jitter or unevenness at its widest and the devices included."""
+        widest_ms = self.uneven_ms if self.uneven else self.jitter_ms
+        return (self.round_trip_ms + self.device_latency_ms + 2.0 * widest_ms) * 1e-3
 
     @property
     def felt_stiffness_n_per_m(self) -> float:
@@ -317,6 +322,9 @@ def course_of(
     if measured is not None:
         settings, folder = measured
         schedule = schedule_of(settings, ticks, rig.period_s, folder, play_out=cell.play_out)
+    elif cell.uneven is not None:
+        round_trip_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
+        schedule = uneven_schedule(round_trip_s, cell.uneven, 1e-3 * cell.uneven_ms, ticks, rig.period_s)
     else:
         # a constant delay is the same to the loop wherever it is
         delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3

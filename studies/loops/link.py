@@ -8,7 +8,7 @@ that holds them, the loop takes the newest one that was sent, and there is one a
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -95,6 +95,44 @@ def schedule_of(
     answered = last_together(forward_ns)
     sent_ns = forward_ns[answered]
     backward_ns, answer = _arrivals(settings, "backward", BACKWARD_TOPIC, sent_ns, folder, play_out=play_out)
+    return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
+
+
+# How a link lets signals out in no even flow; `uneven_ns` says what each is.
+Uneven = Literal["slots", "outages", "bursts", "sawtooth"]
+
+
+def uneven_ns(sent_ns: Times, kind: Uneven, size_ns: int) -> Times:
+    """Return when each signal is let out of a link that is uneven in time [ns].
+
+    Args:
+        sent_ns: When each is sent [ns].
+        kind: slots: at the end of each slot, together; outages: a fifth of the time is an outage that holds, and all
+            come together at its end; bursts: as slots, but one after another in a tenth of the time; sawtooth: the
+            delay rises by the time that goes by, and falls back, so that signals are overtaken.
+        size_ns: The length of a slot, an outage, a pause or a tooth [ns].
+    """
+    phase_ns = sent_ns % (5 * size_ns if kind == "outages" else size_ns)
+    if kind == "sawtooth":
+        return np.asarray(sent_ns + phase_ns)
+    released = sent_ns - phase_ns + size_ns
+    if kind == "bursts":
+        released += phase_ns // 10
+    return np.asarray(np.where(phase_ns < size_ns, released, sent_ns))
+
+
+def uneven_schedule(round_trip_s: float, kind: Uneven, size_s: float, ticks: int, period_s: float) -> Schedule:
+    """Return the arrivals over a link whose two directions are uneven alike: see `uneven_ns`; times in [s]."""
+    period_ns, one_way_ns, size_ns = round(period_s * 1e9), round(0.5e9 * round_trip_s), round(size_s * 1e9)
+
+    def crossed(sent_ns: Times) -> tuple[Times, Times]:
+        released = uneven_ns(sent_ns, kind, size_ns) + one_way_ns
+        order = np.argsort(released, kind="stable")
+        return fresh(released[order], order)
+
+    forward_ns, forward_of = crossed(np.arange(ticks, dtype=np.int64) * period_ns)
+    answered = last_together(forward_ns)
+    backward_ns, answer = crossed(forward_ns[answered])
     return schedule_from(forward_ns, forward_of, backward_ns, answered[answer], ticks, period_ns)
 
 

@@ -2,7 +2,8 @@
 
 Every seed has a link of its own, a round trip of 0 to 500 ms with jitter of half the delay and a loss of 0, 5 or 20 %,
 and over it a hand for every sample: a constant force or an arm of 300 or 1000 N/m, on springs of 5 to 200 N/m and in
-the contact. In bursts, 5, 20 or 50 % are lost, a mean number of messages in a row. The laws are as they come, with the
+the contact. In bursts, 5, 20 or 50 % are lost, a mean number of messages in a row. An uneven link has slots, outages
+that hold, bursts or delays in a sawtooth both ways instead of jitter and loss. The laws are as they come, with the
 clamp that each has. The energy at the device is what the hand has put in more than the tip was given, with the servo of
 the device in the sum; LEAST_J below zero is what rounding and the trapezoid leave.
 """
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from studies.loops.cells import Cell, CellResult, Environment, Hand
+from studies.loops.link import Uneven
 from studies.loops.sweep import Sweep
 
 ROUND_TRIPS_MS = (0.0, 20.0, 60.0, 120.0, 200.0, 500.0)
@@ -28,6 +30,8 @@ SAMPLES: tuple[tuple[Environment, float], ...] = (
     ("spring", 200.0),
     ("contact", 40.0),
 )
+UNEVEN: tuple[Uneven, ...] = ("slots", "outages", "bursts", "sawtooth")
+UNEVEN_MS = (15.0, 30.0, 60.0, 120.0)
 # half of the delay each way, as a share of the round trip
 _JITTER = 0.25
 LEAST_J = -1e-6
@@ -56,7 +60,7 @@ class Outcome(NamedTuple):
     failed: dict[str, int]
 
 
-def drawn_cells(laws: Sequence[str], seeds: int, burst: float | None = None) -> list[Cell]:
+def drawn_cells(laws: Sequence[str], seeds: int, burst: float | None = None, *, uneven: bool = False) -> list[Cell]:
     """Return a link for every seed with a hand drawn for every sample on it; every law gets the same ones.
 
     What runs over one link comes together: to draw a random one takes longer than to run over it.
@@ -65,16 +69,21 @@ def drawn_cells(laws: Sequence[str], seeds: int, burst: float | None = None) -> 
         laws: The laws.
         seeds: The number of seeds.
         burst: The mean number of messages that are lost in a row; None if each is lost by itself.
+        uneven: Whether the link is uneven in time, without jitter and loss.
     """
-    return [cell for seed in range(seeds) for cell in _drawn(laws, seed, burst)]
+    return [cell for seed in range(seeds) for cell in _drawn(laws, seed, burst, uneven=uneven)]
 
 
-def _drawn(laws: Sequence[str], seed: int, burst: float | None) -> list[Cell]:
+def _drawn(laws: Sequence[str], seed: int, burst: float | None, *, uneven: bool) -> list[Cell]:
     source = random.Random(seed)
     round_trip_ms = ROUND_TRIPS_MS[seed % len(ROUND_TRIPS_MS)]
     losses = LOSSES if burst is None else BURST_LOSSES
     loss = losses[seed // len(ROUND_TRIPS_MS) % len(losses)]
     places = [(environment, stiffness, source.choice(HANDS)) for environment, stiffness in SAMPLES]
+    link: dict[str, Any] = {"jitter_ms": _JITTER * round_trip_ms, "loss": loss, "burst": burst}
+    if uneven:
+        kind = UNEVEN[seed // len(ROUND_TRIPS_MS) % len(UNEVEN)]
+        link = {"uneven": kind, "uneven_ms": source.choice(UNEVEN_MS)}
     return [
         Cell(
             law=law,
@@ -82,19 +91,19 @@ def _drawn(laws: Sequence[str], seed: int, burst: float | None) -> list[Cell]:
             hand=hand,
             round_trip_ms=round_trip_ms,
             stiffness_n_per_m=stiffness,
-            jitter_ms=_JITTER * round_trip_ms,
-            loss=loss,
-            burst=burst,
             seed=seed,
+            **link,
         )
         for environment, stiffness, hand in places
         for law in laws
     ]
 
 
-def outcomes(laws: Sequence[str], seeds: int, sweep: Sweep, burst: float | None = None) -> list[Outcome]:
+def outcomes(
+    laws: Sequence[str], seeds: int, sweep: Sweep, burst: float | None = None, *, uneven: bool = False
+) -> list[Outcome]:
     """Run the drawn cells; a row for every law and round trip, of a constant force and of the arms."""
-    results = sweep.run(drawn_cells(laws, seeds, burst))
+    results = sweep.run(drawn_cells(laws, seeds, burst, uneven=uneven))
     rows = []
     for law, round_trip_ms in itertools.product(laws, ROUND_TRIPS_MS):
         for hand, hands in (("force", HANDS[:1]), ("arms", HANDS[1:])):

@@ -31,16 +31,23 @@ def promises(
             "--burst", min=1.0, max=1e4, metavar="N", help="Lose 5, 20 or 50 %, N messages in a row on average."
         ),
     ] = None,
+    uneven: Annotated[
+        bool,
+        typer.Option(
+            "--uneven", help="Slots, outages that hold, bursts and delays in a sawtooth, instead of jitter and loss."
+        ),
+    ] = False,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
     with report_errors(as_json, INTERRUPTED):
         with sweep_in(out, workers, None, shown=not as_json) as sweep:
-            found = outcomes(option_values.laws(law), seeds, sweep, burst)
+            found = outcomes(option_values.laws(law), seeds, sweep, burst, uneven=uneven)
         failed = broken(found)
         rows_found = [as_dict(row) for row in found]
-        summary = {"study": "promises", "seeds": seeds, "burst": burst, "held": not failed, "rows": rows_found}
+        summary = {"study": "promises", "seeds": seeds, "burst": burst, "uneven": uneven, "held": not failed}
+        summary |= {"rows": rows_found}
         rows = [
             (r.law, r.hand, r.round_trip_ms, f"{r.passive}/{r.runs}", 1e6 * r.lowest_energy_j, f"{r.stable}/{r.runs}",
              r.share, r.least_share, None if r.apart_m is None else 1e3 * r.apart_m,
@@ -48,11 +55,14 @@ def promises(
             for r in found
         ]  # fmt: skip
         lost = "0, 5 or 20 % loss" if burst is None else f"5, 20 or 50 % loss, {burst:g} messages in a row on average"
+        link = f"Jitter of half the delay, {lost}"
+        if uneven:
+            link = "Slots, outages that hold, bursts or delays in a sawtooth both ways"
         page = Page("What the laws promise over bad links")
         page.code(command_line())
         page.table(_HEAD, rows)
         page.paragraph(
-            f"Jitter of half the delay, {lost}, springs of 5 to 200 N/m and the contact, drawn at random;"
+            f"{link}, springs of 5 to 200 N/m and the contact, drawn at random;"
             " force: at the tip, as a share of what the hand means to press with, in stable holds."
         )
         with results_in(out) as folder:

@@ -8,7 +8,7 @@ import pytest
 from proto.errors import ConfigError
 from services.delay_node.config import parse_settings
 from studies.loops import link
-from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.link import Uneven, schedule_of, symmetric_link, uneven_ns, uneven_schedule
 
 PERIOD_S = 1e-3
 
@@ -97,3 +97,27 @@ def test_what_the_link_lets_out_together_has_one_answer(settings: dict[str, Any]
     assert (schedule.forward_of == np.arange(len(times_ns))).all()
     assert not set(together) & set(schedule.backward_of)
     assert len(schedule.backward_of) == len(times_ns) - len(together)
+
+
+@pytest.mark.parametrize(
+    ("kind", "released_ms"),
+    [
+        ("slots", [3.0, 3.0, 3.0, 6.0, 6.0, 6.0]),
+        ("outages", [3.0, 3.0, 3.0, 3.0, 4.0, 5.0]),
+        ("bursts", [3.0, 3.1, 3.2, 6.0, 6.1, 6.2]),
+        ("sawtooth", [0.0, 2.0, 4.0, 3.0, 5.0, 7.0]),
+    ],
+)
+def test_an_uneven_link_lets_signals_out_when_its_kind_says(kind: Uneven, released_ms: list[float]) -> None:
+    found = uneven_ns(np.arange(6) * 1_000_000, kind, 3_000_000)
+    assert (found == np.rint(1e6 * np.array(released_ms)).astype(np.int64)).all()
+
+
+def test_an_uneven_schedule_has_one_answer_to_what_comes_together_and_none_to_what_was_overtaken() -> None:
+    slots = uneven_schedule(20e-3, "slots", 30e-3, 300, PERIOD_S)
+    assert set(np.diff(slots.forward_ns)) == {0, 30_000_000}
+    assert len(slots.backward_ns) == 10
+    assert (slots.backward_of % 30 == 29).all()
+    overtaken = uneven_schedule(20e-3, "sawtooth", 30e-3, 300, PERIOD_S)
+    assert (np.diff(overtaken.forward_of) > 0).all()
+    assert len(overtaken.forward_of) < 300

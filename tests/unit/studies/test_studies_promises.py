@@ -17,6 +17,8 @@ from studies.loops.promises import (
     PASSIVE_LAWS,
     ROUND_TRIPS_MS,
     SAMPLES,
+    UNEVEN,
+    UNEVEN_MS,
     broken,
     drawn_cells,
     outcomes,
@@ -81,6 +83,32 @@ def test_drawn_links_cover_what_is_promised_and_are_the_same_for_every_law() -> 
     assert {(cell.round_trip_ms, cell.loss) for cell in in_bursts} == set(product(ROUND_TRIPS_MS, BURST_LOSSES))
     assert {cell.burst for cell in in_bursts} == {40.0}
     assert [(cell.hand, cell.environment) for cell in in_bursts] == [(cell.hand, cell.environment) for cell in cells]
+
+
+def test_drawn_uneven_links_are_of_every_kind_and_size() -> None:
+    cells = drawn_cells(["wave"], 48, uneven=True)
+    assert {(cell.round_trip_ms, cell.uneven) for cell in cells} == set(product(ROUND_TRIPS_MS, UNEVEN))
+    assert {cell.uneven_ms for cell in cells} == set(UNEVEN_MS)
+    assert {(cell.jitter_ms, cell.loss, cell.burst) for cell in cells} == {(0.0, 0.0, None)}
+
+
+@pytest.mark.stack
+@pytest.mark.endurance
+@pytest.mark.timeout(1200)
+def test_over_drawn_uneven_links_no_energy_is_made_at_the_device(tmp_path: Path) -> None:
+    rows = outcomes(PASSIVE_LAWS, 24, Sweep(Journal(tmp_path / "journal.jsonl"), 1), uneven=True)
+    assert sum(row.runs for row in rows) == 24 * len(SAMPLES) * len(PASSIVE_LAWS)
+    assert broken(rows) == []
+
+
+@pytest.mark.parametrize("kind", UNEVEN)
+def test_one_cell_over_each_uneven_link_makes_no_energy(kind: Any) -> None:
+    cell = Cell(
+        law="wave", environment="spring", stiffness_n_per_m=80.0, round_trip_ms=20.0, uneven=kind, uneven_ms=60.0
+    )
+    result = run_cell(cell.model_copy(update={"session_s": 3.0}))
+    assert result.lowest_energy_j >= -1e-6
+    assert result.tip_n == pytest.approx(1.0, abs=0.05)
 
 
 class Told(Sweep):
