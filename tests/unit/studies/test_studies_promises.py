@@ -245,11 +245,3 @@ def test_local_loop_of_passivity_ends_at_the_stiffness_of_its_damper() -> None:
     assert beyond.verdict != "stable"
     # what the loop makes comes out of the stores, which were granted 2 mJ
     assert beyond.lowest_energy_j >= -2e-3
-
-
-@pytest.mark.stack
-@pytest.mark.endurance
-def test_smith_cycles_on_a_wall_beyond_its_estimate() -> None:
-    cell: dict[str, Any] = {"law": "smith", "environment": "wall", "round_trip_ms": 50.0}
-    assert run_cell(Cell(**cell, stiffness_n_per_m=80.0)).verdict == "limit_cycle"
-    assert run_cell(Cell(**cell, stiffness_n_per_m=38.0)).verdict == "stable"
