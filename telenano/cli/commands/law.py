@@ -86,6 +86,33 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
         raise typer.Exit(EXIT_FAILED)
 
 
+@app.command()
+def margins(
+    law: LawArgument,
+    delay: Annotated[
+        float, typer.Option("--delay", min=0.0, max=1e4, metavar="MS", help="Round trip of the link [ms].")
+    ] = 120.0,
+    stiffness: Annotated[
+        float, typer.Option("--stiffness", min=1e-3, max=1e6, metavar="N/M", help="Spring that is pressed [N/m].")
+    ] = 20.0,
+    latency: Annotated[
+        float, typer.Option("--device-latency", min=0.0, max=1e3, metavar="MS", help="Latency of both devices [ms].")
+    ] = 15.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a law keeps with slow devices, and with each parameter a fifth more or less."""
+    with report_errors(as_json):
+        from studies.loops.margins import as_dict
+        from studies.loops.margins import margins as rows_of
+
+        rows = [as_dict(row) for row in rows_of(law, delay, stiffness, latency)]
+    if as_json:
+        facts = {"law": law, "round_trip_ms": delay, "stiffness_n_per_m": stiffness, "device_latency_ms": latency}
+        print_json({**facts, "margins": rows})
+    else:
+        print_rows([{"changed": row.pop("changed") or "as it comes", **row} for row in rows])
+
+
 def _origin(name: str) -> dict[str, str]:
     from presets.plugins import installed
     from services.controller.config import OWN_LAWS
