@@ -27,6 +27,7 @@ from analysis.holds import (
     lacks_of,
     verdict_of,
 )
+from analysis.line import lines_of
 from analysis.missing import Spans, cut_off, gaps, recording_facts
 from analysis.programme import planned_holds
 from analysis.summary import Summary
@@ -203,6 +204,8 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     end_ns = int(hand["t_ns"][running[-1]])
     document = _scenario(recording)
     found = conditions(recording, document, start_ns, end_ns, timeline)
+    if lines := lines_of(recording, timeline, start_ns, end_ns):
+        found["lines"] = lines
     missing = cut_off(recording, hand["session_s"], running)
     is_cut = any(sentence.startswith("the recording ends") for sentence in missing)
     hand = {name: values[running] for name, values in hand.items()}

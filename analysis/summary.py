@@ -89,6 +89,21 @@ class ClocksSummary(_Part):
     )
 
 
+class LineSummary(_Part):
+    """What one direction of the line between two sites did while the session ran."""
+
+    direction: str = Field(description="`forward`, from the master to the slave, or `backward`")
+    queue_max_ms: float = Field(description="Longest queue that stood before the line [ms]")
+    full_share: float = Field(description="Share of the time in which the queue was above 10 ms, 0..1")
+    capacity_mbit: float | None = Field(
+        description="What the line carried, of a train of datagrams or while it was full [Mbit/s]; null if not measured"
+    )
+    datagrams_per_s: float = Field(
+        description="Datagrams sent in a second [1/s]; fewer than 1000 where the line was full"
+    )
+    lost_share: float | None = Field(description="Share lost of the datagrams of which it is known; null where none is")
+
+
 class PartSummary(_Part):
     """One of the files of a recording in parts."""
 
@@ -162,6 +177,9 @@ class Summary(_Part):
     holds: list[HoldSummary] = Field(description="The holds of the session, in order of time")
     clocks: ClocksSummary | None = Field(
         description="What the clocks of the sites differ by; null where the link measured nothing"
+    )
+    lines: list[LineSummary] = Field(
+        default=[], description="Each direction of the line between two sites; the key is absent where there is none"
     )
     recording: RecordingSummary = Field(description="The account of the recording")
 

@@ -1,10 +1,11 @@
 """The messages of the link between two machines: its keys, and what the network did."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from proto.messages import Array, Count, Counts, LinkClock, Message
+from proto.messages import Array, Count, Counts, LinkClock, Message, _Extended
 from proto.ranges import DurationS
 
 
@@ -28,12 +29,17 @@ class RecordingPiece(Message):
     data: Array = Field(description="u1: the piece, empty at the end of the file")
 
 
-class LinkNetwork(Message):
+class LinkNetwork(_Extended):
     """What the network between two machines did to the datagrams of one direction, as their receiver saw it.
 
     The arrays have one element a datagram, in the order in which its fate was known: the ground truth of a real
     network, as link/fates is that of an injected one. One-way delays rest on `clock`, and are as uncertain.
     """
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = dict.fromkeys(
+        ("settled", "queue_s", "capacity_bit_per_s", "line", "limit_bit_per_s"), 2
+    )
 
     direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
     receiving: Literal["datagram", "stream"] = Field(description="How this direction is received now")
@@ -55,3 +61,22 @@ class LinkNetwork(Message):
     arrived_ns: Array = Field(description="i8: when it arrived, on this end's clock [ns]; 0 when lost")
     delay_ns: Array = Field(description="i8: one-way delay [ns]; 0 when lost")
     lost_flag: Array = Field(description="u1: 1 lost, 0 arrived")
+    settled: Count | None = Field(
+        default=None, description="Datagrams of which it is known whether they arrived; `lost` is a share of these"
+    )
+    queue_s: DurationS | None = Field(
+        default=None, description="Queue that stands before the line of this direction [s]; absent until it is known"
+    )
+    capacity_bit_per_s: Count | None = Field(
+        default=None,
+        description="What the line of this direction carried [bit/s], of a train of datagrams or while it was full; "
+        "absent until it is known",
+    )
+    line: Literal["free", "full", "shared"] | None = Field(
+        default=None,
+        description="Line that this end sends over: free; full, it sends no more than is delivered; shared, others fill"
+        " it, and losses limit what is sent",
+    )
+    limit_bit_per_s: Count | None = Field(
+        default=None, description="Most that this end sends now [bit/s], network headers included"
+    )

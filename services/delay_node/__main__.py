@@ -23,7 +23,9 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     bus = wiring.bus_of(to_master, [*listeners, *ends, *wiring.estop_inlet()])
     try:
         folder, apart = wiring.scenario_file.parent, wiring.book.spans_machines
-        node = DelayNode(wiring.context(bus), settings, to_slave, to_master, folder, spans_machines=apart)
+        train = getattr(ends[0], "send_train", None) if ends else None
+        context = wiring.context(bus)
+        node = DelayNode(context, settings, to_slave, to_master, folder, spans_machines=apart, send_train=train)
     except ConfigError as error:
         raise ConfigError(f"{wiring.scenario_file}: delay_node: {error}") from error
     return node, bus

@@ -1,6 +1,6 @@
 """The link process: the only path between the sites, with the impairments in force on each direction."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Protocol
@@ -24,6 +24,8 @@ from services.runtime.loop.node import Node, NodeBus, NodeContext
 from services.runtime.loop.node_state import FindInput
 
 STATUS_PERIOD_NS = 100_000_000
+# This setting is none: it measures what the line between two machines carries.
+TRAIN = "line.train"
 # seconds of exchanges of time stamps in view, one a report
 _CLOCK_WINDOW = 64
 # So many rows of ground truth make a message worth sending.
@@ -95,6 +97,7 @@ class DelayNode(Node):
         folder: Path,
         *,
         spans_machines: bool = False,
+        send_train: Callable[[], bool] | None = None,
     ) -> None:
         """Start with the settings; the files that they name are sought in `folder`.
 
@@ -105,6 +108,7 @@ class DelayNode(Node):
             to_master: The end at the master's site.
             folder: The folder in which the files of the settings are sought.
             spans_machines: Whether the sites have clocks of their own and a network between them.
+            send_train: Sends a train of datagrams between the machines and returns whether it could; None without any.
 
         Raises:
             ConfigError: A trace cannot be used; the message names file and line.
@@ -122,7 +126,7 @@ class DelayNode(Node):
         self._session_id = ""
         self._forward_delay, self._backward_delay = (DeclaredDelay(DECLARED[way.name]) for way in self._ways)
         self._between = ONE_MACHINE
-        self._spans_machines = spans_machines
+        self._spans_machines, self._send_train = spans_machines, send_train
         self._unreported = 0
         # These tasks report what happened to the messages of each direction.
         self._fates: tuple[Task, ...] = tuple(partial(self._publish_fates, way) for way in self._ways)
@@ -203,6 +207,12 @@ class DelayNode(Node):
         """Change the settings for the messages that arrive from now on; those in flight keep their fate."""
         if control.command != "set":
             return super().on_control(control)
+        if dict(control.parameters) == {TRAIN: True}:
+            if self._send_train is None or not self._send_train():
+                raise RefusedError(
+                    "no train was sent: no datagrams cross, the line is full, or one was sent just before"
+                )
+            return "a train of datagrams was sent each way: link/network has what the line carried"
         if not control.parameters:
             raise RefusedError("set needs link settings, such as forward.delay_s=0.02 or profile=satellite")
         try:

@@ -1,10 +1,12 @@
 """The session of a rig, as the launcher conducts it: wait, arm, start, run, stop."""
 
 from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 from proto.messages import NodeHealth, SessionEvent
 from proto.nodes import HAND, RECORDER, TIP, name_of
 from services.launcher.external_recording import ExternalRecording
+from services.launcher.line_check import LineCheck
 from services.launcher.liveness import LivenessMonitor
 from services.launcher.readiness import READY_DEADLINE_S, ReadinessGate
 from services.launcher.recorder_wait import LastMessages, RecorderWait
@@ -32,6 +34,8 @@ WITHDRAW_TIP = Command("stop", "afm_node", (TIP,), required=False, deadline_ns=_
 
 class SessionNode(RigNode):
     """Conducts the session of a whole rig, wherever its nodes run: wait, arm, start, run, stop."""
+
+    inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "link/network")
 
     def __init__(
         self,
@@ -81,6 +85,7 @@ class SessionNode(RigNode):
         self._latched, self._latched_ns = "", 0
         self._running_ns: int | None = None
         self._wait = RecorderWait(context.clock, RECORDER, self._publishes, self.reports.append)
+        self._line = LineCheck(context.clock) if other_site else None
         beyond = () if self.attached or not other_site else others
         self._last_messages = LastMessages(context.clock, RECORDER, beyond, self._publishes, self.reports.append)
         # Commands for a remote recorder, sent once it has caught up.
@@ -147,6 +152,8 @@ class SessionNode(RigNode):
 
     def on_message(self, received: Received) -> None:
         super().on_message(received)
+        if self._line is not None:
+            self._line.record(received.message)
         if isinstance(received.message, NodeHealth):
             self._wait.record(received.message)
             self._last_messages.record(received.message)
@@ -179,8 +186,10 @@ class SessionNode(RigNode):
         self._failure = self._failure or text
 
     def _advance_start(self) -> None:
-        if not self.waiting():
-            if all([recording.settled() for recording in self._external]):
+        if self._line is not None and (refusal := self._line.refusal()):
+            self._fail(refusal)
+        elif not self.waiting():
+            if all([recording.settled() for recording in self._external]) and self._line_permits():
                 self._arm()
             return
         limit_s, late = self._readiness.overdue(self.health)
@@ -188,6 +197,16 @@ class SessionNode(RigNode):
             reasons = "; ".join(f"{node} {reason}" for node, reason in late.items())
             own = [self.supervisor.log_tail_of(node) for node in late if node in self.supervisor.nodes]
             self._fail("\n".join([f"the rig was not ready within {limit_s:g} s: {reasons}", *own]))
+
+    def _line_permits(self) -> bool:
+        """Return whether the line between the sites was measured; say what becomes of a session on a narrow one."""
+        if self._line is None:
+            return True
+        if not self._line.settled():
+            return False
+        for text in self._line.advice():
+            self.report("warning", text)
+        return True
 
     def _arm(self) -> None:
         self.phase = "arming"

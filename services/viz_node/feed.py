@@ -110,6 +110,10 @@ class Feed:
             is_apart = clock["valid"] and abs(clock["offset_s"]) > clock["uncertainty_s"]
             self._slave_ahead_ns = round(clock["offset_s"] * 1e9) if is_apart else 0
             self._set_state("link", {**ways, "clock": dict(clock)})
+        elif seen.topic == "link/network":
+            queue_s, carries = seen.fields.get("queue_s"), seen.fields.get("capacity_bit_per_s")
+            facts = {"queue_s": None if queue_s is None else round(queue_s, 3), "capacity_bit_per_s": carries}
+            self._set_state(f"line/{seen.fields['direction']}", facts)
         elif seen.topic == "node/health":
             self._record_health(seen)
         elif seen.topic == "session/event":

@@ -8,7 +8,15 @@ from services.viz_node.feed import Seen
 
 # what only curves are made of: most of the traffic of a rig, and of no use while no page is open
 LOOP_TOPICS = ("haptic/state", "haptic/command", "afm/state", "law/status")
-TOPICS_SHOWN = (*LOOP_TOPICS, "afm/scanline", "afm/program", "link/status", "node/health", "session/event")
+TOPICS_SHOWN = (
+    *LOOP_TOPICS,
+    "afm/scanline",
+    "afm/program",
+    "link/status",
+    "link/network",
+    "node/health",
+    "session/event",
+)
 
 
 class Source(Protocol):

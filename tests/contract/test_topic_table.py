@@ -51,6 +51,7 @@ UNITLESS = {
     "unsent": "messages",
     "repeats": "messages",
     "lost": "messages",
+    "settled": "datagrams",
     "repeated": "messages",
     "gaps": "gaps",
     "restarts": "restarts",

@@ -47,6 +47,9 @@ FAULTS = {
     "a frame of 1 GB announced": "that connection is closed, no memory is taken",
     "the cable is pulled for 5 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
+    "the line becomes 1 Mbit/s in a session": "named with its queue; samples are left out until the queue is gone",
+    "a line of 256 kbit/s": "`up` refuses, with the numbers",
+    "UDP is blocked in a session, 20 ms each way": "the loop goes on over TCP, and stands still for at most 100 ms",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
     "the relay is killed and started again": "hand let go, tip holds, then withdraws; joined again without a restart "

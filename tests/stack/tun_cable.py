@@ -13,6 +13,10 @@ stays in order, so a loss is all that TCP has to bear, and a datagram never wait
 A process that carries packets needs a processor, and may get one too late. What it handed over late, and when it was
 held up, is in every answer: a measurement over a cable that was late says nothing about the network.
 
+With `rate_bit_per_s` it has a bottleneck each way: packets wait for it in a queue of `queue_bytes`, beyond which they
+are dropped. With `fair` each flow (protocol and ports) has a queue of its own, and they are served by turns, byte for
+byte.
+
 With `tamper` it is the attacker on the line as well: of that share of the datagrams it delivers, by turns, a second
 copy, a changed one, a cut one, one that is too long, and one that begins with no known key, all from the sender's
 address; or it holds the genuine one back until others have overtaken it.
@@ -32,7 +36,8 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -60,6 +65,52 @@ class Impairment:
     block_udp: bool = False
     cut: bool = False
     tamper: float = 0.0
+    rate_bit_per_s: float = 0.0
+    queue_bytes: int = 64_000
+    fair: bool = False
+
+
+class Bottleneck:
+    """A line of a rate in one direction, with a queue before it."""
+
+    def __init__(self) -> None:
+        self._queues: dict[bytes, deque[bytes]] = {}
+        self._waiting_bytes: dict[bytes, int] = {}
+        # What each flow has had, what the one that was served last had, and when the packet on the line has left it.
+        self._served: dict[bytes, int] = {}
+        self._turn = self._free_ns = 0
+
+    def offer(self, packet: bytes, now_ns: int, rules: Impairment) -> bool:
+        """Queue a packet; return whether there was room."""
+        flow = flow_of(packet) if rules.fair else b""
+        waiting = self._waiting_bytes.get(flow, 0)
+        if waiting + len(packet) > rules.queue_bytes:
+            return False
+        if not waiting:
+            # who comes back has saved up nothing
+            self._served[flow] = max(self._served.get(flow, 0), self._turn)
+        if not self._queues:
+            self._free_ns = max(self._free_ns, now_ns)
+        self._queues.setdefault(flow, deque()).append(packet)
+        self._waiting_bytes[flow] = waiting + len(packet)
+        return True
+
+    def next_ns(self) -> int | None:
+        """Return when the next packet gets onto the line; None where none waits."""
+        return self._free_ns if self._queues else None
+
+    def take(self, now_ns: int, rules: Impairment) -> Iterator[tuple[int, bytes]]:
+        """Yield the packets that have got onto the line by now, each with the time at which it has left it."""
+        while self._queues and self._free_ns <= now_ns:
+            flow = min(self._queues, key=lambda key: self._served.get(key, 0))
+            packet = self._queues[flow].popleft()
+            self._waiting_bytes[flow] -= len(packet)
+            self._turn = self._served.get(flow, 0)
+            self._served[flow] = self._turn + len(packet)
+            if not self._queues[flow]:
+                del self._queues[flow]
+            self._free_ns += round(len(packet) * 8e9 / rules.rate_bit_per_s) if rules.rate_bit_per_s else 0
+            yield self._free_ns, packet
 
 
 @dataclass
@@ -107,6 +158,12 @@ def is_udp(packet: bytes) -> bool:
     return packet[9] == _UDP if packet[0] >> 4 == 4 else packet[6] == _UDP
 
 
+def flow_of(packet: bytes) -> bytes:
+    """Return what tells the flow of an IPv4 packet from others: protocol and ports."""
+    head = (packet[0] & 0x0F) * 4
+    return packet[9:10] + packet[head : head + 4]
+
+
 def with_payload(packet: bytes, payload: bytes) -> bytes:
     """Return an IPv4 packet of UDP with another payload, checksums made anew; without one for UDP, as IPv4 permits."""
     head = (packet[0] & 0x0F) * 4
@@ -149,6 +206,7 @@ class Cable:
         self._by_turns = tuple(itertools.cycle([*ATTACKS, REORDERED]) for _ in range(2))
         self._under_way: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
+        self._bottlenecks = (Bottleneck(), Bottleneck())
 
     def run(self) -> None:
         """Carry packets until standard input ends."""
@@ -156,6 +214,8 @@ class Cable:
         while True:
             now = time.monotonic_ns()
             due_ns = self._under_way[0][0] if self._under_way else now + _NS
+            for bottleneck in self._bottlenecks:
+                due_ns = min(due_ns, bottleneck.next_ns() or due_ns)
             until_ns = min(due_ns, now + (_LOOK_NS if now - flowed_ns < _FLOWING_NS else _NS))
             # slept and not spun: at real-time priority that would take a processor from the rig
             ready, _, _ = select.select([*self._ends, 0], [], [], max(0, until_ns - now) * 1e-9)
@@ -165,6 +225,9 @@ class Cable:
             for place, end in enumerate(self._ends):
                 if end in ready:
                     self._take(place, end)
+            for place, bottleneck in enumerate(self._bottlenecks):
+                for left_ns, packet in bottleneck.take(time.monotonic_ns(), self.impairment):
+                    self._send(place, packet, left_ns + round(self.impairment.delay_s * 1e9))
             self._deliver()
             awake_ns = time.monotonic_ns()
             if taken != self.counts.taken:
@@ -198,6 +261,9 @@ class Cable:
             lost = self._draws[place].random() < rules.loss
             if lost or rules.cut or (rules.block_udp and is_udp(packet)):
                 counts.dropped += 1
+                continue
+            if rules.rate_bit_per_s:
+                counts.dropped += not self._bottlenecks[place].offer(packet, now, rules)
                 continue
             due_ns = now + round(rules.delay_s * 1e9)
             if rules.tamper and packet[0] >> 4 == 4 and is_udp(packet):

@@ -61,6 +61,11 @@ class ArrivalRecord:
         return self._base + self._window.newest + 1 - self._first if self._arrived_of_keys else self._base
 
     @property
+    def settled(self) -> int:
+        """Of how many of them it is known whether they arrived; `lost` is a part of these."""
+        return self._base + max(0, self._settled - self._first) if self._arrived_of_keys else self._base
+
+    @property
     def of_keys(self) -> tuple[int, int]:
         """Sent and arrived since the keys changed."""
         return self._window.newest + 1, self._arrived_of_keys

@@ -1,8 +1,15 @@
-"""What is inside a sealed datagram: a report to the sender of the other direction, and samples, the newest first."""
+"""What is inside a sealed datagram: a report to the sender of the other direction, and samples, the newest first.
+
+An end that has said so (`HELLO`) takes samples that are deflated with a dictionary of what every sample has: 60 to 110
+bytes instead of 250 to 300. Ends of earlier versions do not, refuse `HELLO` as malformed, and get samples as they are.
+"""
 
 import struct
+import zlib
 from collections.abc import Sequence
 from typing import NamedTuple
+
+import msgpack
 
 from proto import TOPICS
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, RejectedError
@@ -20,6 +27,36 @@ SAMPLE = struct.Struct("!BH")
 BOUND = 2**62
 # A datagram has so much room for samples.
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
+# This is added to the number of a topic whose sample is deflated.
+_DEFLATED = 0x80
+# These stand where a sample does and carry nothing: this end inflates; a train, of which the sender measures how fast
+# the line carries it; a train that is to be answered with one.
+HELLO, TRAIN, ASKING_TRAIN = 0xFF, 0xFE, 0xFD
+# This one carries what the line carries that the other end sends over [bit/s].
+CARRIES = 0xFC
+# Raw deflate with a window of 4 KiB, which costs little memory and is more than any sample has.
+_WINDOW_BITS = -12
+_MOST_INFLATED = 4096
+
+
+def _dictionary() -> bytes:
+    """Return what samples have in common; these bytes are part of the wire format, and follow no model."""
+    head = {"hand_seq": 0, "hand_t_ns": 0, "seq": 0, "t_ns": 0, "src": ""}
+    law = "virtual_impedance model_mediated position_force smith tactile wave passivity"
+    zeros = [0.0, 0.0, 0.0]
+    kinetic = {"position_m": zeros, "velocity_m_per_s": zeros, "force_n": zeros, "wave_sqrt_w": None, "energy_j": 0.0}
+    status = {
+        **{"seq": 0, "t_ns": 0, "src": "controller@slave", "v": 1, "law": "", "switching": False},
+        **{"port_energy_j": 0.0, "port_power_w": 0.0, "net_valid": True, "net_energy_j": 0.0, "left_j": 0.0},
+        **{"dissipated_j": 0.0, "passive": True, "saved_percent": 0.0, "round_trip_s": 0.0},
+    }
+    forward = {**head, "src": "controller@master", "v": 1, "law": law, "active": True, **kinetic, "wave_sqrt_w": zeros}
+    tip = {"separation_m": 0.0, "separation_valid": True, "in_contact": True}
+    backward = {**head, "src": "controller@slave", "v": 1, "law": "passivity", "active": True, **kinetic, **tip}
+    return b"".join(bytes(msgpack.packb(fields)) for fields in (status, forward, backward))
+
+
+DICTIONARY = _dictionary()
 
 
 class Report(NamedTuple):
@@ -37,13 +74,47 @@ class Report(NamedTuple):
     arrived: int
 
 
-def packed(topic: str, payload: bytes) -> bytes:
+class Body(NamedTuple):
+    """A body: its report, its samples (topic, payload), the marks that stand among them (`HELLO` and others).
+
+    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say.
+    """
+
+    report: Report
+    samples: Sequence[tuple[bytes, bytes]]
+    marks: Sequence[int]
+    carries: int = 0
+
+
+def packed(topic: str, payload: bytes, *, deflated: bool = False) -> bytes:
     """Return a sample as it stands in a body."""
-    return SAMPLE.pack(NUMBERS[topic], len(payload)) + payload
+    number = NUMBERS[topic]
+    if deflated:
+        deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, 9, zlib.Z_DEFAULT_STRATEGY, DICTIONARY)
+        payload = deflate.compress(payload) + deflate.flush()
+        number |= _DEFLATED
+    return SAMPLE.pack(number, len(payload)) + payload
 
 
-def parse(body: bytes) -> tuple[Report, Sequence[tuple[bytes, bytes]]]:
-    """Return report and samples (topic, payload) of a body.
+def mark(number: int, content: bytes = b"") -> bytes:
+    """Return a mark as it stands in a body, with its content, or with padding."""
+    return SAMPLE.pack(number, len(content)) + content
+
+
+def _inflated(data: bytes) -> bytes:
+    inflate = zlib.decompressobj(_WINDOW_BITS, DICTIONARY)
+    try:
+        payload = inflate.decompress(data, _MOST_INFLATED)
+    except zlib.error:
+        raise RejectedError("malformed") from None
+    if not inflate.eof or inflate.unused_data:
+        # It is cut short, becomes longer than any sample, or has something behind it.
+        raise RejectedError("malformed")
+    return payload
+
+
+def parse(body: bytes) -> Body:
+    """Return what is in a body.
 
     Raises:
         RejectedError: It is no body (`malformed`), or its report has a time (`time`) or a count (`count`) that no
@@ -56,14 +127,23 @@ def parse(body: bytes) -> tuple[Report, Sequence[tuple[bytes, bytes]]]:
         raise RejectedError("time")
     if not report.arrived <= report.expected < BOUND:
         raise RejectedError("count")
-    samples = []
+    samples: list[tuple[bytes, bytes]] = []
+    marks: list[int] = []
+    carries = 0
     place = REPORT.size
     while place < len(body):
         if place + SAMPLE.size > len(body):
             raise RejectedError("malformed")
         number, length = SAMPLE.unpack_from(body, place)
         place += SAMPLE.size + length
-        if number >= len(DATAGRAM_TOPICS) or place > len(body):
+        if place > len(body):
             raise RejectedError("malformed")
-        samples.append((_FRAMES[number], body[place - length : place]))
-    return report, samples
+        if number >= CARRIES:
+            marks.append(number)
+            carries = int.from_bytes(body[place - length : place][:8], "big") if number == CARRIES else carries
+            continue
+        payload, topic = body[place - length : place], number & ~_DEFLATED
+        if topic >= len(DATAGRAM_TOPICS):
+            raise RejectedError("malformed")
+        samples.append((_FRAMES[topic], _inflated(payload) if number & _DEFLATED else payload))
+    return Body(report, samples, marks, carries)

@@ -23,8 +23,10 @@ from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.datagram import flood_filter
 from services.runtime.datagram.agreement import Agreement
 from services.runtime.datagram.arrivals import ArrivalRecord
-from services.runtime.datagram.body import DATAGRAMS_OF, MOST_SAMPLE_BYTES, REPORT, Report, packed, parse
-from services.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
+from services.runtime.datagram.body import ASKING_TRAIN, CARRIES, DATAGRAMS_OF, HELLO, REPORT, Body, Report, mark, parse
+from services.runtime.datagram.incoming import Incoming
+from services.runtime.datagram.outgoing import Outgoing
+from services.runtime.datagram.pacing import NETWORK_BYTES
 from services.runtime.datagram.play_out import PlayOut
 from services.runtime.datagram.report import network_report
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener, RejectedError
@@ -44,6 +46,11 @@ SILENCE_NS = 300_000_000
 TRIED_NS = 500_000_000
 # Through a relay: after so long without a connection to the other machine no sample is sent or taken.
 _OUT_OF_TOUCH_NS = 1_000_000_000
+# TCP is subscribed to after a silence of the first, where samples come as often as the second says, and the line is not
+# known to carry less than the third [bit/s], which would have no room for it.
+MISSED_NS, _CLOSE_NS, _ROOM = 35_000_000, 4_000_000, 8_000_000
+# A mean follows some twenty datagrams.
+_NEWEST_SHARE = 0.05
 # The first datagrams may take so long from the first word of the other machine, or from the last change of keys.
 FIRST_NS = 3_000_000_000
 # After so long without an acknowledgement only a few datagrams are sent, to find out when they arrive again.
@@ -54,6 +61,12 @@ _UNOFFERED_NS = 5_000_000_000
 _OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
 # seconds of exchanges of time stamps in view
 _CLOCK_WINDOW = 64
+# With new keys the other end is told so many times, one of which will arrive, that this one inflates samples.
+_GREETINGS = 8
+# The line is measured so often at the start, because a process that stands still makes it seem narrow.
+_TRAINS, _FURTHER_TRAINS = 9, 6
+# What else crosses a line at the start may make it seem to carry less than this [bit/s]: then it is measured further.
+_NARROW = 600_000
 # payloads of the other end that a repetition is compared with
 _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
@@ -141,10 +154,9 @@ class DatagramEnd:
         self._play_out = PlayOut() if settings.play_out else None
         self._held: list[tuple[int, int, list[bytes]]] = []
         self._order = itertools.count()
-        self.repeats = Repeats(settings.repeats)
+        self.outgoing = Outgoing(settings, now)
+        self.incoming = Incoming(machine)
         self.offset = OffsetFilter(_CLOCK_WINDOW)
-        self.sent_bytes = 0
-        self.unsent = 0
         self.receiving: Way = "stream"
         # It is true while the topics are subscribed over TCP, as they are when a subscriber is made.
         self._streaming = True
@@ -161,7 +173,6 @@ class DatagramEnd:
         # With a relay samples count only while commands, an emergency stop above all, could cross as well.
         self._in_touch, self._connected_ns = True, now
         self._outlets = outlets
-        self._budget = SendBudget(settings.budget_kbit_per_s, now)
         self._agreement = Agreement(now, is_master=is_master)
         self._peer = place.peer
         self._relay = place.relay
@@ -183,6 +194,12 @@ class DatagramEnd:
         self._offered_ns = now - _CALM_OFFER_NS
         self._next_reminder_ns = now + _UNOFFERED_NS
         self._kernel_drops = 0
+        # When a silence is long enough to subscribe over TCP, when that was done last, the mean time between datagrams.
+        self._missed_ns, self._early_ns, self._gap_ns = NEVER_NS, now, 0.0
+        # How often the other end is still to be told that this one inflates samples.
+        self._greetings = 0
+        # How many trains are still to be sent at the start.
+        self._trains = _TRAINS
         self.socket = socket.socket(place.family, socket.SOCK_DGRAM)
         try:
             self.socket.setblocking(False)
@@ -215,12 +232,8 @@ class DatagramEnd:
         if now - self._acknowledged_ns > _UNHEARD_NS:
             # No acknowledgement comes: the signs of life that `maintain` sends will tell when that changes.
             return
-        sample = packed(topic, payload)
-        left = self._budget.left_bytes(now)
-        if len(sample) > MOST_SAMPLE_BYTES or len(sample) + REPORT.size + OVERHEAD_BYTES > left:
-            self.unsent += 1
-            return
-        self._send(self.repeats.with_repeats(sample, left - REPORT.size - RESERVE_BYTES), now)
+        if samples := self.outgoing.samples(topic, payload, now):
+            self._send(samples, now)
 
     def _send(self, samples: bytes, now_ns: int) -> None:
         sealer, peer = self._agreement.sealer, self._peer
@@ -231,20 +244,19 @@ class DatagramEnd:
         try:
             self.socket.sendto(datagram, peer)
         except BlockingIOError:
-            self.unsent += 1
+            self.outgoing.unsent += 1
             return
         except OSError as error:
             # No route, or an interface that is down, is the same as a network that loses everything.
             self.last_error = f"no datagram can be sent to {peer[0]}: {errno.errorcode.get(error.errno or 0, error)}"
             return
         self._sent_ns = now_ns
-        self.sent_bytes += len(datagram) + NETWORK_BYTES
-        self._budget.spend(len(datagram))
+        self.outgoing.record_sent(len(datagram))
 
     def _send_plain(self, datagram: bytes, address: Address) -> None:
         with contextlib.suppress(OSError):
             self.socket.sendto(datagram, address)
-            self.sent_bytes += len(datagram) + NETWORK_BYTES
+            self.outgoing.bytes += len(datagram) + NETWORK_BYTES
 
     # --- receiving ---
 
@@ -256,8 +268,11 @@ class DatagramEnd:
             waiting = self._take()
             if waiting and self._play_out is None:
                 found = self.subscriber.take(waiting)
-        if now >= self.due_ns:
+        if self._held and now >= self._held[0][0]:
             found = self.subscriber.take(self._released(now))
+        if now >= self._missed_ns:
+            self._subscribe_early(now)
+        self._set_due()
         # Arrived messages come first, because a report takes half a millisecond.
         if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
             self._maintain_ns = now + _MAINTAIN_NS
@@ -298,21 +313,21 @@ class DatagramEnd:
                 if opener is None:
                     raise RejectedError("unknown_key")
                 number, body = opener.open(datagram, now - self._clock.epoch_offset_ns)
-                report, samples = parse(body)
+                found = parse(body)
             except RejectedError as error:
                 self._refuse(error.cause, address)
                 continue
-            self._note(opener, number, report, address, now)
+            self._note(opener, number, found, len(datagram), address, now)
             if not self._in_touch:
                 continue
             # the oldest first, each once
-            for topic, payload in reversed(samples):
+            for topic, payload in reversed(found.samples):
                 if payload not in self._recent:
                     self._recent[self._recent_place] = payload
                     self._recent_place = (self._recent_place + 1) % _REMEMBERED
                     waiting.append(([topic, payload], now))
             if self._play_out is not None:
-                self._hold(self._play_out, report, now, waiting)
+                self._hold(self._play_out, found.report, now, waiting)
         return waiting
 
     def _hold(self, play_out: PlayOut, report: Report, now_ns: int, waiting: list[tuple[list[bytes], int]]) -> None:
@@ -321,28 +336,45 @@ class DatagramEnd:
         for frames, _ in waiting:
             heapq.heappush(self._held, (release_ns, next(self._order), frames))
         waiting.clear()
-        self.due_ns = self._held[0][0] if self._held else NEVER_NS
 
     def _released(self, now_ns: int) -> list[tuple[list[bytes], int]]:
         released = []
         while self._held and self._held[0][0] <= now_ns:
             released.append((heapq.heappop(self._held)[2], now_ns + self._clock.epoch_offset_ns))
-        self.due_ns = self._held[0][0] if self._held else NEVER_NS
         return released
+
+    def _set_due(self) -> None:
+        self.due_ns = min(self._missed_ns, self._held[0][0] if self._held else NEVER_NS)
+
+    def _subscribe_early(self, now_ns: int) -> None:
+        """Subscribe over TCP at a short silence, before it is known what it means: the first sample takes a while."""
+        self._missed_ns, self._early_ns = NEVER_NS, now_ns
+        self._subscribe(streaming=True)
 
     def _refuse(self, cause: str, address: Address) -> None:
         self.rejected[cause] = self.rejected.get(cause, 0) + 1
         self.last_error = f"a datagram from {address[0]} port {address[1]} is refused: {cause}"
 
-    def _note(self, opener: Opener, number: int, report: Report, address: Address, now_ns: int) -> None:
-        """Note what an authentic datagram tells beside its samples."""
+    def _note(self, opener: Opener, number: int, body: Body, size: int, address: Address, now_ns: int) -> None:
+        """Note what an authentic datagram of a size [bytes] tells beside its samples."""
+        report = body.report
         monotonic_ns = now_ns - self._clock.epoch_offset_ns
         if self._tried_since_ns is None or monotonic_ns - self._arrived_ns > SILENCE_NS:
             self._tried_since_ns = monotonic_ns
+        self._gap_ns += _NEWEST_SHARE * (monotonic_ns - self._arrived_ns - self._gap_ns)
         self._arrived_ns = monotonic_ns
+        if self.receiving == "datagram" and not self._streaming and self._falls_back:
+            # A line without room for TCP's thousand samples a second would only be filled by them.
+            roomy = self._gap_ns < _CLOSE_NS and not 0 < self.incoming.capacity < _ROOM
+            self._missed_ns = monotonic_ns + MISSED_NS if roomy else NEVER_NS
         if opener is not self._agreement.opener:
             return
         self.arrivals.record(number, report.sent_ns, now_ns)
+        self.incoming.record(size, now_ns, body.marks)
+        if body.marks:
+            self.outgoing.deflates = True
+        if body.carries:
+            self.outgoing.control.known_bytes_per_s = body.carries / 8.0
         if number == opener.window.newest:
             self._agreement.opened(opener)
             self._heard = (report.sent_ns, now_ns)
@@ -352,7 +384,9 @@ class DatagramEnd:
                 self._expected, self._acknowledged_ns = report.expected, monotonic_ns
                 self._acknowledged_counts = (report.expected, report.arrived)
         if report.heard_sent_ns:
-            self.offset.record(Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns))
+            exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
+            self.outgoing.record_heard(exchange, report)
+            self.offset.record(exchange)
 
     def _follow(self, address: Address) -> None:
         if self._peer is not None:
@@ -388,14 +422,46 @@ class DatagramEnd:
             self._send(b"", now_ns)
         self._choose(now_ns)
         self.arrivals.settle(now_ns)
+        self._adapt(now_ns)
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
             self._count_kernel_drops()
+            if self.outgoing.deflates and self.incoming.capacity:
+                self._send(mark(CARRIES, self.incoming.capacity.to_bytes(8, "big")), now_ns)
             if self._expected:
-                self.repeats.adapt(*self._acknowledged_counts)
+                self.outgoing.adapt_repeats(*self._acknowledged_counts)
             if self._agreement.peer_public:
                 fields = network_report(self, self._incoming)
                 self._outlets.reports.publish("link/network", **fields)
+
+    def _adapt(self, now_ns: int) -> None:
+        """Adapt what is sent to the line, and tell of a line that is full."""
+        if self.acknowledged:
+            offset = self.offset.estimate()
+            self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
+            if self._greetings:
+                self._greetings -= 1
+                self._send(mark(HELLO), now_ns)
+            if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or self._seems_narrow()):
+                self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
+        if self.incoming.wants_train:
+            self.incoming.wants_train = False
+            self.outgoing.send_train(now_ns, self._send)
+        told = self.incoming.told_of_queue(now_ns, self.outgoing.line.back_ns)
+        if told is not None:
+            self._tell(*told)
+
+    def _seems_narrow(self) -> bool:
+        return 0 < min(self.incoming.capacity, 8.0 * self.outgoing.control.known_bytes_per_s) < _NARROW
+
+    def send_train(self) -> bool:
+        """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.
+
+        A line that is full is left alone, and what it carries is known.
+        """
+        if self.outgoing.control.mode != "free":
+            return False
+        return self.outgoing.send_train(self._clock.monotonic_ns(), self._send, ASKING_TRAIN)
 
     def _exchange_keys(self, now_ns: int) -> None:
         agreement = self._agreement
@@ -410,7 +476,8 @@ class DatagramEnd:
                 continue
             if new and agreement.opener is not None:
                 self.arrivals.begin(agreement.opener.window)
-                self.repeats.forget()
+                self.outgoing.forget_reports(new_process=silent)
+                self._greetings = _GREETINGS
                 self._expected = 0
                 self._stream_at_ns = now_ns + FIRST_NS
             changed = changed or new
@@ -463,9 +530,11 @@ class DatagramEnd:
             self._tell("info", f"the link receives from {self.machine} as datagrams (UDP port {self._place.port})")
             self._next_reminder_ns = now_ns
         elif self.receiving == "datagram" and self._tried_since_ns is None:
-            self.receiving = "stream"
+            self.receiving, self._missed_ns = "stream", NEVER_NS
             self._subscribe(streaming=True)
             self._warn(now_ns, f"no datagram has come from {self.machine} for {silence_ns * 1e-9:.1f} s")
+        elif self.receiving == "datagram" and now_ns - self._early_ns >= TRIED_NS and silence_ns < _MAINTAIN_NS:
+            self._subscribe(streaming=False)
         # Nothing is wrong yet before TCP replaces the datagrams.
         elif self.receiving == "stream" and now_ns >= self._next_reminder_ns and self._streaming == self._falls_back:
             offered = bool(self._agreement.peer_public)

@@ -16,26 +16,39 @@ RESERVE_BYTES = 1500
 _REPORTS = 4
 # The whole budget may be saved up for so long.
 _BURST_S = 0.02
+# Of a smaller rate no more may be saved up than a datagram needs, and what comes in meanwhile from sample to sample.
+_EVEN_S = 0.002
 
 
 class SendBudget:
     """A token bucket of bytes, the headers of the network included."""
 
     def __init__(self, kbit_per_s: float, now_ns: int) -> None:
-        self._bytes_per_ns = kbit_per_s * 125.0 * 1e-9
-        self._most = max(kbit_per_s * 125.0 * _BURST_S, 2.0 * 1500.0)
-        self._saved = self._most
+        self._all = self._bytes_per_s = kbit_per_s * 125.0
+        self._most = self._most_of_all = max(self._all * _BURST_S, 2.0 * 1500.0)
+        self.saved = self._most
         self._at_ns = now_ns
+
+    def limit(self, bytes_per_s: float, bytes_each: float, now_ns: int) -> None:
+        """Allow no more than a rate from now on.
+
+        Below the whole budget there are no bursts, so that samples of `bytes_each` are evenly spaced.
+        """
+        self.left_bytes(now_ns)
+        limited = bytes_per_s < self._all
+        self._bytes_per_s = bytes_per_s
+        self._most = bytes_each + bytes_per_s * _EVEN_S if limited else self._most_of_all
+        self.saved = min(self.saved, self._most)
 
     def left_bytes(self, now_ns: int) -> float:
         """Return how many bytes a datagram sent now may have."""
-        self._saved = min(self._most, self._saved + (now_ns - self._at_ns) * self._bytes_per_ns)
+        self.saved = min(self._most, self.saved + (now_ns - self._at_ns) * 1e-9 * self._bytes_per_s)
         self._at_ns = now_ns
-        return self._saved - NETWORK_BYTES
+        return self.saved - NETWORK_BYTES
 
     def spend(self, size_bytes: int) -> None:
         """Record a datagram that was sent."""
-        self._saved -= size_bytes + NETWORK_BYTES
+        self.saved -= size_bytes + NETWORK_BYTES
 
 
 class Repeats:
@@ -66,8 +79,11 @@ class Repeats:
         self._recent.appendleft(sample)
         return joined
 
-    def adapt(self, expected: int, arrived: int) -> None:
-        """Choose the count by what the other end says: of so many expected since the keys changed, so many arrived."""
+    def adapt(self, expected: int, arrived: int, *, full: bool = False) -> None:
+        """Choose the count by what the other end says: of so many expected since the keys changed, so many arrived.
+
+        Over a line that is full nothing is repeated: there it is the repetitions that are lost.
+        """
         before = self._last
         self._last = (expected, arrived)
         if expected < before[0]:
@@ -80,7 +96,7 @@ class Repeats:
             return
         self.loss_share = min(1.0, max(0.0, 1.0 - got / sent))
         if self._fixed is None:
-            self.count = repeats_for(self.loss_share)
+            self.count = 0 if full else repeats_for(self.loss_share)
 
     def forget(self) -> None:
         """Forget the samples and what was reported: the other end is a new one."""

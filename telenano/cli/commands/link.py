@@ -12,6 +12,7 @@ from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
 from services.runtime.bus.observer import RIG_HINT, Observer, messages_of
+from services.runtime.datagram.incoming import WARN_QUEUE_NS
 from services.runtime.loop.main import load_site
 from telenano.cli.commands.link_probe import probe
 from telenano.cli.commands.session import SessionCommand, send_command
@@ -25,7 +26,8 @@ _COUNTS = ("messages_in", "messages_out", "duplicated", "reordered", "corrupted"
 _DIRECTIONS = ("forward", "backward")
 # the receiving end of each direction reports twice a second
 _NETWORK_S = 1.5
-_NETWORK_COUNTS = ("receiving", "sent", "arrived", "late", "lost")
+_NETWORK_COUNTS = ("receiving", "sent", "arrived", "late", "settled", "lost")
+_FULL_S = WARN_QUEUE_NS * 1e-9
 _PER_DATAGRAM = ("number", "arrived_ns", "delay_ns", "lost_flag")
 _DELAYS = ("delay_mean_s", "delay_min_s", "delay_max_s")
 
@@ -119,10 +121,34 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
         return []
     ways = [network.get(direction, {}) for direction in _DIRECTIONS]
     rows = [_row(f"network: {key}", *(way.get(key, "") for way in ways)) for key in _NETWORK_COUNTS]
+    rows.append(_row("network: lost of settled [%]", *map(_lost_percent, ways)))
+    rows.append(_row("network: queue [ms]", *map(_queue_text, ways)))
+    rows.append(_row("network: line carries [Mbit/s]", *(_mbit(way.get("capacity_bit_per_s")) for way in ways)))
+    # An end says of the other direction, which it sends, how much that is.
+    for what, text in (("line", str), ("limit_bit_per_s", _mbit), ("unsent", str)):
+        name = "limit [Mbit/s]" if what == "limit_bit_per_s" else what
+        rows.append(_row(f"network: {name}", *(text(way.get(what, "")) for way in reversed(ways))))
     rows.append(_row("network: refused", *(counts_text(way.get("refused", {})) for way in ways)))
     rows += [_row(f"network: {key}", *(way[key] if way.get("delay_valid") else "" for way in ways)) for key in _DELAYS]
     clocks = [way["clock"]["uncertainty_s"] if way.get("delay_valid") else "" for way in ways]
     return [*rows, _row("network: delays known to ± [s]", *clocks)]
+
+
+def _lost_percent(way: dict[str, Any]) -> str:
+    """Return the share lost of what is settled: datagrams of the last second may still arrive."""
+    settled = way.get("settled")
+    return f"{100.0 * way['lost'] / settled:.1f}" if settled else ""
+
+
+def _queue_text(way: dict[str, Any]) -> str:
+    queue_s = way.get("queue_s")
+    if queue_s is None:
+        return ""
+    return f"{1e3 * queue_s:.1f}" + (": the line is full" if queue_s > _FULL_S else "")
+
+
+def _mbit(bit_per_s: float | str | None) -> str:
+    return f"{bit_per_s * 1e-6:.3g}" if isinstance(bit_per_s, int | float) else ""
 
 
 def status_rows(status: dict[str, Any]) -> list[dict[str, Any]]:

@@ -1,7 +1,8 @@
 """`telenano link probe`: what the network between two sites does, as a trace, a figure and a verdict for each law."""
 
+import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -11,9 +12,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from presets import TWO_SITES_FILE
-from proto.errors import RigError
+from proto.errors import RigError, TelenanoError
 from proto.network_messages import LinkNetwork
+from proto.nodes import LINK
+from services.console.command_client import send_control
+from services.delay_node.node import TRAIN
 from services.runtime.bus.observer import RIG_HINT
+from services.runtime.loop.commands import Command
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -48,7 +53,9 @@ def probe(
         from analysis.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
 
         chosen = _laws(laws)
-        reports = _recorded(recording) if recording is not None else _measured(site_file, duration, shown=not as_json)
+        reports = (
+            list(_recorded(recording)) if recording is not None else _measured(site_file, duration, shown=not as_json)
+        )
         traces = traces_of(reports)
         absent = [direction for direction in DIRECTIONS if direction not in traces]
         if absent:
@@ -60,7 +67,9 @@ def probe(
             section = write_traces(traces, folder)
             (folder / _SECTION).write_text(yaml.safe_dump(section, sort_keys=False), encoding="utf-8")
             trace_figure(traces).savefig(folder / "network.png", dpi=130)
-            network: dict[str, dict[str, Any]] = {direction: trace.summary() for direction, trace in traces.items()}
+            network: dict[str, dict[str, Any]] = {
+                direction: {**trace.summary(), **_line(direction, reports)} for direction, trace in traces.items()
+            }
             verdicts = _tried(chosen, section, folder, network)
             document = {"network": network, "laws": verdicts, "replay": section, "files": str(out)}
             (folder / "probe.json").write_text(_json_text(document), encoding="utf-8")
@@ -94,6 +103,17 @@ def _tried(
     return rows_of(run_laws(laws, MeasuredNetwork(parse_settings(section), folder, round_trip_ms, lost_share)))
 
 
+def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:
+    """Return the state of the line in a direction: what it carries and the longest queue; null where it is unknown."""
+    own = [report for report in reports if report.direction == direction]
+    carried = [report.capacity_bit_per_s for report in own if report.capacity_bit_per_s is not None]
+    queues_ms = [1e3 * report.queue_s for report in own if report.queue_s is not None]
+    return {
+        "capacity_mbit": round(carried[-1] * 1e-6, 3) if carried else None,
+        "queue_max_ms": round(max(queues_ms), 2) if queues_ms else None,
+    }
+
+
 def _recorded(path: Path) -> Iterator[LinkNetwork]:
     """Yield the reports of a recording; at the master it has both directions, one of them as a copy."""
     from recording.reader import Recording
@@ -109,6 +129,9 @@ def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNe
     """Return the reports of a running rig within a time [s]."""
     columns = (TextColumn("probe"), BarColumn(), TimeRemainingColumn())
     found: dict[tuple[str, int], LinkNetwork] = {}
+    # Without the role of a commander here, what was measured at the start of the rig has to do.
+    with contextlib.suppress(TelenanoError):
+        send_control(Command("set", LINK, parameters={TRAIN: True}), site_file, "master", lambda event: None)
     begin = time.monotonic()
     with (
         open_observer(site_file, _TOPIC) as observer,

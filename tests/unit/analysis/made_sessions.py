@@ -48,7 +48,7 @@ class Made:
     answers: until when the hand gets answers [s]; events: session time and data of what the instrument reports;
     incidents: session time and text of what the slave's launcher does; end_s: when the recording ends, None if the
     programme is ended; set_s: when the tip has acknowledged a setting; queue_s: by which the way there grows in a
-    second [s]; told_s: added to the offset that the link reports [s].
+    second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s].
     """
 
     ahead_s: float = 0.0
@@ -67,6 +67,7 @@ class Made:
     set_s: float | None = None
     queue_s: float = 0.0
     told_s: float = 0.0
+    full_s: float | None = None
 
     def slave_ns(self, time_s: float) -> int:
         """Return what the slave's clock shows at a session time [ns]."""
@@ -174,3 +175,7 @@ class Made:
             answer = {"answer_sent_ns": stamps[1], "answer_received_ns": back_ns, "v": 2}
             # an earlier version tells no answers
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))
+            if self.full_s is not None and tenth % 5 == 0:
+                counts = {"sent": 50 * (tenth + 10), "settled": 50 * tenth + 200, "lost": 5 * tenth + 20}
+                line = {"queue_s": self.full_s, "capacity_bit_per_s": 1_000_000, "line": "free"}
+                add("link/network", LINK, 0.1 * tenth, direction="backward", **counts, **line)

@@ -27,6 +27,7 @@ MADE: dict[str, Made] = {
     "of_two_clocks": Made(ahead_s=0.3, drift=1e-5),
     "of_two_readings": Made(told_s=0.02),
     "set": Made(set_s=2.0),
+    "of_a_full_line": Made(full_s=0.05),
     "cut_off": Made(end_s=3.0),
     "without_answers": Made(answers=0.0),
     "without_tip": Made(without=lambda topic, time_s: topic in ("afm/state", "haptic/command")),
@@ -103,6 +104,17 @@ def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str,
     assert summaries["without_answers"]["loop_age_ms"] is None
     assert summaries["set"]["changed"]
     assert not summaries["cut_off"]["recording"]["complete"]
+    assert summaries["of_a_full_line"]["lines"] == [
+        {
+            "direction": "backward",
+            "queue_max_ms": 50.0,
+            "full_share": 1.0,
+            "capacity_mbit": 1.0,
+            "datagrams_per_s": 500.0,
+            "lost_share": 0.1,
+        }
+    ]
+    assert "lines" not in summaries["wave"]
     assert len(summaries["in_parts"]["recording"]["parts"]) == 2
     assert "parts" not in summaries["wave"]["recording"]
 

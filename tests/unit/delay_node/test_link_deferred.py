@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 
+from proto.errors import RefusedError
 from services.delay_node.config import parse_settings
-from services.delay_node.node import DelayNode
+from services.delay_node.node import TRAIN, DelayNode
 
 MS = 1_000_000
 ZERO = (0.0, 0.0, 0.0)
@@ -119,3 +120,22 @@ def test_a_task_of_the_link_stands_for_what_is_so_when_it_is_run(link: Link) -> 
     declared.clear()
     link.run_task()
     assert [(topic, fields["delay_ns"]) for topic, fields in declared] == [("link/delay", 7 * MS)]
+
+
+def test_a_train_is_sent_on_command_and_refused_where_there_can_be_none(bench_of: Any) -> None:
+    sent = [True, False]
+    link = Link(bench_of)
+    train = link.bench.received("session/control", "console@master", **_command({TRAIN: True})).message
+    with pytest.raises(RefusedError, match="no datagrams cross"):
+        link.node.on_control(train)
+    link.node._send_train = lambda: sent.pop(0)
+    assert "link/network has what the line carried" in link.node.on_control(train)
+    with pytest.raises(RefusedError, match="the line is full, or one was sent just before"):
+        link.node.on_control(train)
+    both = link.bench.received("session/control", "console@master", **_command({TRAIN: True, "seed": 1})).message
+    with pytest.raises(RefusedError, match="line"):
+        link.node.on_control(both)
+
+
+def _command(parameters: dict[str, Any]) -> dict[str, Any]:
+    return {"id": "1", "command": "set", "target": "delay_node", "parameters": parameters}

@@ -18,3 +18,24 @@ def test_what_the_network_did_is_shown_for_both_directions() -> None:
     unknown = {row["what"]: row["forward"] for row in network_rows({"forward": {**way, "delay_valid": False}})}
     assert unknown["network: delay_mean_s"] == ""
     assert network_rows({}) == []
+
+
+def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled() -> None:
+    forward = {
+        "receiving": "datagram", "sent": 1000, "arrived": 980, "late": 0, "lost": 20, "settled": 200, "refused": {},
+        "delay_valid": False, "queue_s": 0.052, "capacity_bit_per_s": 1_040_000, "line": "free",
+        "limit_bit_per_s": 6_000_000, "unsent": 0,
+    }  # fmt: skip
+    backward = {**forward, "queue_s": 0.001, "line": "full", "limit_bit_per_s": 850_000, "unsent": 300, "settled": 0}
+    ways = {"forward": forward, "backward": backward}
+    rows = {row["what"]: (row["forward"], row["backward"]) for row in network_rows(ways)}
+    assert rows["network: lost of settled [%]"] == ("10.0", "")
+    assert rows["network: queue [ms]"] == ("52.0: the line is full", "1.0")
+    assert rows["network: line carries [Mbit/s]"] == ("1.04", "1.04")
+    # the end that receives backward, at the master, is the one that sends forward
+    assert rows["network: line"] == ("full", "free")
+    assert rows["network: limit [Mbit/s]"] == ("0.85", "6")
+    assert rows["network: unsent"] == ("300", "0")
+    earlier = {key: forward[key] for key in ("receiving", "sent", "arrived", "late", "lost", "refused", "delay_valid")}
+    shown = {row["what"]: row["forward"] for row in network_rows({"forward": earlier})}
+    assert shown["network: queue [ms]"] == shown["network: line"] == shown["network: lost of settled [%]"] == ""

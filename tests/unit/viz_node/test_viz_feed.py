@@ -224,3 +224,15 @@ def test_lines_of_an_image_are_kept_as_far_as_they_have_room() -> None:
     assert len(feed.snapshot()["lines"]) == 67
     feed.record(seen("afm/scanline", "afm_node@slave", line=0, height_m={**heights, "data": bytes(2_000_000)}))
     assert feed.unreadable == 1
+
+
+def test_the_queue_of_a_line_is_a_fact_of_its_direction_and_an_earlier_end_has_none() -> None:
+    feed = Feed()
+    line = {"direction": "forward", "queue_s": 0.0524, "capacity_bit_per_s": 10**6}
+    feed.record(seen("link/network", "controller@slave", **line))
+    feed.record(seen("link/network", "delay_node@master", START_NS + 1, direction="backward"))
+    assert feed.snapshot()["state"] == {
+        "line/forward": {"queue_s": 0.052, "capacity_bit_per_s": 10**6},
+        "line/backward": {"queue_s": None, "capacity_bit_per_s": None},
+    }
+    assert feed.unreadable == 0

@@ -29,3 +29,16 @@ export function adviceFor(ways: readonly (Way | undefined)[], losses: readonly n
   if (trip > BARE_S) return `${measured}: ${law.replaceAll("_", " ")} suits it, and the sample feels softer.`;
   return `${measured}: any law suits it.`;
 }
+
+/** A queue from which on the line counts as full [s], as in services/runtime/datagram/incoming.py. */
+const FULL_S = 0.01;
+
+/** The state of the line between two sites in one row: queue [s] and capacity [bit/s] of each way; empty if unknown. */
+export function lineText(ways: readonly (readonly unknown[])[]): string {
+  const queues = ways.map(([queue]) => (typeof queue === "number" ? queue : NaN));
+  if (!queues.some(Number.isFinite)) return "";
+  const carried = ways.map(([, carries]) => (typeof carries === "number" ? (carries * 1e-6).toPrecision(2) : "?"));
+  const shown = queues.map((queue) => (Number.isFinite(queue) ? (queue * 1e3).toFixed(0) : "?"));
+  const full = queues.some((queue) => queue > FULL_S) ? ": the line is full, and samples are that much older" : "";
+  return `Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
+}

@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { adviceFor } from "../src/advice";
+import { adviceFor, lineText } from "../src/advice";
 import { judged } from "../src/panels/nodes";
 
 const way = (delay_mean_s: number, delay_max_s = delay_mean_s): object => ({ delay_mean_s, delay_max_s, delay_valid: true });
@@ -13,6 +13,12 @@ it.each([
   [[undefined, undefined], [], "wave", /not measured/],
 ])("says in a sentence what to do on a network", (ways, losses, law, sentence) => {
   expect(adviceFor(ways, losses, law)).toMatch(sentence);
+});
+
+it("says in a row what the line between two sites does", () => {
+  expect(lineText([[undefined, undefined], [undefined, undefined]])).toBe("");
+  expect(lineText([[0.001, 1e7], [0, 1e6]])).toBe("Line: queue 1 and 0 ms, carries 10 and 1.0 Mbit/s");
+  expect(lineText([[0.052, 1e6], [undefined, null]])).toMatch(/52 and \? ms, carries 1\.0 and \? Mbit\/s: the line is full/);
 });
 
 it("judges the numbers of a node in words", () => {

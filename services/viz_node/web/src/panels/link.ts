@@ -1,9 +1,10 @@
-import { adviceFor, type Way } from "../advice";
+import { adviceFor, lineText, type Way } from "../advice";
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { faultLine, faultOf, judge } from "../field";
 
 const MOST_MS = 2000;
+const WAYS = ["forward", "backward"] as const;
 
 /** The link: its profile, its delay, and what that means in one sentence. Each direction is among the settings. */
 export class LinkPanel implements Panel {
@@ -12,6 +13,7 @@ export class LinkPanel implements Panel {
   private readonly set = make("button", { type: "button", id: "delay-set", onclick: () => this.setDelay() }, "Set");
   private readonly fault = faultLine(this.delay);
   private readonly advice = make("div", { class: "quiet linkline", id: "advice" });
+  private readonly line = make("div", { class: "quiet linkline", id: "line" });
   private shown = "";
 
   constructor(
@@ -21,7 +23,7 @@ export class LinkPanel implements Panel {
     this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
-    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice);
+    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line);
   }
 
   begin(): void {
@@ -35,7 +37,7 @@ export class LinkPanel implements Panel {
 
   write(): void {
     const { store } = this.cockpit;
-    const ways = ["forward", "backward"].map((way) => store.fact("link", way) as (Way & { profile?: string }) | undefined);
+    const ways = WAYS.map((way) => store.fact("link", way) as (Way & { profile?: string }) | undefined);
     const profile = ways[0]?.profile ?? "";
     if (profile && profile !== this.shown) {
       this.shown = profile;
@@ -44,6 +46,8 @@ export class LinkPanel implements Panel {
     const losses = ["forward_loss", "backward_loss"].map((column) => store.last("link", column));
     const text = adviceFor(ways, losses, String(store.fact("law/status/master", "law") ?? ""));
     if (this.advice.textContent !== text) this.advice.textContent = text;
+    const line = lineText(WAYS.map((way) => [store.fact(`line/${way}`, "queue_s"), store.fact(`line/${way}`, "capacity_bit_per_s")]));
+    if (this.line.textContent !== line) this.line.textContent = line;
   }
 
   private check(): boolean {

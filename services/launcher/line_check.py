@@ -1,0 +1,101 @@
+"""Whether the line between two sites carries a session, by what the ends of its datagrams measured at the start."""
+
+from proto.messages import Message
+from proto.network_messages import LinkNetwork
+from services.runtime.loop.clock import Clock
+
+# What the loop sends each way at 1 kHz, with room for commands and reports [bit/s].
+FULL_BIT_PER_S = 2_000_000
+# A node's report of 3 kB, sent over TCP, takes 50 ms of such a line, and a sample behind it is past its deadline.
+LEAST_BIT_PER_S = 500_000
+# So long after all else is ready no more trains are waited for.
+_PATIENCE_NS = 3_000_000_000
+# A line that is narrow is looked at for so long, because what else crosses it at the start makes it seem so.
+_DOUBT_NS = 10_000_000_000
+# So much of what the line carries has to be in use again.
+_RECOVERED = 0.7
+_WAYS = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
+
+
+class LineCheck:
+    """The capacity of each way [bit/s], as far as it is known."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._capacity: dict[str, int] = {}
+        self._limit: dict[str, int | None] = {}
+        # Since when all else is ready, and since when the line seems too narrow.
+        self._since_ns: int | None = None
+        self._narrow_ns: int | None = None
+        # Without a report the link has no datagrams, and nothing is measured.
+        self._reported = False
+
+    def record(self, message: Message) -> None:
+        """Take note of a report of the network."""
+        if isinstance(message, LinkNetwork):
+            self._reported = True
+            if message.capacity_bit_per_s is not None:
+                self._capacity[message.direction] = message.capacity_bit_per_s
+            # An end reports what it receives, and how much it sends the other way.
+            self._limit["backward" if message.direction == "forward" else "forward"] = (
+                None if message.line == "free" else message.limit_bit_per_s
+            )
+
+    def settled(self) -> bool:
+        """Return whether both ways are known, or nothing more is to be expected; begins to wait at the first call."""
+        now = self._clock.monotonic_ns()
+        if self._since_ns is None:
+            self._since_ns = now
+        waited_ns = now - self._since_ns
+        if self._refusal():
+            return False
+        if self._recovers():
+            return waited_ns >= _DOUBT_NS
+        known = len(self._capacity) == len(_WAYS) and not self.advice()
+        return not self._reported or known or waited_ns >= _PATIENCE_NS
+
+    def _recovers(self) -> bool:
+        """Return whether less is sent some way than the line carries, since the connections of the start filled it."""
+        return any(
+            limit is not None and limit < _RECOVERED * min(self._capacity.get(way, 0), FULL_BIT_PER_S)
+            for way, limit in self._limit.items()
+        )
+
+    def refusal(self) -> str:
+        """Return why there can be no session, with the numbers; empty where there can, or where that is in doubt."""
+        now, text = self._clock.monotonic_ns(), self._refusal()
+        if not text:
+            self._narrow_ns = None
+        elif self._narrow_ns is None:
+            self._narrow_ns = now
+        elif now - self._narrow_ns >= _DOUBT_NS:
+            return text
+        return ""
+
+    def _refusal(self) -> str:
+        narrow = self._narrower_than(LEAST_BIT_PER_S)
+        if not narrow:
+            return ""
+        worst_ms = 3e3 * 8e3 / max(1, min(self._capacity.values()))
+        return (
+            f"{narrow}, and a session needs {LEAST_BIT_PER_S * 1e-6:g} Mbit/s each way: a report of 3 kB takes "
+            f"{worst_ms:.0f} ms of it, and a sample that waits behind one is past its deadline of 50 ms"
+        )
+
+    def advice(self) -> list[str]:
+        """Return what becomes of a session on a line that is narrow, in sentences."""
+        narrow = self._narrower_than(FULL_BIT_PER_S)
+        if not narrow:
+            return []
+        return [
+            f"{narrow}, and the loop at 1 kHz needs {FULL_BIT_PER_S * 1e-6:g} Mbit/s each way: so many samples are "
+            "left out that no queue stands; `telenano link show` says how many"
+        ]
+
+    def _narrower_than(self, bit_per_s: int) -> str:
+        carried = [
+            f"the line {_WAYS[way]} carries {carries * 1e-6:.2g} Mbit/s"
+            for way, carries in sorted(self._capacity.items(), reverse=True)
+            if carries < bit_per_s
+        ]
+        return " and ".join(carried)

@@ -1,0 +1,199 @@
+"""Two ends over a line: small samples, trains, an early way out over TCP, and a peer that reports nonsense."""
+
+import hashlib
+import zlib
+from collections.abc import Iterator
+
+import datagram_bench
+import pytest
+from datagram_bench import Pair, pair
+from network_bench import payload
+from test_runtime_datagram import _Blocked
+
+from services.runtime.datagram.arrivals import ArrivalRecord
+from services.runtime.datagram.body import (
+    ASKING_TRAIN,
+    DICTIONARY,
+    HELLO,
+    REPORT,
+    SAMPLE,
+    mark,
+    packed,
+    parse,
+)
+from services.runtime.datagram.end import MISSED_NS, SILENCE_NS
+from services.runtime.datagram.incoming import Incoming
+from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS
+from services.runtime.datagram.replay_window import ReplayWindow
+from services.runtime.datagram.sealing import RejectedError
+
+MS = 1_000_000
+REPORTED = REPORT.pack(1, 0, 0, 0, 0)
+FORWARD = payload("teleop/forward", "controller@master", 7)
+
+pytestmark = pytest.mark.timeout(120)
+
+
+@pytest.fixture
+def ends() -> Iterator[Pair]:
+    with pair() as made:
+        yield made
+
+
+# --- samples ---
+
+
+def test_a_sample_is_deflated_to_a_third_and_comes_back_as_it_was() -> None:
+    sample = packed("teleop/forward", FORWARD, deflated=True)
+    assert len(sample) < len(FORWARD) / 3
+    assert parse(REPORTED + sample + mark(HELLO)) == (
+        parse(REPORTED).report,
+        [(b"teleop/forward", FORWARD)],
+        [HELLO],
+        0,
+    )
+    # both ends need the very same bytes: another dictionary would be another wire format
+    assert hashlib.sha256(DICTIONARY).hexdigest() == "0acc65774425ceb5ca0e71552a3cd51364049f19fa05ead41eaa95ff98029c39"
+
+
+@pytest.mark.parametrize("what", ["bomb", "cut", "more", "noise"])
+def test_what_does_not_inflate_to_a_sample_is_malformed(what: str) -> None:
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -12, 9, zlib.Z_DEFAULT_STRATEGY, DICTIONARY)
+    data = {
+        "bomb": deflate.compress(bytes(400_000)) + deflate.flush(),
+        "cut": packed("teleop/forward", FORWARD, deflated=True)[SAMPLE.size : -3],
+        "more": packed("teleop/forward", FORWARD, deflated=True)[SAMPLE.size :] + b"more",
+        "noise": bytes(range(255, 200, -1)),
+    }[what]
+    with pytest.raises(RejectedError, match="malformed"):
+        parse(REPORTED + SAMPLE.pack(0x80, len(data)) + data)
+
+
+def test_ends_that_inflate_tell_one_another_and_an_earlier_one_gets_samples_as_they_are(ends: Pair) -> None:
+    # an earlier end says nothing of it
+    ends.slave.end._adapt = lambda now_ns: None  # type: ignore[method-assign]
+    ends.joined()
+    before, count = ends.master.end.outgoing.bytes, ends.master.end.outgoing.datagrams
+    ends.turns(100)
+    as_they_are = (ends.master.end.outgoing.bytes - before) / (ends.master.end.outgoing.datagrams - count)
+    assert ends.slave.seqs[-1] == ends.master.seq - 1
+    with pair() as both:
+        both.joined()
+        # the trains of the start have passed
+        both.turns(300)
+        before, count = both.master.end.outgoing.bytes, both.master.end.outgoing.datagrams
+        both.turns(100)
+        small = (both.master.end.outgoing.bytes - before) / (both.master.end.outgoing.datagrams - count)
+        assert both.slave.seqs[-1] == both.master.seq - 1
+        assert [side.end.rejected for side in both.sides] == [{}, {}] or not both.slave.end.rejected.get("malformed")
+    assert small < 0.6 * as_they_are
+
+
+# --- the state of the line ---
+
+
+def test_losses_are_divided_by_what_is_settled() -> None:
+    window, account = ReplayWindow(), ArrivalRecord()
+    account.begin(window)
+    for number in range(5000):
+        if number % 10:
+            window.record(number)
+            account.record(number, number * MS, number * MS + 20 * MS)
+        if number % 50 == 49:
+            account.settle(number * MS)
+    # the last second is not settled: of 5 s, a tenth lost reads as 8 % of what was sent
+    assert account.lost / account.settled == pytest.approx(0.1, abs=0.001)
+    assert account.lost / account.sent < 0.085
+
+
+def test_a_report_has_the_state_of_the_line(ends: Pair) -> None:
+    ends.joined()
+    ends.turns(100)
+    for side in ends.sides:
+        report = side.outlet.last("link/network")
+        assert report.queue_s is not None
+        assert report.queue_s < 1e-3
+        # the train of the start, over the loopback
+        assert report.capacity_bit_per_s > 1e7
+        assert report.line == "free"
+        assert report.limit_bit_per_s == 6_000_000
+
+
+def test_a_train_measures_what_the_line_carries_though_the_process_stood_still_for_a_moment() -> None:
+    incoming, at_ns = Incoming("slave"), 0
+    for place in range(TRAIN_DATAGRAMS):
+        # 500 bytes in 2 ms are 2 Mbit/s; what came during a pause of 8 ms is read at once after it,
+        # so that nothing seems faster than it was
+        at_ns = max(at_ns, place * 2 * MS + (8 * MS if place == 10 else 0))
+        incoming.record(452, at_ns, [ASKING_TRAIN])
+    assert incoming.capacity == pytest.approx(2e6, rel=0.1)
+    assert incoming.wants_train
+
+
+def test_a_queue_that_stands_is_told_once_and_its_end_as_well() -> None:
+    incoming, told = Incoming("slave"), []
+    for tick in range(200):
+        queue_ns = 50 * MS if 20 <= tick < 100 else 0
+        if text := incoming.told_of_queue(tick * 50 * MS, queue_ns):
+            told.append((tick, *text))
+    (begun, level, text), (ended, calm, _) = told
+    assert (level, calm) == ("warning", "info")
+    assert "a queue of 50 ms stands before it" in text
+    assert 40 <= begun < 45
+    assert ended == 100
+
+
+# --- falling back ---
+
+
+def test_tcp_is_subscribed_to_before_a_silence_is_called_one(ends: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends.joined()
+    monkeypatch.setattr(datagram_bench, "STEP_NS", MS)
+    ends.turns(300)
+    sockets = [side.end.socket for side in ends.sides]
+    for side in ends.sides:
+        side.events.clear()
+        side.end.socket = _Blocked(side.end.socket)  # type: ignore[assignment]
+    waited = 0
+    while "teleop/forward" not in ends.slave.log.topics:
+        ends.turn()
+        waited += 1
+        assert waited * MS < SILENCE_NS / 3
+    assert waited * MS == pytest.approx(MISSED_NS, abs=3 * MS)
+    # a node that sleeps is woken for it
+    assert ends.master.end.due_ns <= ends.master.clock.monotonic_ns() + MISSED_NS or "law/status" in (
+        ends.master.log.topics
+    )
+    assert [side.end.receiving for side in ends.sides] == ["datagram", "datagram"]
+    for side, real in zip(ends.sides, sockets, strict=True):
+        side.end.socket = real
+    ends.turns(700)
+    assert [side.log.topics for side in ends.sides] == [{"link/key"}, {"link/key"}]
+    assert [event.text for side in ends.sides for event in side.events] == []
+
+
+# --- a peer that lies ---
+
+
+@pytest.mark.parametrize("lie_ns", [5 * MS, -5 * MS])
+def test_a_peer_that_reports_a_growing_queue_is_sent_the_least_and_no_less(ends: Pair, lie_ns: int) -> None:
+    ends.joined()
+    for turn in range(2000):
+        ends.turn()
+        sent_ns, heard_ns = ends.slave.end._heard
+        ends.slave.end._heard = (sent_ns, heard_ns + turn * lie_ns)
+    before, seq = ends.master.end.outgoing.datagrams, ends.master.seq
+    ends.turns(400)
+    # four seconds of a hundred samples
+    assert ends.master.end.outgoing.datagrams - before >= 0.9 * min(4 * LEAST_HZ, ends.master.seq - seq)
+    assert ends.master.end.outgoing.control.bytes_per_s <= 750_000.0
+
+
+def test_a_peer_that_asks_for_trains_all_the_time_gets_a_few(ends: Pair) -> None:
+    ends.joined()
+    before = ends.slave.end.outgoing.datagrams
+    for _ in range(1000):
+        ends.turn(send=False)
+        ends.slave.end.incoming.wants_train = True
+    # ten seconds: a train in 0.7 s, and twenty signs of life a second, with two reports of what the line carries
+    assert ends.slave.end.outgoing.datagrams - before <= 15 * TRAIN_DATAGRAMS + 10 * (20 + 2) + 20
