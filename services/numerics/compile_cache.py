@@ -75,10 +75,11 @@ class CheckedCacheFile(IndexDataCacheFile):
 
 
 class CheckedCache(FunctionCache):
-    """The cache of one function."""
+    """The cache of one function, in the form that Python can call or in that which only compiled code calls."""
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: Any, python_calls: bool) -> None:
         super().__init__(function)
+        self._python_calls = python_calls
         self._cache_file = CheckedCacheFile(self._cache_path, function.__qualname__, "")
 
     def _index_key(self, signature: Any, codegen: Any) -> _Key:
@@ -86,9 +87,8 @@ class CheckedCache(FunctionCache):
         kinds = (self._py_func, *classes)
         names = [f"{kind.__module__}.{kind.__qualname__}" for kind in kinds]
         # code that checks its indices (NUMBA_BOUNDSCHECK) is other code
-        described = repr(
-            (sys.implementation.cache_tag, names, signature, codegen.magic_tuple(), vars(config)["BOUNDSCHECK"])
-        )
+        options = (vars(config)["BOUNDSCHECK"], self._python_calls)
+        described = repr((sys.implementation.cache_tag, names, signature, codegen.magic_tuple(), *options))
         # The names leave out the line of the function, which numba's names have, because lines above it come and go.
         readable = re.sub(r"[^\w.]", "", names[0].rpartition("services.")[2])
         name = f"{readable}.{hashlib.sha256(described.encode()).hexdigest()[:24]}.nbc"

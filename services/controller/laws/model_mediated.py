@@ -49,9 +49,9 @@ from services.controller.laws.shared.surface import (
     FitParams,
     Surface,
     fitted,
-    force_nn,
+    force_and_potential,
     met,
-    potential,
+    over,
     unknown,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -216,15 +216,7 @@ def learnt(params: ModelMediatedParams, fit: Fit, signal: PortSignal) -> Fit:
         return fitted(params.fit, fit, position, force) if fit.known else met(params.fit, position, force)
     if fit.known and position > fit.surface.contact_nm + params.fit.range_nm:
         surface = Surface(position - params.fit.range_nm, fit.surface.kappa, fit.surface.adhesion_nn)
-        return Fit(
-            surface=surface,
-            positions_nm=fit.positions_nm,
-            forces_nn=fit.forces_nn,
-            weights=fit.weights,
-            bin=fit.bin,
-            damping=fit.damping,
-            known=True,
-        )
+        return over(params.fit, fit, surface)
     return fit
 
 
@@ -241,25 +233,26 @@ def between(start: Surface, end: Surface, share: float) -> Surface:
 @compiled
 def updated(
     params: ModelMediatedParams, model: Surface, goal: Surface, reference_m: float, store_j: float
-) -> tuple[Surface, float]:
-    """Move the model towards the goal as far as force and energy at the hand allow; return it with the energy used [J].
+) -> tuple[Surface, float, float]:
+    """Move the model towards the goal as far as force and energy at the hand allow.
 
     The share is halved until both limits hold, so the rule is exact whatever the surface's shape; if it gets too small
-    the model stays.
+    the model stays. Returned are the model, the energy used [J] and the force of the model [nN].
     """
     p, k, span, x = params.mass, params.fit.cantilever, params.fit.range_nm, reference_m / NANO
     # The factor takes nN nm at the tip to J at the hand.
     joules = NANO * NANO * p.force_scale / p.position_scale
-    force, stored = force_nn(model, k, span, x), potential(model, k, span, x)
+    force, stored = force_and_potential(model, k, span, x)
     share = params.follow
     for _ in range(12):
         tried = between(model, goal, share)
-        change = abs(force_nn(tried, k, span, x) - force) * NANO * p.force_scale
-        rise = (potential(tried, k, span, x) - stored) * joules
+        tried_nn, potential = force_and_potential(tried, k, span, x)
+        change = abs(tried_nn - force) * NANO * p.force_scale
+        rise = (potential - stored) * joules
         if change <= params.force_step_n and rise <= store_j:
-            return tried, max(rise, 0.0)
+            return tried, max(rise, 0.0), tried_nn
         share *= 0.5
-    return model, 0.0
+    return model, 0.0, force
 
 
 @compiled
@@ -298,10 +291,10 @@ def master_receive(
     store, injected, dissipated, force = state.store_j, state.injected_j, state.dissipated_j, 0.0
     for _ in range(periods_in(dt, p.period_s)):
         if rendered:
-            model, used = updated(params, model, fit.surface, tip_reference(p, mass), store)
+            model, used, model_nn = updated(params, model, fit.surface, tip_reference(p, mass), store)
             store -= used
             injected += used
-            force = force_nn(model, q.cantilever, q.range_nm, tip_reference(p, mass) / NANO) * NANO * p.force_scale
+            force = model_nn * NANO * p.force_scale
         before = mass.position_m
         mass = moved(p, mass, hand.force_n - force)
         # The mean velocity never overstates the energy that the damper dissipated.

@@ -41,6 +41,8 @@ from services.numerics.compiled import compiled
 # So many references are kept, one a period. The oldest stands for still older ones, so longer delays are bridged in
 # part.
 HISTORY = 1024
+# the newest of them apart, in blocks of so many, because a step copies what it changes
+_BLOCK = 32
 
 
 class SmithParams(NamedTuple):
@@ -96,10 +98,14 @@ class Estimate(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """The impedance, the references sent (a ring, newest at `newest`), the estimate, and the K_e in use [N/m]."""
+    """The impedance, the references sent (a ring, newest at `newest`), the estimate, and the K_e in use [N/m].
+
+    sent_m: the ring without the block of the newest, shape (HISTORY,); block_m: that block, shape (32,).
+    """
 
     impedance: impedance.MasterState
     sent_m: npt.NDArray[np.float64]
+    block_m: npt.NDArray[np.float64]
     newest: int
     estimate: Estimate
     in_use_n_per_m: float
@@ -115,7 +121,8 @@ def _without_memory(stiffness_n_per_m: float) -> Estimate:
 @compiled
 def _fresh(params: SmithParams, state: impedance.MasterState) -> MasterState:
     reference = params.impedance.position_scale * state.position_m + state.tip_offset_m
-    return MasterState(state, np.full(HISTORY, reference), 0, _without_memory(params.stiffness_n_per_m), 0.0)
+    sent, estimate = np.full(HISTORY, reference), _without_memory(params.stiffness_n_per_m)
+    return MasterState(state, sent, np.full(_BLOCK, reference), 0, estimate, 0.0)
 
 
 @compiled
@@ -134,17 +141,22 @@ def master_resume(params: SmithParams, hand: HandSample, tip_reference_m: float)
 def master_send(params: SmithParams, state: MasterState, hand: HandSample, dt: float) -> tuple[MasterState, PortSignal]:
     """Return the slave's reference and store it for every period in dt [s]."""
     inner, signal = impedance.master_send(params.impedance, state.impedance, hand, dt)
-    sent, newest = state.sent_m.copy(), state.newest
+    sent, block, newest = state.sent_m, state.block_m.copy(), state.newest
     for _ in range(periods_in(dt, params.impedance.period_s)):
+        if newest % _BLOCK == _BLOCK - 1:
+            sent = sent.copy()
+            sent[newest - _BLOCK + 1 : newest + 1] = block
         newest = (newest + 1) % HISTORY
-        sent[newest] = signal.position_m
-    return MasterState(inner, sent, newest, state.estimate, state.in_use_n_per_m), signal
+        block[newest % _BLOCK] = signal.position_m
+    return MasterState(inner, sent, block, newest, state.estimate, state.in_use_n_per_m), signal
 
 
 @compiled
 def reference_then(state: MasterState, age_s: float, period_s: float) -> float:
     """Return the reference [m] that was sent age_s [s] ago."""
     periods = min(round(age_s / period_s), HISTORY - 1)
+    if periods <= state.newest % _BLOCK:
+        return float(state.block_m[state.newest % _BLOCK - periods])
     return float(state.sent_m[(state.newest - periods) % HISTORY])
 
 
@@ -210,14 +222,14 @@ def master_receive(
         round_trip_s=signal.round_trip_s,
     )
     inner, reference = impedance.master_receive(p, state.impedance, hand, predicted, dt)
-    return MasterState(inner, state.sent_m, state.newest, estimate, in_use), reference
+    return MasterState(inner, state.sent_m, state.block_m, state.newest, estimate, in_use), reference
 
 
 @compiled
 def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes."""
     inner = impedance.retune(old.impedance, new.impedance, state.impedance)
-    return MasterState(inner, state.sent_m, state.newest, state.estimate, state.in_use_n_per_m)
+    return MasterState(inner, state.sent_m, state.block_m, state.newest, state.estimate, state.in_use_n_per_m)
 
 
 SMITH = law_of(__name__, SmithConfig, slave=pass_through)

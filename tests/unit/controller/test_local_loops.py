@@ -15,7 +15,7 @@ from services.controller.law import (
     SlaveReference,
     TipMeasurement,
 )
-from services.controller.law_rules import broken_rules, stiffness_limit_n_per_m
+from services.controller.law_rules import RULES, stiffness_limit_n_per_m
 from services.controller.laws.shared.virtual_mass import FOLLOWED_M
 
 T = 1e-3
@@ -118,10 +118,10 @@ def standing(params: Any, state: Any, signal: PortSignal, tip: TipMeasurement, d
 
 
 def test_a_law_that_never_touches_breaks_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
-    rule = next(name for name in broken_rules("model_mediated") if name.startswith("touches a wall"))
-    assert broken_rules("model_mediated")[rule] == []
+    rule = next(rule for rule in RULES if rule.name.startswith("touches a wall"))
+    assert list(rule.broken_by("model_mediated")) == []
     monkeypatch.setitem(LAWS, "model_mediated", replace(LAWS["model_mediated"], slave_receive=standing))
-    faults = broken_rules("model_mediated")[rule]
+    faults = list(rule.broken_by("model_mediated"))
     assert "presses with 0 N on average" in faults[0]
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,11 +14,10 @@ from services.controller.laws.model_mediated import ModelMediatedConfig
 from services.controller.laws.shared.surface import (
     Surface,
     fitted,
-    force_nn,
     gradient,
     met,
     misfit,
-    potential,
+    over,
     remembered,
     root_of,
     solved_pair,
@@ -54,7 +54,7 @@ def test_limits_of_the_force() -> None:
 
 @given(surfaces, st.floats(0.01, 20.0))
 def test_gradient_is_the_numerical_one(surface: Surface, y: float) -> None:
-    x, slopes = surface.contact_nm + y, gradient(surface, K, y)
+    x, slopes = surface.contact_nm + y, gradient(surface, K, root_of(y, surface.kappa / K))
     for index in range(3):
         step = 1e-5 * max(abs(surface[index]), y)
         ends = []
@@ -122,9 +122,18 @@ def test_a_step_never_fits_worse() -> None:
     fit = met(FIT, 9.5, 3.0)
     for x in rng.uniform(9.2, 11.5, 300):
         force = force_nn(MICA, K, RANGE, x) + rng.normal(0.0, 0.3)
-        before = misfit(FIT, remembered(FIT, fit, x, force), fit.surface)
+        before = misfit(remembered(FIT, fit, x, force))
         fit = fitted(FIT, fit, x, force)
-        assert misfit(FIT, fit, fit.surface) <= before
+        assert misfit(fit) <= before
+
+
+def test_a_fit_keeps_the_roots_of_its_samples_under_its_surface() -> None:
+    fit = met(FIT, 9.5, 3.0)
+    for x in np.random.default_rng(7).uniform(9.2, 11.5, 60):
+        fit = fitted(FIT, fit, float(x), force_nn(MICA, K, RANGE, float(x)))
+    full = fit.samples[2] > 0.0
+    assert full.sum() > 10
+    assert np.array_equal(fit.samples[:, full], over(FIT, fit, fit.surface).samples[:, full])
 
 
 def test_standing_still_does_not_let_the_fit_drift() -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
 from services.controller.law import NO_SIGNAL, PortSignal, port_signal
@@ -87,3 +89,57 @@ def test_a_signal_by_names_is_the_same_compiled() -> None:
     assert compiled_form(_signals)(3.0) == (moving, pressing)
     assert moving == NO_SIGNAL._replace(position_m=3.0, active=True, silence_s=0.0)
     assert pressing == NO_SIGNAL._replace(position_m=3.0, force_n=3.0, silence_s=1.0)
+
+
+@compiled
+def _first_of(pair: Pair) -> float:
+    return pair.first
+
+
+@compiled
+def _through(pair: Pair) -> float:
+    return _first_of(pair) + pair.second
+
+
+class Kept(NamedTuple):
+    """A state with an array."""
+
+    values: npt.NDArray[np.float64]
+    sum: float
+
+
+@compiled
+def _next(kept: Kept, n: int) -> Kept:
+    values = kept.values.copy()
+    values[n % len(values)] += 1.0
+    return Kept(values, kept.sum + values[0])
+
+
+@compiled
+def _many(start: Kept, count: int) -> Kept:
+    state = start
+    for n in range(count):
+        state = _next(state, n)
+    return state
+
+
+def test_arrays_in_the_states_of_steps_are_freed() -> None:
+    start, run = Kept(np.zeros(4), 0.0), compiled_form(_many)
+    run(start, 1)
+    numba_memory = pytest.importorskip("numba.core.runtime").rtsys
+    memory = pytest.importorskip("numba.core.runtime._nrt_python")
+    memory.memsys_enable_stats()
+    before = numba_memory.get_allocation_stats()
+    kept = run(start, 1000)
+    after = numba_memory.get_allocation_stats()
+    assert kept.values.tolist() == [250.0] * 4
+    # what Python was given is all that is left
+    assert after.alloc - before.alloc >= 1000
+    assert after.alloc - before.alloc - (after.free - before.free) <= 1
+    assert start.values.tolist() == [0.0] * 4
+
+
+def test_a_step_that_compiled_code_has_called_can_be_called_by_python_too() -> None:
+    # the form that only compiled code calls does not unpack the tuples of Python
+    assert compiled_form(_through)(Pair(1.0, 2.0)) == 3.0
+    assert compiled_form(_first_of)(Pair(4.0, 2.0)) == 4.0

@@ -32,6 +32,8 @@ NANO = 1e-9
 # The factor is kappa in nN/nm^1.5 for one N/m^1.5.
 KAPPA_UNIT = 10.0**-4.5
 BINS = 32
+# the rows of the samples
+_AT, _FORCE, _WEIGHT, _ROOT = 0, 1, 2, 3
 _ITERATIONS = 30
 # A bin keeps the first weight when the tip goes to another bin; below the second it does not bound the end of the
 # contact.
@@ -50,14 +52,13 @@ class Surface(NamedTuple):
 class Fit(NamedTuple):
     """The estimate and what it rests on: the newest force in each of BINS bins of the base position, with a weight.
 
-    positions_nm, forces_nn, weights: shape (BINS,); a weight of 0 is an empty bin. `bin`: the one visited last;
-    damping: that of the last step of the fit; known: whether a surface was ever met.
+    samples: shape (4, BINS), by row the base positions [nm], the forces [nN], the weights, of which 0 is an empty bin,
+    and the root (`root_of`) at each position over `surface` [nm^0.5]. `bin`: the one visited last; damping: that of the
+    last step of the fit; known: whether a surface was ever met.
     """
 
     surface: Surface
-    positions_nm: npt.NDArray[np.float64]
-    forces_nn: npt.NDArray[np.float64]
-    weights: npt.NDArray[np.float64]
+    samples: npt.NDArray[np.float64]
     bin: int
     damping: float
     known: bool
@@ -87,34 +88,23 @@ def root_of(y_nm: float, ratio: float) -> float:
 
 
 @compiled
-def force_nn(surface: Surface, cantilever: float, range_nm: float, position_nm: float) -> float:
-    """Return F [nN] at a base position [nm]."""
-    y = position_nm - surface.contact_nm
+def force_and_potential(
+    surface: Surface, cantilever: float, range_nm: float, position_nm: float
+) -> tuple[float, float]:
+    """Return F [nN] at a base position [nm], and V = int F dx from far away to there [nN nm = 1e-18 J]."""
+    y, kappa, adhesion = position_nm - surface.contact_nm, surface.kappa, surface.adhesion_nn
     if y <= -range_nm:
-        return 0.0
+        return 0.0, 0.0
     if y < 0.0:
-        return -surface.adhesion_nn * (1.0 + y / range_nm)
-    r = root_of(y, surface.kappa / cantilever)
-    return surface.kappa * r * r * r - surface.adhesion_nn
+        return -adhesion * (1.0 + y / range_nm), -0.5 * adhesion * (y + range_nm) * (y + range_nm) / range_nm
+    r = root_of(y, kappa / cantilever)
+    stored = kappa * r * r * r * r * r * (0.4 + 0.5 * kappa * r / cantilever)
+    return kappa * r * r * r - adhesion, stored - adhesion * (y + 0.5 * range_nm)
 
 
 @compiled
-def potential(surface: Surface, cantilever: float, range_nm: float, position_nm: float) -> float:
-    """Return V = int F dx from far away [nN nm = 1e-18 J] at a base position [nm]."""
-    y = position_nm - surface.contact_nm
-    if y <= -range_nm:
-        return 0.0
-    if y < 0.0:
-        return -0.5 * surface.adhesion_nn * (y + range_nm) * (y + range_nm) / range_nm
-    r = root_of(y, surface.kappa / cantilever)
-    stored = surface.kappa * r * r * r * r * r * (0.4 + 0.5 * surface.kappa * r / cantilever)
-    return stored - surface.adhesion_nn * (y + 0.5 * range_nm)
-
-
-@compiled
-def gradient(surface: Surface, cantilever: float, y_nm: float) -> tuple[float, float, float]:
-    """Return dF/dx_c, dF/dkappa, dF/dF_a in contact, at y [nm] >= 0."""
-    r = root_of(y_nm, surface.kappa / cantilever)
+def gradient(surface: Surface, cantilever: float, r: float) -> tuple[float, float, float]:
+    """Return dF/dx_c, dF/dkappa, dF/dF_a in contact, at the root r >= 0 of y (`root_of`)."""
     yielding = 1.0 + 1.5 * surface.kappa * r / cantilever
     return -1.5 * surface.kappa * r / yielding, r * r * r / yielding, -1.0
 
@@ -122,16 +112,7 @@ def gradient(surface: Surface, cantilever: float, y_nm: float) -> tuple[float, f
 @compiled
 def unknown(params: FitParams) -> Fit:
     """Return the fit before any contact."""
-    none = np.zeros(BINS)
-    return Fit(
-        surface=Surface(0.0, params.kappa, 0.0),
-        positions_nm=none,
-        forces_nn=none.copy(),
-        weights=none.copy(),
-        bin=-1,
-        damping=_FIRST_DAMPING,
-        known=False,
-    )
+    return Fit(Surface(0.0, params.kappa, 0.0), np.zeros((4, BINS)), -1, _FIRST_DAMPING, False)
 
 
 @compiled
@@ -140,12 +121,9 @@ def met(params: FitParams, position_nm: float, force: float) -> Fit:
     adhesion = max(-force, 0.0)
     r = (max(force, 0.0) / params.kappa) ** (1.0 / 3.0)
     y = r * r * (1.0 + params.kappa * r / params.cantilever)
-    empty = unknown(params)
     first = Fit(
         surface=Surface(position_nm - y, params.kappa, adhesion),
-        positions_nm=empty.positions_nm,
-        forces_nn=empty.forces_nn,
-        weights=empty.weights,
+        samples=np.zeros((4, BINS)),
         bin=-1,
         damping=_FIRST_DAMPING,
         known=True,
@@ -157,36 +135,34 @@ def met(params: FitParams, position_nm: float, force: float) -> Fit:
 def remembered(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit:
     """Store a sample in its bin; the others lose weight when the tip goes to another bin, and not while it stands."""
     index = math.floor(position_nm / params.bin_nm) % BINS
-    positions, forces, weights = fit.positions_nm.copy(), fit.forces_nn.copy(), fit.weights.copy()
+    samples, surface = fit.samples.copy(), fit.surface
     if index != fit.bin:
-        weights *= _KEEP
-    positions[index], forces[index], weights[index] = position_nm, force, 1.0
-    return Fit(
-        surface=fit.surface,
-        positions_nm=positions,
-        forces_nn=forces,
-        weights=weights,
-        bin=index,
-        damping=fit.damping,
-        known=fit.known,
-    )
+        samples[_WEIGHT] *= _KEEP
+    samples[_AT, index], samples[_FORCE, index], samples[_WEIGHT, index] = position_nm, force, 1.0
+    samples[_ROOT, index] = root_of(position_nm - surface.contact_nm, surface.kappa / params.cantilever)
+    return Fit(surface, samples, index, fit.damping, fit.known)
 
 
 @compiled
-def misfit(params: FitParams, fit: Fit, surface: Surface) -> float:
-    """Return the weighted sum of squared residuals [nN^2] of the samples against a surface."""
-    total = 0.0
+def over(params: FitParams, fit: Fit, surface: Surface) -> Fit:
+    """Return the fit with another surface, under which its samples have other roots."""
+    samples, ratio = fit.samples.copy(), surface.kappa / params.cantilever
     for index in range(BINS):
-        if fit.weights[index] > 0.0:
-            error = _error(params, surface, fit.positions_nm[index], fit.forces_nn[index])
-            total += fit.weights[index] * error * error
-    return total
+        samples[_ROOT, index] = root_of(float(samples[_AT, index]) - surface.contact_nm, ratio)
+    return Fit(surface, samples, fit.bin, fit.damping, fit.known)
 
 
 @compiled
-def _error(params: FitParams, surface: Surface, position_nm: float, force: float) -> float:
-    r = root_of(position_nm - surface.contact_nm, surface.kappa / params.cantilever)
-    return force - (surface.kappa * r * r * r - surface.adhesion_nn)
+def misfit(fit: Fit) -> float:
+    """Return the weighted sum of squared residuals [nN^2] of the samples against the surface."""
+    total, samples, kappa, adhesion = 0.0, fit.samples, fit.surface.kappa, fit.surface.adhesion_nn
+    for index in range(BINS):
+        weight = float(samples[_WEIGHT, index])
+        if weight > 0.0:
+            r = float(samples[_ROOT, index])
+            error = float(samples[_FORCE, index]) - (kappa * r * r * r - adhesion)
+            total += weight * error * error
+    return total
 
 
 @compiled
@@ -212,20 +188,20 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
     the range of the pull, because a shape that is none of ours (a straight line) would drive it away without end.
     """
     fit = remembered(params, fit, position_nm, force)
-    surface = fit.surface
+    surface, samples = fit.surface, fit.samples
     # J' W J (c: x_c, k: kappa, a: F_a) and J' W e; the bins are added up in their order
     cc = ck = ca = kk = ka = aa = 0.0
     side_c = side_k = side_a = 0.0
     lowest = position_nm
     for index in range(BINS):
-        weight = fit.weights[index]
+        weight = float(samples[_WEIGHT, index])
         if weight > 0.0:
-            at = fit.positions_nm[index]
             # samples from before the surface moved have lost the weight to bound the end of the contact
             if weight > _LEAST_BOUNDING:
-                lowest = min(lowest, at)
-            by_c, by_k, by_a = gradient(surface, params.cantilever, at - surface.contact_nm)
-            error = weight * _error(params, surface, at, fit.forces_nn[index])
+                lowest = min(lowest, float(samples[_AT, index]))
+            r = float(samples[_ROOT, index])
+            by_c, by_k, by_a = gradient(surface, params.cantilever, r)
+            error = weight * (float(samples[_FORCE, index]) - (surface.kappa * r * r * r - surface.adhesion_nn))
             cc, ck, ca = cc + weight * by_c * by_c, ck + weight * by_c * by_k, ca + weight * by_c * by_a
             kk, ka, aa = kk + weight * by_k * by_k, ka + weight * by_k * by_a, aa + weight * by_a * by_a
             side_c, side_k, side_a = side_c + error * by_c, side_k + error * by_k, side_a + error * by_a
@@ -236,19 +212,15 @@ def fitted(params: FitParams, fit: Fit, position_nm: float, force: float) -> Fit
     contact = min(max(surface.contact_nm + step_c, min(lowest - params.range_nm, surface.contact_nm)), lowest)
     step_c = contact - surface.contact_nm
     step_k, step_a = solved_pair(kk, ka, aa, side_k - ck * step_c, side_a - ca * step_c)
-    tried = Surface(
-        contact,
-        min(max(surface.kappa + step_k, 0.02 * params.kappa), 50.0 * params.kappa),
-        max(surface.adhesion_nn + step_a, 0.0),
+    tried = over(
+        params,
+        fit,
+        Surface(
+            contact,
+            min(max(surface.kappa + step_k, 0.02 * params.kappa), 50.0 * params.kappa),
+            max(surface.adhesion_nn + step_a, 0.0),
+        ),
     )
-    better = misfit(params, fit, tried) <= misfit(params, fit, surface)
-    damping = max(0.3 * fit.damping, _LEAST_DAMPING) if better else min(4.0 * fit.damping, _MOST_DAMPING)
-    return Fit(
-        surface=tried if better else surface,
-        positions_nm=fit.positions_nm,
-        forces_nn=fit.forces_nn,
-        weights=fit.weights,
-        bin=fit.bin,
-        damping=damping,
-        known=True,
-    )
+    if misfit(tried) <= misfit(fit):
+        return Fit(tried.surface, tried.samples, fit.bin, max(0.3 * fit.damping, _LEAST_DAMPING), True)
+    return Fit(surface, samples, fit.bin, min(4.0 * fit.damping, _MOST_DAMPING), True)
