@@ -71,8 +71,10 @@ lint: setup
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m proto.contract --check
 
+# the tables of benchmarks/README.md and docs/performance.md, from one run of some five minutes on a quiet machine
 bench: setup
-	$(BIN)/python benchmarks/loop.py
+	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]'
+	$(BIN)/python benchmarks/tables.py
 
 # the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
 reliability: setup

@@ -10,8 +10,9 @@ import multiprocessing.connection
 import socket
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Protocol
 
 import zmq
 
@@ -116,25 +117,44 @@ def message_bytes() -> dict[str, bytes]:
     return {topic: encode(message) for topic, message in messages.items()}
 
 
+class End(Protocol):
+    """One end of the link between two neighbours of the chain."""
+
+    def recv(self, size: int, /) -> bytes:
+        """Wait for a message; empty when the other end is closed."""
+
+    def send(self, payload: bytes, /) -> object:
+        """Send a message."""
+
+
+# what a process opens when it has the scheduling that is wanted: the number of the link, and which end of it (0, 1)
+OpenEnd = Callable[[int, int], End]
+
+
 def measure_sockets(ticks: int, *, placed: bool) -> list[float]:
     """Return the age [ms] of each of `ticks` round trips over eight hops of Unix-domain sockets."""
-    sizes = {topic: bytes(len(topic) + len(payload)) for topic, payload in message_bytes().items()}
     pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(4)]
-    there = [sizes["teleop/forward"], sizes["teleop/forward"], sizes["afm/command"]]
-    back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
-    relays = enumerate(("controller@master", "delay_node@master", "controller@slave"))
-    tasks = [(node, placed, pairs[hop][1], pairs[hop + 1][0], there[hop], back[hop]) for hop, node in relays]
-    workers = [_CONTEXT.Process(target=_relay_sockets, args=task, daemon=True) for task in tasks]
-    workers.append(_CONTEXT.Process(target=_turn_sockets, args=(placed, pairs[3][1], sizes["afm/state"]), daemon=True))
-    given, result = _CONTEXT.Pipe(duplex=False)
-    task = (placed, pairs[0][0], sizes["haptic/state"], ticks, result)
-    workers.append(_CONTEXT.Process(target=_pace_sockets, args=task, daemon=True))
     try:
-        return _ages_of(workers, given, ticks)
+        return measure_ends(lambda link, side: pairs[link][side], ticks, placed=placed)
     finally:
         for pair in pairs:
             for end in pair:
                 end.close()
+
+
+def measure_ends(open_end: OpenEnd, ticks: int, *, placed: bool) -> list[float]:
+    """Return the age [ms] of each of `ticks` round trips over eight hops of the four links between neighbours."""
+    sizes = {topic: bytes(len(topic) + len(payload)) for topic, payload in message_bytes().items()}
+    there = [sizes["teleop/forward"], sizes["teleop/forward"], sizes["afm/command"]]
+    back = [sizes["haptic/command"], sizes["teleop/backward"], sizes["teleop/backward"]]
+    relays = enumerate(("controller@master", "delay_node@master", "controller@slave"))
+    tasks = [(node, placed, open_end, hop, there[hop], back[hop]) for hop, node in relays]
+    workers = [_CONTEXT.Process(target=_relay_ends, args=task, daemon=True) for task in tasks]
+    workers.append(_CONTEXT.Process(target=_turn_ends, args=(placed, open_end, sizes["afm/state"]), daemon=True))
+    given, result = _CONTEXT.Pipe(duplex=False)
+    task = (placed, open_end, sizes["haptic/state"], ticks, result)
+    workers.append(_CONTEXT.Process(target=_pace_ends, args=task, daemon=True))
+    return _ages_of(workers, given, ticks)
 
 
 def measure_zeromq(ticks: int, *, placed: bool) -> list[float]:
@@ -185,32 +205,35 @@ def _wait_until(deadline_ns: int) -> int:
     return now
 
 
-def _relay_sockets(node: str, placed: bool, near: socket.socket, far: socket.socket, there: bytes, back: bytes) -> None:
+def _relay_ends(node: str, placed: bool, open_end: OpenEnd, hop: int, there: bytes, back: bytes) -> None:
     """Pass a message on and its answer back, until the near side closes."""
     _prepare(node, placed)
+    near, far = open_end(hop, 1), open_end(hop + 1, 0)
     while near.recv(4096):
         far.send(there)
         far.recv(4096)
         near.send(back)
 
 
-def _turn_sockets(placed: bool, near: socket.socket, answer: bytes) -> None:
+def _turn_ends(placed: bool, open_end: OpenEnd, answer: bytes) -> None:
     """Answer every message."""
     _prepare("afm_node@slave", placed)
+    near = open_end(3, 1)
     while near.recv(4096):
         near.send(answer)
 
 
-def _pace_sockets(
+def _pace_ends(
     placed: bool,
-    near: socket.socket,
+    open_end: OpenEnd,
     payload: bytes,
     ticks: int,
     result: "multiprocessing.connection.Connection",
 ) -> None:
     """Send on an absolute grid as the haptic node does and time the answers."""
     _prepare("haptic_node@master", placed)
-    ages = []
+    near, ages = open_end(0, 0), []
+    time.sleep(_SETTLE_S)
     deadline = time.monotonic_ns() + 200 * PERIOD_NS
     for _ in range(ticks):
         deadline += PERIOD_NS

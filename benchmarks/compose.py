@@ -61,8 +61,11 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=3, help="sessions of each way")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
+    if given.smoke:
+        given.rounds = 1
     if shutil.which("docker") is None:
         sys.exit("docker is not installed, so there is nothing to compare with")
     ways = {"bare": bare, "bare_normal": lambda: bare(*ORDINARY), "compose": composed}

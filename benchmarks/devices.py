@@ -252,23 +252,30 @@ def wire_figures(seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print the figures, one JSON object a device."""
+    """Print the figures, one JSON object a device, or one of all."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=5.0, help="length of each part [s]")
     parser.add_argument("--board", action="append", choices=("posix", "avr328p"), help="what runs the handle (repeat)")
     parser.add_argument("--scheduler", choices=("auto", "normal"), default="auto", help="as in a node; default: auto")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
+    if given.smoke:
+        given.seconds = 0.3
     configure_logging()
     apply_realtime(RealtimeConfig(scheduler=given.scheduler), StructuredLog("benchmark"), "afm_node@slave")
     seconds, boards = given.seconds, given.board or ["posix"]
+    found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for board in boards:
-            print(json.dumps({f"handle, {board}": handle_figures(folder, seconds, board)}))
-        print(json.dumps({"stage, at once": stage_figures(folder, seconds, 0.0, stop=False)}))
-        print(json.dumps({"stage, 1.2 ms, then stopped": stage_figures(folder, seconds, 1.2e-3, stop=True)}))
-        print(json.dumps({"stage, killed": broken_figures(folder, seconds, garbage=False)}))
-        print(json.dumps({"stage, garbage": broken_figures(folder, seconds, garbage=True)}))
+            found[f"handle, {board}"] = handle_figures(folder, seconds, board)
+        found["stage, at once"] = stage_figures(folder, seconds, 0.0, stop=False)
+        found["stage, 1.2 ms, then stopped"] = stage_figures(folder, seconds, 1.2e-3, stop=True)
+        found["stage, killed"] = broken_figures(folder, seconds, garbage=False)
+        found["stage, garbage"] = broken_figures(folder, seconds, garbage=True)
+    for row in [found] if given.json else [{name: figures} for name, figures in found.items()]:
+        print(json.dumps(row))
 
 
 if __name__ == "__main__":

@@ -139,8 +139,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="turns of each model")
     parser.add_argument("--duration", type=float, default=5.0, help="length of a session [s]")
     parser.add_argument("--steps", type=int, nargs="+", default=[96], help="steps a period of the dynamic model")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
+    if given.smoke:
+        given.rounds, given.duration = 1, 1.5
     found = measure(given.rounds, given.duration, given.steps)
     if given.json:
         print(json.dumps(found))

@@ -127,8 +127,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Time of an emergency stop from the shell.")
     parser.add_argument("--rounds", type=int, default=20, help="rounds idle, and as many beside busy processors")
     parser.add_argument("--command", default="estop", help='"estop" or "session estop"')
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    if given.smoke:
+        given.rounds = 1
     results = {}
     with tempfile.TemporaryDirectory() as folder, zmq.Context() as context:
         os.environ["TELENANO_RUNTIME_DIR"] = f"{folder}/run"

@@ -11,7 +11,7 @@ thread. In a rig each message has to wake it as well, so that the ratio there is
 """
 
 import argparse
-import sys
+import json
 import tempfile
 import time
 import timeit
@@ -62,8 +62,8 @@ class _NullBus(SimpleNamespace):
         return message
 
 
-def main(law: str) -> None:
-    """Measure and print."""
+def measure_turns(law: str, repeats: int) -> dict[str, dict[str, float]]:
+    """Return the time of an entry and of a batch [us], and as so many decodings of a message."""
     bus: Any = _NullBus()
     node = MasterController(
         NodeContext("controller@master", SystemClock(), bus, StructuredLog("controller@master")),
@@ -85,11 +85,11 @@ def main(law: str) -> None:
         journal.complete()
         journal.publish()
 
-    decoding_s = _best(lambda: [decode("haptic/state", payload) for _ in range(TURNS)]) / TURNS
-    entries_s = min(_timed(turns, journal) for _ in range(REPEATS))
-    batch_s = _best(batch) - entries_s
-    for name, figure_s in (("entry of a turn", entries_s / TURNS), (f"batch of {TURNS} turns", batch_s)):
-        sys.stdout.write(f"{name}: {figure_s * 1e6:.2f} us, {figure_s / decoding_s:.2f} decodings of a haptic/state\n")
+    decoding_s = _best(lambda: [decode("haptic/state", payload) for _ in range(TURNS)], repeats) / TURNS
+    entries_s = min(_timed(turns, journal) for _ in range(repeats))
+    batch_s = _best(batch, repeats) - entries_s
+    figures = {"entry of a turn": entries_s / TURNS, f"batch of {TURNS} turns": batch_s}
+    return {name: {"us": 1e6 * taken_s, "decodings": taken_s / decoding_s} for name, taken_s in figures.items()}
 
 
 class LinkBench:
@@ -165,19 +165,35 @@ class LinkBench:
         self._context.destroy(linger=0)
 
 
-def measure_links() -> None:
-    """Print the processor time of the link with a journal as a ratio to that without, for some settings."""
-    messages = sum(count for _, _, count in SECOND)
+def measure_links(rounds: int) -> dict[str, dict[str, float]]:
+    """Return the processor time of a message [us] in the link with and without a journal, and their ratio."""
+    messages, found = sum(count for _, _, count in SECOND), {}
     for name, settings in LINKS.items():
         with tempfile.TemporaryDirectory() as folder:
             bench = LinkBench(Path(folder), settings)
             bench.second()
-            rounds = [bench.second() for _ in range(ROUNDS)]
+            taken = [bench.second() for _ in range(rounds)]
             bench.close()
-        ratio = np.median([taken_s[True] / taken_s[False] for taken_s in rounds])
-        with_s, without_s = (np.median([taken_s[kind] for taken_s in rounds]) / messages for kind in (True, False))
-        figures = f"{with_s * 1e6:.1f} us a message with a journal, {without_s * 1e6:.1f} without"
-        sys.stdout.write(f"link, {name}: {figures}: {ratio:.3f}\n")
+        medians_s = (float(np.median([taken_s[kind] for taken_s in taken])) for kind in (True, False))
+        with_us, without_us = (1e6 * median_s / messages for median_s in medians_s)
+        ratio = float(np.median([taken_s[True] / taken_s[False] for taken_s in taken]))
+        found[f"link, {name}"] = {"with_us": with_us, "without_us": without_us, "ratio": ratio}
+    return found
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("law", nargs="?", default="virtual_impedance", help="law of the controller")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
+    found = measure_turns(given.law, 2 if given.smoke else REPEATS) | measure_links(1 if given.smoke else ROUNDS)
+    if given.json:
+        print(json.dumps(found))
+        return
+    for name, figures in found.items():
+        print(f"{name}: " + ", ".join(f"{figure:.3f} {key}" for key, figure in figures.items()))
 
 
 def _timed(turns: Any, journal: InputJournal) -> float:
@@ -187,12 +203,9 @@ def _timed(turns: Any, journal: InputJournal) -> float:
     return taken_s
 
 
-def _best(run: Any) -> float:
-    return min(timeit.repeat(run, number=1, repeat=REPEATS))
+def _best(run: Any, repeats: int) -> float:
+    return min(timeit.repeat(run, number=1, repeat=repeats))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("law", nargs="?", default="virtual_impedance", help="law of the controller")
-    main(parser.parse_args().law)
-    measure_links()
+    main()

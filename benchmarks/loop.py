@@ -175,8 +175,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=3, help="turns of floors and rig")
     parser.add_argument("--duration", type=float, default=5.0, help="length of each turn [s]")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
+    if given.smoke:
+        given.rounds, given.duration = 1, 1.5
     found = measure(given.rounds, given.duration)
     if given.json:
         print(json.dumps(found))

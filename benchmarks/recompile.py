@@ -4,6 +4,7 @@ python benchmarks/recompile.py
 """
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
@@ -31,7 +33,11 @@ EDITS = (
 
 def main() -> None:
     """Print a row for each edit."""
-    argparse.ArgumentParser(description=__doc__.partition("\n")[0]).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--smoke", action="store_true", help="the first edit only")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    given = parser.parse_args()
+    rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         sources, cache = Path(folder) / "sources", Path(folder) / "cache"
         for name in PACKAGES:
@@ -39,15 +45,21 @@ def main() -> None:
             shutil.copytree(ROOT / name, sources / name, ignore=ignored)
         environment = {**os.environ, "PYTHONPATH": str(sources), "XDG_CACHE_HOME": str(cache)}
         cold_s, compiled, _ = study(environment, Path(folder) / "cold")
-        print(f"{'cold':40s} {compiled:4d} functions compiled, 1.00 of the time ({cold_s:.1f} s)")
-        for number, (what, file, old, new) in enumerate(EDITS):
+        rows.append({"what": "cold", "compiled": compiled, "share": 1.0, "time_s": cold_s})
+        for number, (what, file, old, new) in enumerate(EDITS[: 1 if given.smoke else None]):
             path = sources / file
             text = path.read_text()
             assert old in text, (file, old)
             path.write_text(text.replace(old, new, 1))
             took_s, compiled, size_mb = study(environment, Path(folder) / str(number))
-            share = f"{took_s / cold_s:.2f} of the time"
-            print(f"{what:40s} {compiled:4d} functions compiled, {share}, {size_mb:.0f} MB kept")
+            rows.append({"what": what, "compiled": compiled, "share": took_s / cold_s, "time_s": took_s, "mb": size_mb})
+    if given.json:
+        print(json.dumps({"rows": rows}))
+        return
+    for row in rows:
+        kept = f", {row['mb']:.0f} MB kept" if "mb" in row else ""
+        share = f"{row['share']:.2f} of the time ({row['time_s']:.1f} s)"
+        print(f"{row['what']:40s} {row['compiled']:4d} functions compiled, {share}{kept}")
 
 
 def study(environment: dict[str, str], out: Path) -> tuple[float, int, float]:

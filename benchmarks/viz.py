@@ -312,7 +312,11 @@ def main() -> None:
     parser.add_argument("--recording", help="time the frames of a page that plays this recording, without a rig")
     parser.add_argument("--hour", metavar="FILE", help="open a recording that repeats this one for an hour")
     parser.add_argument("--length", type=float, default=_HOUR_S, help="how long that is [s]")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object in one line")
     given = parser.parse_args()
+    if given.smoke:
+        given.rounds, given.window, given.pages = 1, 1.0, 1
     if given.hour:
         print(json.dumps(measure_hour(given.hour, given.length), indent=2))
         return
@@ -320,7 +324,7 @@ def main() -> None:
         print(json.dumps(measure_recording(given.recording, given.window), indent=2))
         return
     with tempfile.TemporaryDirectory() as folder:
-        print(json.dumps(measure(given, Path(folder)), indent=2))
+        print(json.dumps(measure(given, Path(folder)), indent=None if given.json else 2))
 
 
 if __name__ == "__main__":

@@ -227,11 +227,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--losses", type=numbers, default=[0.0, 0.01, 0.02, 0.05, 0.1])
     parser.add_argument("--seconds", type=float, default=5.0, help="measured time of each")
     parser.add_argument("--ways", default=",".join(WAYS), help="which of " + ",".join(WAYS))
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object a line")
     parser.add_argument("--be", choices=("send", "receive"), help=argparse.SUPPRESS)
     parser.add_argument("--way", choices=WAYS, help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     given = parser.parse_args(arguments)
+    if given.smoke:
+        given.delays_ms, given.losses, given.seconds = [10.0], [0.0], 0.5
     if given.be is not None:
         # as the nodes of a rig run
         with contextlib.suppress(PermissionError):
