@@ -39,10 +39,10 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
         "timing.messages": (1000, 1e6), "timing.interval_error_p50_s": (0.0, 0.05),
         "rate_0.ratio_to_bare": (0.05, 5.0), "verify.ratio": (0.03, 1.5), "recording.ratio": (0.1, 5.0),
     },
-    "soak.py": {"rate_hz": (200.0, 1010.0)},
+    "soak.py": {"least_rate_share": (0.2, 1.05), "rate_to_machine": (0.2, 2.0)},
     "tables.py": {},
     "viz.py": {},
-    "wide_area.py": {"delay_ms": (10.0, 10.0), "datagrams.0": (5.0, 100.0)},
+    "wide_area.py": {"delay_ms": (10.0, 10.0), "link.0": (5.0, 500.0), "bare.0": (5.0, 500.0)},
 }  # fmt: skip
 # these need what a machine may lack, and say so
 NEED = {"compose.py": "docker", "viz.py": "page"}
