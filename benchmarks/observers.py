@@ -73,13 +73,18 @@ def main() -> None:
     parser.add_argument("--observers", type=int, default=20, help="processes that read every topic")
     parser.add_argument("--rounds", type=int, default=3, help="sessions of each kind, in turn")
     parser.add_argument("--duration", type=float, default=10.0, help="length of a session [s]")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object of the medians alone")
     given = parser.parse_args()
+    if given.smoke:
+        given.observers, given.rounds, given.duration = 2, 1, MARGIN_S + 1.0
     rows = []
     with tempfile.TemporaryDirectory(prefix="tno-") as folder:
         for _ in range(given.rounds):
             for kind in KINDS:
                 rows.append(session(kind, given.observers, given.duration, Path(folder)))
-                print(json.dumps(rows[-1]), flush=True)
+                if not given.json:
+                    print(json.dumps(rows[-1]), flush=True)
     found = {}
     for kind in KINDS:
         own = [row for row in rows if row["kind"] == kind]

@@ -55,7 +55,11 @@ def main() -> None:
     parser.add_argument("--rates", default="", help="rates [Hz] of one rig by itself")
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--duration", type=float, default=8.0, help="length of a session [s]")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
+    parser.add_argument("--json", action="store_true", help="print one JSON object of the medians alone")
     given = parser.parse_args()
+    if given.smoke:
+        given.rigs, given.rounds, given.duration = "1", 1, 2.0
     cases = [(int(number), 1000.0) for number in given.rigs.split(",") if number]
     cases += [(1, float(rate)) for rate in given.rates.split(",") if rate]
     cases = list(dict.fromkeys([BASELINE, *cases]))
@@ -69,14 +73,18 @@ def main() -> None:
                 summaries = [json.loads(rig.communicate()[0]) for rig in rigs]
                 rows = [figures(*row) for row in zip(summaries, folders, strict=True)]
                 found[case] += rows
-                print(json.dumps({"rigs": case[0], "rate_hz": case[1], "found": rows}), flush=True)
+                if not given.json:
+                    print(json.dumps({"rigs": case[0], "rate_hz": case[1], "found": rows}), flush=True)
+    cases_found = []
     for case, rows in found.items():
         numbers = [name for name in rows[0] if name != "verdict"]
         medians = {name: statistics.median(row[name] for row in rows) for name in numbers}
         baseline = statistics.median(row["p99_ms"] for row in found[BASELINE])
         medians["p99_ratio"] = round(medians["p99_ms"] / baseline, 2)
         verdicts = sorted({row["verdict"] for row in rows})
-        print(json.dumps({"rigs": case[0], "rate_hz": case[1], "median": medians, "verdicts": verdicts}))
+        cases_found.append({"rigs": case[0], "rate_hz": case[1], "median": medians, "verdicts": verdicts})
+    for row in [{"cases": cases_found}] if given.json else cases_found:
+        print(json.dumps(row))
 
 
 if __name__ == "__main__":
