@@ -117,6 +117,9 @@ def scan(data: Bytes, path: str = "") -> Layout:
         if end is None:
             position = trusted = _skip_damage(data, position, trusted, opcode, layout)
             continue
+        if opcode != Opcode.CHUNK and chunk_at(data, position, end) is not None:
+            layout.damage.append(Damage(position, 1, "the kind of a record is wrong: by its lengths it is a chunk"))
+            opcode = Opcode.CHUNK
         if opcode == Opcode.FOOTER:
             layout.finished = data[end : end + len(MAGIC)] == MAGIC
             end += len(MAGIC) * layout.finished

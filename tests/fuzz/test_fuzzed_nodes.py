@@ -93,6 +93,7 @@ def test_one_valid_message_no_longer_ends_a_controller(
         wrong = {"law": law, "active": True} if topic == signal else mode
         bus.take(_frames(topic, seq=2 * seq + 1, t_ns=stamp, **wrong, **{field: [0.0, 0.0, value]}))
         loop.turn()
+        bus.clock.advance_ns(10**6)
     # refused, and the half went on with what else came
     assert bus.rejections()[0] == {"range": 6}
     assert bus.published >= 6

@@ -113,7 +113,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "module: _ENDLESS = 2**40 [2 => 3]": "any number of periods above the longest step",
         "module: _ENDLESS = 2**40 [40 => 41]": "any number of periods above the longest step",
         **{
-            f"slave_begin: commands = Commands(-1, -1, (0, 0, 0, 0, 0, 0, 0, 0), False, True) {change}": reason
+            f"slave_begin: commands = Commands(-1, -1, (0, 0, 0, 0, 0, 0, 0, 0), False, True, 0) {change}": reason
             for reason, changes in {
                 "any negative number stands for no command": ("[1 => 2]",),
                 "the first command sets it": ("[-1 => 1] (2)", "[1 => 2] (2)", "[True => False]"),

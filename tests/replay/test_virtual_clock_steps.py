@@ -15,6 +15,8 @@ WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
     "services/runtime/loop/clock.py": "once, at the start of the first process, for the stamps of all",
+    "services/launcher/rigs.py": "when a rig began, for a person who lists the rigs",
+    "services/runtime/security/keyring.py": "the day on which a key expires",
     "services/numerics/compiled.py": "the age of files in the cache of compiled code",
     "services/numerics/compile_cache.py": "the age of files in the cache of compiled code",
 }

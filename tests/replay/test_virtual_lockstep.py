@@ -41,7 +41,6 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.node import SlaveController
-from services.haptic_node import node as haptic_node
 from studies.loops import lockstep
 from studies.loops.cells import Cell, rig_of
 from studies.loops.link import schedule_of, symmetric_link
@@ -246,7 +245,7 @@ def test_a_changed_wait_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: p
     settings = [f"afm_node.safety.command_deadline_s={deadline_s}"]
     expected = in_lockstep(cell, lost, command_deadline_s=deadline_s)
     assert differences(on_bus(cell, tmp_path / "same", lost, settings), expected) == {}
-    monkeypatch.setattr(afm_node, "_COMMAND_WAIT_NS", 2 * PERIOD_NS)
+    monkeypatch.setattr(afm_node, "command_wait_ns", lambda period_ns: 2 * period_ns)
     assert "instrument_mode" in differences(on_bus(cell, tmp_path, lost, settings), expected)
 
 
@@ -274,7 +273,3 @@ def test_shared_constants_are_imported(user: Any, module: str, name: str) -> Non
         if isinstance(target, ast.Name)
     }
     assert name not in assigned
-
-
-def test_all_sites_have_one_period() -> None:
-    assert haptic_node.PERIOD_S == afm_node.PERIOD_S == PERIOD_S

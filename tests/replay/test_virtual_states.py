@@ -85,7 +85,7 @@ register_sample(SampleModel("layer", _Config, LayerParams, start, measure, 1.0))
 def layer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Put the layer under the tip of every instrument that is built."""
 
-    def driver(config: AfmConfig) -> SimulatedInstrument:
+    def driver(config: AfmConfig, period_s: float) -> SimulatedInstrument:
         return SimulatedInstrument(config.to_params()._replace(plant=LayerParams(1.0)))
 
     monkeypatch.setattr(afm, "driver_of", driver)

@@ -92,7 +92,7 @@ def test_a_block_of_python_runs(page: str, block: str, place: Path) -> None:
 def in_blocks(page: str) -> Iterator[tuple[str, list[str]]]:
     """Yield the command lines in the blocks of a page, each with its arguments."""
     for block in blocks(page, "sh"):
-        for line in block.splitlines():
+        for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
             # "telenano new … && pip install …" is what test_packages does
             if words and Path(words[0]).name == "telenano" and "&&" not in words:

@@ -106,7 +106,7 @@ def test_version() -> None:
 def test_an_unknown_scenario_lists_the_known(tmp_path: Path) -> None:
     code, out, err = run("up", "--scenario", "fig13", "--out", str(tmp_path))
     assert (code, out) == (2, "")
-    assert "unknown scenario 'fig13': known are fig10, fig12" in err
+    assert "unknown scenario 'fig13': known are assembly, fig10, fig12" in err
 
 
 def test_a_missing_site_file_is_named(tmp_path: Path) -> None:
@@ -320,7 +320,7 @@ def test_a_node_gets_the_arguments_that_follow_its_name(capsys: pytest.CaptureFi
     # names of scenarios and site files as for every other command
     wrong = run_node(node_kind("recorder"), ["--scenario", "no_such"])
     assert wrong == 2
-    assert "unknown scenario 'no_such': known are fig10" in capsys.readouterr().err
+    assert "unknown scenario 'no_such': known are assembly, fig10" in capsys.readouterr().err
     assert parse_arguments("recorder", ("master",), ["--scenario", "fig12"]).site_file == DEFAULT_SITE_FILE
 
 

@@ -47,6 +47,11 @@ RECIPES = {
     ),
     "study advise": Recipe("study advise --delay 40 --seeds 1 --workers 2 --out {out}"),
     "study promises": Recipe("study promises --law passivity --seeds 1 --workers 2 --out {out}"),
+    "study gallery": Recipe("study gallery --out {out}"),
+    "assemble": Recipe(
+        "assemble --pattern line --count 1 --afm sample.particles.places=[[2e-7,0.0]] --afm sample.size_m=2.5e-6"
+        " --out {out}"
+    ),
     "report": Recipe("report {recording} --out {out}", True),
     "compare": Recipe("compare {recording} {other} --out {out}"),
     "bag export": Recipe("bag export {recording} --to hdf5 --out {out}", True),
@@ -69,6 +74,7 @@ ELSEWHERE = {
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
+    "particles": "reads an image, and writes one file at the end by `whole_file`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
