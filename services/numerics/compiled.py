@@ -40,7 +40,7 @@ SOURCES = (
 )
 _SHELLS = ("node.py", "__main__.py")
 # Raise it with every change of what `compile_cache` writes, or of the options of the compiler.
-_CACHE_FORMAT = "5"
+_CACHE_FORMAT = "6"
 # Files of other checkouts and of obsolete signatures are removed after so many days.
 CACHE_DAYS = 14
 # This file in the folder of the cache tells when it was last cleaned.
@@ -223,29 +223,11 @@ def _register_choices() -> None:
         overload(plain, strict=False)(typed)
 
 
-def _plain_count(module: Any, op: str, ordering: str) -> Any:
-    """Define what counts a reference more or less (op: add, sub) and returns the count, which at 0 frees the array.
-
-    numba's own, behind its switch `_disable_atomicity`, returns the count of before: nothing would be freed.
-    """
-    from llvmlite import ir
-    from numba.core import config
-
-    word = ir.IntType(vars(config)["MACHINE_BITS"])
-    function = ir.Function(module, ir.FunctionType(word, [word.as_pointer()]), name=f"nrt_atomic_{op}")
-    builder = ir.IRBuilder(function.append_basic_block())
-    count = getattr(builder, op)(builder.load(function.args[0]), ir.Constant(word, 1))
-    builder.store(count, function.args[0])
-    builder.ret(count)
-    return function
-
-
 @cache
 def _compiler() -> Callable[[Callable[..., object], bool], object]:
     # The import is here because a process that compiles nothing need not have numba, nor wait for its import.
     import numba
     from numba.core import config, types
-    from numba.core.runtime import nrtdynmod
     from numba.core.typing.typeof import typeof_impl
 
     from services.numerics.compile_cache import CheckedCache
@@ -256,9 +238,6 @@ def _compiler() -> Callable[[Callable[..., object], bool], object]:
         # A function that compiled code names: one that is not marked has no compiled form, and numba says so.
         return types.Dispatcher(cast(Any, _form_of(function, _INNER))) if is_step(function) else None
 
-    # Compiled code holds the lock of the interpreter, so nobody else counts at the same time. An atomic count takes
-    # 6 ns in place of one, and a step that is handed arrays in its tuples makes a dozen.
-    vars(nrtdynmod)["_define_atomic_inc_dec"] = _plain_count
     if "NUMBA_CACHE_DIR" not in os.environ:
         folder = cache_directory()
         vars(config)["CACHE_DIR"] = str(folder)

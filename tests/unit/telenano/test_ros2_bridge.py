@@ -17,6 +17,8 @@ from telenano.ros2_bridge import Ros2Bridge, close_session, is_connected, zenoh_
 
 zenoh = pytest.importorskip("zenoh")
 typesys = pytest.importorskip("rosbags.typesys")
+# The threads of zenoh outlive its sessions, and the other tests of a worker have processes forked beside them.
+pytestmark = pytest.mark.endurance
 WAIT_S = 20.0
 
 
