@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import yaml
 from pydantic import Field
@@ -25,7 +25,6 @@ from proto.nodes import (
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
-from services.recorder.config import RecorderConfig
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site, node_kind
 from services.runtime.settings.config import (
@@ -38,6 +37,9 @@ from services.runtime.settings.config import (
 )
 from services.runtime.settings.option import Option
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+
+if TYPE_CHECKING:
+    from services.recorder.config import RecorderConfig
 
 RECORDING_NAME = "session.mcap"
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
@@ -175,7 +177,10 @@ class Plan:
         return self._recorder.fetch_kbit_per_s
 
     @property
-    def _recorder(self) -> RecorderConfig:
+    def _recorder(self) -> "RecorderConfig":
+        # a container of a node anchors its scenario by this module, and its image has no writer of recordings
+        from services.recorder.config import RecorderConfig
+
         return self.loaded.section("recorder", RecorderConfig)
 
     @property

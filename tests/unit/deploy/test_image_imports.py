@@ -1,0 +1,24 @@
+"""What a container of a node imports is in its image: neither the writer of recordings nor what draws and studies."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+_ABSENT = (
+    "mcap zstandard rich typer matplotlib scipy numba pandas h5py pyarrow dask control starlette uvicorn websockets"
+)
+_IMPORTS = f"""
+import sys
+for name in "{_ABSENT}".split():
+    sys.modules[name] = None
+sys.path.insert(0, "deploy")
+import entrypoint
+for node in ("controller", "afm_node", "haptic_node", "delay_node"):
+    __import__(f"services.{{node}}.__main__")
+"""
+
+
+def test_the_nodes_and_their_entry_point_import_only_what_their_images_have() -> None:
+    done = subprocess.run([sys.executable, "-c", _IMPORTS], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
