@@ -88,8 +88,8 @@ def test_topic_commands_look_at_a_running_rig(rig: Any) -> None:
     assert delay.returncode == 0, delay.stderr
 
 
-def test_second_rig_on_the_same_sockets_names_who_has_them(rig: Any, tmp_path: Any) -> None:
-    second = rig.telenano("up", "--scenario", "fig12", "--out", str(tmp_path / "second"), "--json")
+def test_second_rig_of_the_same_name_names_who_has_it(rig: Any, tmp_path: Any) -> None:
+    second = rig.telenano("up", "--rig", "main", "--scenario", "fig12", "--out", str(tmp_path / "second"), "--json")
     assert second.returncode != 0
     assert "in use by process" in second.stderr
     assert second.stdout == "" or '"error"' in second.stdout
