@@ -72,7 +72,7 @@ def test_the_tab_of_the_view_shows_the_same(chromium: Any, tmp_path: Path) -> No
     view = View(dict(os.environ), str(Made(tip_n=hand_force_n).write(tmp_path)))
     try:
         page = open_page(chromium, view.operator)
-        page.click("#tab-delay")
+        page.click("#tab-gallery")
         page.until("document.querySelector('#delay .gallery-said')?.textContent", "the gallery in its tab")
         document = json.loads((FOLDER / "gallery.json").read_text())
         for law in document["laws"]:
