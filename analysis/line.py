@@ -4,7 +4,7 @@ from typing import Any
 
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
-from services.runtime.datagram.incoming import WARN_QUEUE_NS
+from services.runtime.datagram.rate import WARN_QUEUE_NS
 
 
 def lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:

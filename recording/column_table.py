@@ -7,6 +7,7 @@ from typing import Any
 import numpy.typing as npt
 
 from proto.errors import ConfigError
+from proto.extras import missing
 
 Column = npt.NDArray[Any]
 
@@ -34,12 +35,35 @@ class ColumnTable(Mapping[str, Column]):
     def __len__(self) -> int:
         return len(self._columns)
 
+    def __repr__(self) -> str:
+        rows = len(next(iter(self._columns.values()))) if self._columns else 0
+        return f"<{type(self).__name__} {self._name}: {rows} rows of {', '.join(self._columns)}>"
+
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame, with `units` in its attrs; ConfigError where pandas is not installed."""
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise ConfigError("tables as data frames need the package pandas: pip install pandas") from error
+        pandas = _package("pandas")
         frame = pandas.DataFrame({name: list(values) if values.ndim > 1 else values for name, values in self.items()})
         frame.attrs.update(units=self.units)
         return frame
+
+    def to_xarray(self) -> Any:
+        """Return an xarray Dataset over `time_s`; `units` and `long_name` are attributes of each variable.
+
+        Raises:
+            ConfigError: xarray is not installed; the message says what adds it.
+        """
+        xarray = _package("xarray")
+        facts = {name: {"units": self.units[name], "long_name": self.descriptions[name]} for name in self}
+        variables = {
+            name: (("time_s", *(f"{name}_{axis}" for axis in range(1, values.ndim))), values, facts[name])
+            for name, values in self.items()
+        }
+        times = variables.pop("time_s")
+        return xarray.Dataset(variables, coords={"time_s": times}, attrs={"name": self._name})
+
+
+def _package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ConfigError(f"a table as data of {name}: {missing(name)}") from error

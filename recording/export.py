@@ -15,6 +15,7 @@ import numpy as np
 
 from proto import TOPICS
 from proto.errors import ConfigError, RecordingError
+from proto.extras import how_to_install
 from proto.messages import Record
 from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import Damage, describe_damage
@@ -371,4 +372,4 @@ def _package(name: str, format_name: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         package = name.partition(".")[0]
-        raise ConfigError(f"{format_name} needs the package {package}: pip install 'telenano[export]'") from error
+        raise ConfigError(f"{format_name} needs the package {package}: {how_to_install('export')}") from error

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 
 _PACKAGE = "telenano"
 # "i8: time of the turn": elements of an array that are whole numbers
@@ -117,4 +118,4 @@ def _module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise ConfigError("mcap-protobuf needs the package protobuf: pip install 'telenano[export]'") from error
+        raise ConfigError(f"mcap-protobuf needs the package protobuf: {how_to_install('export')}") from error

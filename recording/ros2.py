@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 
 POSE, TWIST, WRENCH = "PoseStamped", "TwistStamped", "WrenchStamped"
 # The definitions of the messages that are used, as ROS 2 has had them since its first release.
@@ -176,4 +177,4 @@ def _package(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError as error:
         package = (error.name or name).partition(".")[0].replace("_", "-")
-        raise ConfigError(f"ROS 2 needs the package {package}: pip install 'telenano[ros2]'") from error
+        raise ConfigError(f"ROS 2 needs the package {package}: {how_to_install('ros2')}") from error

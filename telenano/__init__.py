@@ -41,16 +41,26 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     # The command begins faster without modules that it may not need.
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("telenano")
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
         module, attribute = _ELSEWHERE.get(name, ("telenano.api", name))
         return getattr(import_module(module), attribute)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
+        from telenano.shared_names import explanation
+
+        text = explanation()
+        if text is not None:
+            raise ImportError(text, name=error.name) from error
+        if not isinstance(error, ModuleNotFoundError):
+            raise
         package = (error.name or "").partition(".")[0]
         if package in ("", "proto", "presets", "recording", "services", "analysis", "studies", "telenano"):
             raise
-        text = (
-            f"telenano.{name} needs the package {package}: pip install 'telenano[rig]', or 'telenano[recorder]' to read"
-        )
-        raise ModuleNotFoundError(text, name=error.name) from error
+        from proto.extras import missing
+
+        raise ModuleNotFoundError(f"telenano.{name}: {missing(package)}", name=error.name) from error

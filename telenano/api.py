@@ -68,6 +68,10 @@ class RecordedSession:
     def __init__(self, paths: Iterable[Path]) -> None:
         self._source = open_recordings(list(paths))
 
+    def __repr__(self) -> str:
+        length = "" if self.start_ns is None else ", with a session of the operator"
+        return f"<RecordedSession {self._source.path}: {len(self.channels)} channels{length}>"
+
     @property
     def channels(self) -> dict[str, tuple[str, ...]]:
         """The publishers of each channel; `teleop/forward@slave` is what came out of the link there."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, Protocol
 
 from proto.errors import ConfigError, RecordingError
+from proto.extras import how_to_install
 from recording.messages import RecordedMessage
 from recording.ros2 import TOPICS_IN, Encoder, definitions
 from recording.tables import plain
@@ -109,7 +110,7 @@ def zenoh_publishers(router: str, domain: int) -> Opens:
         session = importlib.import_module(f"{_SDK}.session").ZenohSession.get_instance(host, int(port))
     except ImportError as error:
         package = (error.name or _SDK).partition(".")[0].replace("_", "-")
-        raise ConfigError(f"the bridge to ROS 2 needs the package {package}: pip install 'telenano[ros2]'") from error
+        raise ConfigError(f"the bridge to ROS 2 needs the package {package}: {how_to_install('ros2')}") from error
     logging.getLogger(_SDK).setLevel(logging.WARNING)
     # The library would fetch definitions that it does not know from the network.
     for kind, text in definitions().items():

@@ -11,6 +11,7 @@ from pydantic import Field, create_model, field_validator, model_validator
 
 from presets.plugins import load, refuse
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 from proto.topics import deadline_of
 from services.afm_node.physics.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.physics.contact.capillary import meniscus_radius_m
@@ -372,7 +373,7 @@ class _OwnSections(Settings):
         try:
             from services.afm_node.physics.particles.layer import particle_layer
         except ImportError as error:
-            raise ConfigError('afm_node.sample.particles: needs numba: pip install "telenano[studies]"') from error
+            raise ConfigError(f"afm_node.sample.particles: needs numba: {how_to_install('studies')}") from error
         p, plant = self.sample.particles, self.to_params().plant
         try:
             fixed, start = p.rows(self.tip_sample.tip_radius_m, *self.sample_sides_m())

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig, ModbusConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
@@ -45,7 +46,7 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
         from services.afm_node.physics.dynamic import FINEST
         from services.afm_node.physics.dynamic_sim import dynamic_params, require_steps, resting_steps
     except ImportError as error:
-        raise ConfigError('afm_node.model: dynamic needs numba: pip install "telenano[studies]"') from error
+        raise ConfigError(f"afm_node.model: dynamic needs numba: {how_to_install('studies')}") from error
     surface, friction = config.to_surface(), config.to_friction_params()
     try:
         # impulses of 1 K, which the driver scales: the temperature can be changed while it runs
@@ -68,7 +69,7 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
     try:
         from services.afm_node.devices.modbus_driver import ModbusAfm
     except ImportError as error:
-        raise ConfigError('afm_node.driver: modbus needs pymodbus: pip install "telenano[afm]"') from error
+        raise ConfigError(f"afm_node.driver: modbus needs pymodbus: {how_to_install('afm')}") from error
     from services.afm_node.devices.converter_calibration import read_calibration
     from services.afm_node.devices.register_map import read_map
 

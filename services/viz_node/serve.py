@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from proto.errors import ConfigError, EndpointError, RigError
+from proto.extras import how_to_install
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.security.private_files import check_runtime_directory, write_private
 from services.viz_node.access import LOOPBACK, Access, is_loopback
@@ -50,7 +51,7 @@ def page_folder() -> Path | None:
 def missing_packages(extra: str) -> str:
     """Return in words what this installation lacks to serve anything, and the extra that has it."""
     absent = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
-    return f"{', '.join(absent)} is not installed: pip install 'telenano[{extra}]'" if absent else ""
+    return f"{', '.join(absent)} is not installed: {how_to_install(extra)}" if absent else ""
 
 
 def missing_for_view() -> str:

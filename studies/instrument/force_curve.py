@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from presets.regular_files import open_regular
 from proto.errors import ConfigError, RigError
+from proto.extras import how_to_install
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import deflection_m, equilibrium, initial_state
 from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
@@ -273,7 +274,7 @@ def read_measured(path: Path) -> Curve:
         open_regular(path).close()
         curve = readers[path.suffix.lower()](path)
     except ImportError as error:
-        raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
+        raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     # the readers fail in whatever way the damage leads them to

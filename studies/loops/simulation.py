@@ -46,6 +46,19 @@ _COLUMNS = {
     "hand_following": ("", "Whether the device follows commands"),
 }
 _RENAMED = {"operator_force_n": "hand_force_n"}
+# The same in the names and the frame of the bus, z away from the sample: column and sign of each.
+_CHANNELS = {
+    "haptic/state": {
+        "position_m.2": ("hand_position_m", -1.0),
+        "reference_m.2": ("reference_m", -1.0),
+        "operator_force_n.2": ("operator_force_n", -1.0),
+    },
+    "afm/state": {
+        "base_position_m.2": ("base_position_m", -1.0),
+        "tip_force_n.2": ("tip_force_n", 1.0),
+        "separation_m": ("separation_m", 1.0),
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -88,6 +101,34 @@ class SimulatedSession(ColumnTable):
             {name: unit for name, (unit, _) in _COLUMNS.items()},
             {name: text for name, (_, text) in _COLUMNS.items()},
         )
+
+    def __repr__(self) -> str:
+        return f"<SimulatedSession {self.conditions.title()}: {self['time_s'].size} samples, {self.verdict}>"
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that `table` gives."""
+        return tuple(_CHANNELS)
+
+    def table(self, channel: str) -> ColumnTable:
+        """Return what a recording has on a channel, under its names and in its frame, z away from the sample.
+
+        Raises:
+            ConfigError: A simulation has no such channel; the message names those that it has.
+        """
+        if channel not in _CHANNELS:
+            raise ConfigError(f"{channel}: a simulation has no such channel; it has {', '.join(_CHANNELS)}")
+        found = {"time_s": ("time_s", 1.0), **_CHANNELS[channel]}
+        columns = {name: sign * self[source] for name, (source, sign) in found.items()}
+        units = {name: self.units[source] for name, (source, _) in found.items()}
+        texts = {
+            name: self.descriptions[source].replace(", towards the sample", "") for name, (source, _) in found.items()
+        }
+        return ColumnTable(channel, columns, units, texts)
+
+    def df(self, channel: str) -> Any:
+        """Return `table` as a pandas DataFrame."""
+        return self.table(channel).to_pandas()
 
     @cached_property
     def holds(self) -> list[Hold]:

@@ -7,14 +7,28 @@ import os
 import sys
 from collections.abc import Sequence
 
-from telenano.cli import terminal
-
 # The priority is below that of the nodes, whose loops go on while the stop is on its way.
 _URGENT = 1
 
 
 def main() -> None:
+    """Run the command line; what another distribution has overwritten is named with the remedy."""
+    try:
+        _main()
+    except ImportError:
+        from telenano.shared_names import explanation
+
+        text = explanation()
+        if text is None:
+            raise
+        sys.stderr.write(f"telenano: {text}\n")
+        raise SystemExit(2) from None
+
+
+def _main() -> None:
     """Run the command line; an emergency stop without what the other commands need."""
+    from telenano.cli import terminal
+
     terminal.install()
     arguments = sys.argv[1:]
     if "estop" in arguments[:2]:
@@ -29,10 +43,8 @@ def main() -> None:
 
     interrupts.install()
     try:
-        try:
-            from telenano.cli.root import app
-        except ModuleNotFoundError as error:
-            raise SystemExit(_without(error)) from error
+        from telenano.cli.root import app
+
         app()
     except SystemExit:
         raise
@@ -53,17 +65,6 @@ def _interrupted(arguments: Sequence[str], code: int) -> int:
             sys.stdout.write(json.dumps({"error": "interrupted"}) + "\n")
         sys.stdout.flush()
     return code
-
-
-def _without(error: ModuleNotFoundError) -> int:
-    """Print what an installation without extras lacks for the command line; return the exit code."""
-    if (error.name or "").partition(".")[0] not in ("typer", "rich", "click"):
-        raise error
-    sys.stderr.write(
-        f"telenano: the package {error.name} is not installed: pip install 'telenano[rig]' for everything, or"
-        " 'telenano[launcher]' for the command without studies and exports\n"
-    )
-    return 2
 
 
 def _hurry() -> None:

@@ -219,6 +219,7 @@ def _unknown_to_typer() -> Iterator[None]:
 
 def _report(error: Any, *, as_json: bool) -> int:
     """Print what no command has reported; return the exit code."""
+    from proto.extras import missing
     from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.cli.output import print_error, system_error_text, usage_text
 
@@ -226,7 +227,7 @@ def _report(error: Any, *, as_json: bool) -> int:
         package = (error.name or "").partition(".")[0]
         if not package or package in _OWN:
             raise error
-        print_error(f"this needs the package {package}: pip install 'telenano[rig]'", as_json=as_json)
+        print_error(missing(package), as_json=as_json)
         return EXIT_BAD_CONFIGURATION
     if isinstance(error, typer.Abort):
         print_error("the input ended before the question was answered", as_json=as_json)

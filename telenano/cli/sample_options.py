@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 from recording.whole_files import whole_results
 from services.runtime.settings.config import flag_overrides, validate
 
@@ -58,7 +59,7 @@ def require(*modules: str) -> None:
     """Raise ConfigError naming what is not installed, before anything takes its time."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
-        raise ConfigError(f"{', '.join(missing)} is not installed: pip install 'telenano[instrument]'")
+        raise ConfigError(f"{', '.join(missing)} is not installed: {how_to_install('instrument')}")
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ import socket
 from typing import TYPE_CHECKING, NamedTuple
 
 from proto.errors import EndpointError
+from proto.extras import how_to_install
 from proto.nodes import FAR_END, LINK
 from telenano.doctor.checks import Finding
 
@@ -39,7 +40,7 @@ def check_datagrams(book: "AddressBook", machine: str) -> list[Finding]:
     if book.link.transport == "stream":
         return [Finding(_NAME, "ok", "link.transport is stream: everything crosses over TCP")]
     if importlib.util.find_spec("cryptography") is None:
-        advice = 'run `pip install "telenano[controller,delay]"`'
+        advice = f"run `{how_to_install('controller,delay')}`"
         return [Finding(_NAME, "warning", "cryptography is not installed: everything crosses over TCP", advice)]
     try:
         host, port = _host_and_port(book.bind_endpoint(near) if machine == book.machine_of(near) else None)

@@ -4,6 +4,7 @@ import importlib.util
 from typing import TYPE_CHECKING
 
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 from telenano.doctor.checks import Finding
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ def check_relay(book: "AddressBook", machine: str, keyring: "Keyring") -> list[F
     if book.relay is None:
         return []
     if importlib.util.find_spec("cryptography") is None:
-        return [Finding(_NAME, "problem", "cryptography is not installed", 'run `pip install "telenano[relay]"`')]
+        return [Finding(_NAME, "problem", "cryptography is not installed", f"run `{how_to_install('relay')}`")]
     from services.relay.channel import Gone
     from services.relay.look import look_at_relay, seen_by_relay
     from services.runtime.relay.protocol import raw_key, split_host_port

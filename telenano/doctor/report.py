@@ -28,6 +28,7 @@ from telenano.doctor.checks import Finding
 from telenano.doctor.datagrams import check_datagrams
 from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.doctor.relay import check_relay
+from telenano.shared_names import explanation, shared_with
 
 if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
@@ -116,7 +117,12 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 def packages() -> list[Finding]:
     """Compare the installed packages with those that the project requires."""
     try:
-        return checks.check_packages(requires("telenano") or (), _installed)
+        found = checks.check_packages(requires("telenano") or (), _installed)
+        advice = "give telenano an environment of its own: python -m venv, pipx install or uv tool install"
+        overwritten, shared = explanation(), shared_with()
+        if overwritten:
+            return [*found, Finding("names", "problem", overwritten)]
+        return [*found, Finding("names", "warning", shared, advice)] if shared else found
     except PackageNotFoundError:
         advice = "run `pip install -e .` in its folder"
         return [Finding("packages", "problem", "telenano is run without being installed", advice)]

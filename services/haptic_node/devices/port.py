@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+from proto.extras import how_to_install
 from services.haptic_node.driver import DeviceError
 
 # A device sends far less than this in 50 ms at 1 Mbaud.
@@ -50,7 +51,7 @@ class SerialPort:
         try:
             import serial
         except ImportError as error:
-            raise DeviceError('haptic_node.driver: serial needs pyserial: pip install "telenano[haptic]"') from error
+            raise DeviceError(f"haptic_node.driver: serial needs pyserial: {how_to_install('haptic')}") from error
         self.path = path
         self._cut = False
         try:

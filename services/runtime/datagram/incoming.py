@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from services.runtime.datagram.body import ASKING_TRAIN, TRAIN
 from services.runtime.datagram.outgoing import TRAIN_DATAGRAMS
 from services.runtime.datagram.pacing import NETWORK_BYTES
-from services.runtime.datagram.rate import FULL_NS
+from services.runtime.datagram.rate import FULL_NS, WARN_QUEUE_NS
 
-# A queue that stands for so long is a fault to tell of [ns]; a warning is repeated after the second time.
-WARN_QUEUE_NS = 10_000_000
+# A queue is told of that stands for the first time, and again after the second [ns].
 _STANDS_NS, _REMIND_NS = 1_000_000_000, 60_000_000_000
 # A train begins after a pause, and fewer datagrams of one say nothing.
 _PAUSE_NS, _FEWEST = 400_000_000, 10

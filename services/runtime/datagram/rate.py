@@ -16,6 +16,8 @@ from typing import Literal, NamedTuple
 
 # Above the first the line is full, below the second it is not any more [ns].
 FULL_NS, FREE_NS = 4_000_000, 2_000_000
+# A queue that stands for so long is a fault to tell of [ns].
+WARN_QUEUE_NS = 10_000_000
 # What is sent of what was delivered, so that the queue drains; less by so much for each nanosecond above FULL_NS.
 _SHARE, _LEAST_SHARE, _SHARE_PER_NS = 0.85, 0.5, 5e-9
 # Growth in a second far from where the line was last full, and near it, from the first to the second share of it: there

@@ -9,6 +9,7 @@ from pathlib import Path
 import zmq
 
 from proto.errors import EndpointError
+from proto.extras import how_to_install
 from proto.nodes import DEVICES, FAR_END
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Bus, Subscriber, ZmqBus
@@ -122,7 +123,7 @@ class Participant:
         except ImportError:
             self.log.warning(
                 "the link sends no datagrams, everything crosses over TCP: `cryptography` is not installed: "
-                'pip install "telenano[controller,delay]"'
+                + how_to_install("controller,delay")
             )
             return []
         end = open_end(self, outgoing, reports, readers)

@@ -17,6 +17,7 @@ import typer
 import yaml
 
 from proto.errors import ConfigError, TelenanoError
+from proto.extras import how_to_install
 from recording.whole_files import whole_file
 from telenano.cli.commands.device_calibrate import calibrate_stage
 from telenano.cli.options import JsonOption, command_group
@@ -68,7 +69,7 @@ def serial_ports() -> list[dict[str, Any]]:
     try:
         from serial.tools.list_ports import comports
     except ImportError as error:
-        raise ConfigError('serial ports need pyserial: pip install "telenano[haptic]"') from error
+        raise ConfigError(f"serial ports need pyserial: {how_to_install('haptic')}") from error
     from services.haptic_node.devices.port import holder_of
 
     names = {str(link.resolve()): str(link) for link in _BY_ID.iterdir()} if _BY_ID.is_dir() else {}

@@ -12,7 +12,7 @@ from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES
 from services.runtime.bus.observer import RIG_HINT, Observer, messages_of
-from services.runtime.datagram.incoming import WARN_QUEUE_NS
+from services.runtime.datagram.rate import WARN_QUEUE_NS
 from services.runtime.loop.main import load_site
 from telenano.cli.commands.link_probe import probe
 from telenano.cli.commands.session import SessionCommand, send_command

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +69,44 @@ def test_a_data_frame_is_the_table(session: telenano.RecordedSession) -> None:
     assert frame.attrs["units"]["tip_force_n.2"] == "N"
 
 
+def test_a_simulation_and_a_recording_are_read_by_the_same_code(recording_of: Callable[[str], Path]) -> None:
+    session = telenano.open(recording_of("fig12_virtual_impedance"))
+    simulated = telenano.simulate("fig12", law="virtual_impedance", round_trip_ms=8.0, duration_s=1.1)
+    assert "virtual_impedance" in repr(simulated)
+    assert simulated.verdict in repr(simulated)
+    assert "channels, with a session" in repr(session)
+    read = []
+    for source in (simulated, session):
+        hand, tip = source.table("haptic/state"), source.table("afm/state")
+        assert hand.units["position_m.2"] == tip.units["base_position_m.2"] == "m"
+        columns = [(hand, "position_m.2"), (hand, "operator_force_n.2"), (hand, "reference_m.2")]
+        columns += [(tip, "base_position_m.2"), (tip, "tip_force_n.2"), (tip, "separation_m")]
+        # just before the end, on the way to the sample
+        read.append([float(np.interp(1.05, table["time_s"], table[name])) for table, name in columns])
+    assert read[0] == pytest.approx(read[1], rel=0.02)
+    assert max(read[0][:5]) < 0.0
+    with pytest.raises(ConfigError, match="a simulation has no such channel; it has haptic/state, afm/state"):
+        simulated.table("law/status")
+
+
+def test_a_table_becomes_a_labelled_data_set(session: telenano.RecordedSession) -> None:
+    pytest.importorskip("xarray")
+    tip = session.table("afm/state")
+    data = tip.to_xarray()
+    assert data["tip_force_n.2"].attrs["units"] == "N"
+    assert data["tip_force_n.2"].values.tolist() == tip["tip_force_n.2"].tolist()
+    assert data.sizes["time_s"] == len(tip["time_s"])
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert telenano.__version__ == version("telenano")
+
+
 def test_without_pandas_its_absence_is_named(
     session: telenano.RecordedSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ConfigError, match="pip install pandas"):
+    with pytest.raises(ConfigError, match=r"pandas is not installed: pip install (-e )?'.+\[export\]'"):
         session.df("afm/state")
 
 

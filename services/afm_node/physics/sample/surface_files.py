@@ -18,6 +18,7 @@ from numpy.lib import format as npy
 
 from presets.regular_files import open_regular
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 from services.afm_node.physics.sample.gwy_reader import read_gwy
 from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
 from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
@@ -64,7 +65,7 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
         side = _metres(found.unit_xy, f"the sides of channel {found.name}")
         return checked(found.values.astype(np.float64) * scale, found.width * side, found.depth * side)
     except ImportError as error:
-        raise ConfigError(f"{path}: needs {error.name} to be read: pip install 'telenano[instrument]'") from error
+        raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ValueError as error:
