@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from presets.plugins import scenario_files
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
@@ -34,7 +34,7 @@ def find_scenario(name: str) -> Path:
     path = Path(name)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
-    raise ConfigError(f"unknown scenario {name!r}: known are {', '.join(known_scenarios())}, or give a .yaml file")
+    raise ConfigError(f"unknown scenario {name!r}: {known_names(name, known_scenarios())}, or give a .yaml file")
 
 
 def site_file_named(given: Path | None) -> Path | None:

@@ -1,6 +1,21 @@
 """The exceptions: whatever a user can cause raises one of these; the text names what would be right."""
 
+from collections.abc import Iterable
 from typing import Any
+
+
+def known_names(name: str, choices: Iterable[str]) -> str:
+    """Return the names that there are, for an error, and the one that was probably meant: `known are a, b`."""
+    names = [str(choice) for choice in choices]
+    return f"known are {', '.join(names)}{probably_meant(name, names)}"
+
+
+def probably_meant(name: str, choices: Iterable[str]) -> str:
+    """Return `; did you mean NAME?` with the nearest of some names, empty where none is near."""
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, choices, n=1, cutoff=0.7)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 class TelenanoError(Exception):
@@ -21,6 +36,10 @@ class RefusedError(TelenanoError):
 
 class RecordingError(TelenanoError):
     """A recording cannot be written or read; the text names the file."""
+
+
+class NoRecordingError(RecordingError):
+    """A recording that was named is not there."""
 
 
 class ReportError(RecordingError):

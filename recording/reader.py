@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Schema
 
 from presets.regular_files import open_regular
-from proto.errors import RecordingError
+from proto.errors import NoRecordingError, RecordingError
 from proto.nodes import site_of
 from recording.info import END_NAME, AttachmentInfo, PartInfo, RecordingInfo, RecordingStatistics, notes_of
 from recording.mcap_index import index_faults
@@ -67,7 +67,8 @@ class Recording:
             with open_regular(self.path) as file:
                 start = file.read(len(MAGIC))
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be read: {error.strerror}") from error
+            kind = NoRecordingError if isinstance(error, FileNotFoundError) else RecordingError
+            raise kind(f"{self.path}: cannot be read: {error.strerror}") from error
         if not start:
             raise RecordingError(f"{self.path}: is empty")
         if start != MAGIC:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS
 from services.runtime.settings.config import flag_overrides, flatten
 
@@ -49,7 +49,7 @@ def chosen(option: str, what: str, text: str, known: Sequence[str]) -> tuple[str
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         if name not in known:
-            raise ConfigError(f"{option}: unknown {what} {name!r}, known are all, {', '.join(known)}")
+            raise ConfigError(f"{option}: unknown {what} {name!r}, {known_names(name, ('all', *known))}")
     return names
 
 

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement
 from services.controller.law_corners import failures
@@ -49,7 +49,7 @@ def known_law(name: str) -> Law:
     if name in PACKAGE_LAWS.problems:
         raise ConfigError(PACKAGE_LAWS.problems[name])
     if name not in LAWS:
-        raise ConfigError(f"unknown law {name!r}: known are {', '.join(LAWS)}; `telenano new law {name}` makes one")
+        raise ConfigError(f"unknown law {name!r}: {known_names(name, LAWS)}; `telenano new law {name}` makes one")
     return LAWS[name]
 
 

@@ -9,7 +9,7 @@ import yaml
 from pydantic import Field
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario, site_file_named
-from proto.errors import ConfigError, RigError
+from proto.errors import ConfigError, RigError, known_names
 from proto.nodes import (
     FAR_RECORDER,
     LAUNCHER,
@@ -290,7 +290,7 @@ def excluded_nodes(names: Sequence[str], known: Sequence[str] = START_ORDER) -> 
     """Return the nodes that `node@site` or `node` names; ConfigError lists the known ones."""
     for name in names:
         if not any(name in (node, name_of(node)) for node in known):
-            raise ConfigError(f"--without {name}: no such node, known are {', '.join(known)}")
+            raise ConfigError(f"--without {name}: no such node, {known_names(name, known)}")
     return frozenset(node for node in known if node in names or name_of(node) in names)
 
 

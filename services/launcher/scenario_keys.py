@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from proto.nodes import SERVICES
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import node_kind
@@ -149,7 +149,7 @@ def value_at(document: Mapping[str, Any], key: str) -> Any:
         elif isinstance(value, Mapping) and part in value:
             value = value[part]
         else:
-            known = ", ".join(value) if isinstance(value, Mapping) else "none"
-            raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; known are {known}")
+            known = known_names(part, value) if isinstance(value, Mapping) else "known are none"
+            raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {known}")
         seen.append(part)
     return value

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from analysis.verdict import Circumstances, judge
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from services.afm_node.config import SAMPLES, AfmConfig, CantileverConfig, SafetyConfig
 from services.afm_node.physics.body import body_params
 from services.afm_node.physics.cantilever import Plant
@@ -163,7 +163,7 @@ class Cell(Conditions):
     def controller(self) -> ControllerConfig:
         """Return the configuration of both halves; ConfigError names the law or key at fault."""
         if self.law not in LAWS:
-            raise ConfigError(f"--law: unknown law {self.law!r}, known are {', '.join(LAWS)}")
+            raise ConfigError(f"--law: unknown law {self.law!r}, {known_names(self.law, LAWS)}")
         settings: dict[str, Any] = nested(dict(self.settings), "--set")
         if self.gain is not None:
             if "force_gain" not in LAWS[self.law].config.model_fields:

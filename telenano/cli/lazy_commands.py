@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from proto.errors import probably_meant
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
 from telenano.cli.rig_choice import choose_rig
@@ -205,6 +206,8 @@ class LazyRoot(TyperGroup):
         """Return the command to run, imported now; an unknown name is a usage error."""
         if args and args[0] in LAZY_COMMANDS:
             return args[0], load(args[0]), args[1:]
+        if args and not args[0].startswith("-"):
+            ctx.fail(f"no such command {args[0]!r}{probably_meant(args[0], LAZY_COMMANDS)}")
         return super().resolve_command(ctx, args)
 
 

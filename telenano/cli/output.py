@@ -13,7 +13,7 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from proto.errors import ConfigError, ReportError, TelenanoError
+from proto.errors import ConfigError, NoRecordingError, ReportError, TelenanoError
 from recording.whole_files import new_folder
 from services.runtime.untrusted.printable import printable
 from services.signals import interrupts
@@ -35,7 +35,7 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
     try:
         yield
     except TelenanoError as error:
-        code = EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
+        code = EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError) else EXIT_FAILED
         fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
     except BrokenPipeError:
         # the reader of the pipe, such as `head`, has closed it: nothing more can be printed

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
@@ -10,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from presets.regular_files import read_regular
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names, probably_meant
 from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_value
 
 M = TypeVar("M", bound=BaseModel)
@@ -20,6 +21,11 @@ ENVIRONMENT_PREFIX = "TELENANO__"
 _DEEPEST = 16
 # At most so many faults of one document are reported, so that a thousand wrong keys cost no more than that.
 _MOST_FAULTS = 20
+# the unit of a key by the end of its name, the longer ends first
+_UNITS = {
+    "_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_n_per_v": "N/V", "_m_per_s": "m/s", "_m_per_v": "m/V",
+    "_hz": "Hz", "_kg": "kg", "_pa": "Pa", "_k": "K", "_v": "V", "_s": "s", "_n": "N", "_m": "m",
+}  # fmt: skip
 
 
 class Settings(BaseModel):
@@ -182,15 +188,30 @@ def _describe(error: ValidationError, origin: str, model: type[BaseModel], secti
         key = ".".join(str(part) for part in (section, *fault["loc"]) if part != "")
         text = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "extra_forbidden":
-            text = f"unknown key{_known_keys(model, fault['loc'][:-1])}"
+            text = f"unknown key{_known_keys(model, fault['loc'])}"
         elif fault["type"] == "missing":
             text = "is missing"
         elif not isinstance(fault["input"], dict | list):
-            text = f"{text}{_allowed(fault, model)}, got {fault['input']!r:.200}"
+            text = f"{text}{_unit(fault)}{_allowed(fault, model)}, got {fault['input']!r:.200}{_near(fault)}"
         lines.append(f"{origin}: {key + ': ' if key else ''}{text}")
     if len(faults) > _MOST_FAULTS:
         lines.append(f"{origin}: and {len(faults) - _MOST_FAULTS} more")
     return "\n".join(lines)
+
+
+def _unit(fault: Mapping[str, Any]) -> str:
+    """Name the unit of a key that takes a bare number, where a text was given, such as `40ms`."""
+    if fault["type"] != "float_type" or not isinstance(fault["input"], str):
+        return ""
+    name = str(fault["loc"][-1])
+    return next((f" in {unit}" for end, unit in _UNITS.items() if name.endswith(end)), "")
+
+
+def _near(fault: Mapping[str, Any]) -> str:
+    """Name the choice that was probably meant."""
+    if fault["type"] != "literal_error":
+        return ""
+    return probably_meant(str(fault["input"]), re.findall(r"'([^']*)'", fault["msg"]))
 
 
 def _allowed(fault: Mapping[str, Any], model: type[BaseModel]) -> str:
@@ -220,8 +241,8 @@ def bounds_of(part: Any) -> dict[str, float]:
 
 def _known_keys(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
     """Name the keys that would be right."""
-    owner = _model_at(model, path)
-    return f", known are {', '.join(owner.model_fields)}" if owner is not None else ""
+    owner = _model_at(model, path[:-1])
+    return f", {known_names(str(path[-1]), owner.model_fields)}" if owner is not None else ""
 
 
 def _model_at(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel] | None:

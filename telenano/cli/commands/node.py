@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from proto import TOPICS
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from proto.nodes import NODES, SERVICES, name_of
 from telenano.cli.completion import service_names
 from telenano.cli.options import command_group
@@ -35,7 +35,7 @@ def node(
         return
     with report_errors(as_json=False):
         if name not in SERVICES:
-            raise ConfigError(f"unknown node {name!r}: known are {', '.join(SERVICES)}")
+            raise ConfigError(f"unknown node {name!r}: {known_names(name, SERVICES)}")
     # the node takes the place of this process, so that signals reach it
     os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
 

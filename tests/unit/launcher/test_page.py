@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from launcher_bench import SECOND_NS, FakeChildren, health
 
+from proto.extras import how_to_install
 from proto.messages import NodeHealth
 from proto.nodes import PAGE, STOP_ORDER
 from services.launcher.page import inherited_by_page
@@ -66,7 +67,7 @@ def test_without_its_packages_or_its_page_the_rig_runs_without_a_view(
 ) -> None:
     plan = plan_of(tmp_path)
     monkeypatch.setattr(serve, "_PACKAGES", ("no_such_package",))
-    assert said_of(plan) == ["no view: no_such_package is not installed: pip install 'telenano[view]'"]
+    assert said_of(plan) == [f"no view: no_such_package is not installed: {how_to_install('view')}"]
     monkeypatch.setattr(serve, "_PACKAGES", ())
     monkeypatch.setattr(serve, "page_folder", lambda: None)
     assert said_of(plan) == ["no view: its page has not been built: `make page` in the repository builds it"]

@@ -151,7 +151,7 @@ def test_an_unknown_key_lists_the_known_ones() -> None:
     )
     good = {"stiffness_n_per_m": 1.0}
     assert error_of(Rig, {"spring": good, "sprung": 1}, "afm_node") == (
-        "rig.yaml: afm_node.sprung: unknown key, known are spring, path_m, count, word, maybe"
+        "rig.yaml: afm_node.sprung: unknown key, known are spring, path_m, count, word, maybe; did you mean spring?"
     )
     # below an alternative the right keys are not certain: the key is named all the same
     assert "maybe.x: unknown key" in error_of(Rig, {"spring": good, "maybe": {**good, "x": 1}})
@@ -165,7 +165,7 @@ def test_an_unknown_key_lists_the_known_ones() -> None:
         (2e6, "less than or equal to 1000000 (allowed is from above 0 to 1e+06), got 2000000.0"),
         (float("nan"), "got nan"),
         (float("inf"), "got inf"),
-        ("soft", "valid number, got 'soft'"),
+        ("soft", "valid number in N/m, got 'soft'"),
         (True, "valid number, got True"),
         (None, "valid number, got None"),
         ([1.0], "valid number"),
@@ -186,7 +186,7 @@ def test_every_fault_has_a_line() -> None:
     text = error_of(Rig, {"spring": {"rest_m": "far"}, "count": 1.5, "path_m": [0.0, "x"]})
     assert text.splitlines() == [
         "rig.yaml: spring.stiffness_n_per_m: is missing",
-        "rig.yaml: spring.rest_m: Input should be a valid number, got 'far'",
+        "rig.yaml: spring.rest_m: Input should be a valid number in m, got 'far'",
         "rig.yaml: path_m.1: Input should be a valid number, got 'x'",
         "rig.yaml: count: Input should be a valid integer, got 1.5",
     ]
@@ -195,7 +195,7 @@ def test_every_fault_has_a_line() -> None:
 def test_a_date_is_refused_at_its_key(tmp_path: Path) -> None:
     document = read_yaml(written(tmp_path, "spring: {stiffness_n_per_m: 2026-01-01}"))
     assert error_of(Rig, document) == (
-        "rig.yaml: spring.stiffness_n_per_m: Input should be a valid number, got '2026-01-01'"
+        "rig.yaml: spring.stiffness_n_per_m: Input should be a valid number in N/m, got '2026-01-01'"
     )
 
 
@@ -291,6 +291,6 @@ def test_a_path_that_the_locale_cannot_express_is_named_with_the_remedy_and_with
 
 
 def test_a_long_value_is_quoted_in_part(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="duration_s: Input should be a valid number, got 'xxx") as error:
+    with pytest.raises(ConfigError, match="duration_s: Input should be a valid number in s, got 'xxx") as error:
         validate(Scenario, {"name": "a", "description": "b", "duration_s": "x" * 100_000}, "a.yaml")
     assert len(str(error.value)) < 400

@@ -99,7 +99,7 @@ def test_a_copy_below_a_file_is_not_called_one_that_exists(make_file: MakeFile, 
         (("bag", "info", "SESSION"), 1, "standard output cannot be written: No space left on device"),
         (("bag", "cat", "SESSION"), 1, "standard output cannot be written: No space left on device"),
         (("estop", "--json"), 1, "no device of the site file runs here: is `telenano up` running with this site file?"),
-        (("upp", "--json"), 2, "no such command 'upp' (`telenano --help` explains)"),
+        (("upp", "--json"), 2, "no such command 'upp'; did you mean up? (`telenano --help` explains)"),
     ],
 )
 def test_output_that_cannot_be_written_is_one_sentence(
@@ -149,7 +149,7 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
     ("arguments", "said"),
     [
         (("up",), "missing option '--scenario' (`telenano up --help` explains)"),
-        (("upp",), "no such command 'upp' (`telenano --help` explains)"),
+        (("upp",), "no such command 'upp'; did you mean up? (`telenano --help` explains)"),
         (("up", "--scenario", "fig12", "--duration", "x"), "invalid value for '--duration': "),
         (("bag", "infoo", "x"), "no such command 'infoo'. Did you mean 'info'? (`telenano bag --help` explains)"),
         (
