@@ -15,6 +15,7 @@ from proto.messages import Scalar
 from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
+from services.viz_node.metrics import metrics_text
 from services.viz_node.requests import (
     CommandRequest,
     DocumentRequest,
@@ -278,6 +279,10 @@ class Hub:
                 wish.make_void("its page has left")
         if session is self._holder:
             self._release()
+
+    def metrics(self, now_ns: int) -> str:
+        """Return the newest reports of all nodes as a monitoring system reads them; now_ns, the rig's clock [ns]."""
+        return metrics_text(self._feed.snapshot()["nodes"], now_ns)
 
     def snapshot(self, session: Session) -> bytes:
         """Return everything that a page needs to begin."""

@@ -14,9 +14,11 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from services.runtime.loop.clock import SystemClock
 from services.viz_node.access import Access, Role
 from services.viz_node.connections import SILENCE_S, Connections
 from services.viz_node.hub import Hub, Session
+from services.viz_node.metrics import MEDIA_TYPE
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 
 MOST_PAGES = 16
@@ -214,12 +216,13 @@ async def _refuse(socket: WebSocket, code: int, text: str) -> None:
 
 
 def make_app(hub: Hub, access: Access, page: Path | None, connections: Connections | None = None) -> Any:
-    """Return the application: the page of a folder, its web socket at /bus, and /health.
+    """Return the application: the page of a folder, its web socket at /bus, /health and /metrics.
 
     Parameters: page, None where none has been built: the server then says how to build it; connections, those of the
     listener that it is served at.
     """
     connections = connections or Connections()
+    clock = SystemClock()
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -236,12 +239,16 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
     async def health(request: Any) -> PlainTextResponse:
         return PlainTextResponse("ok\n")
 
+    async def metrics(request: Any) -> PlainTextResponse:
+        return PlainTextResponse(hub.metrics(clock.now_ns()), media_type=MEDIA_TYPE)
+
     async def missing(request: Any) -> PlainTextResponse:
         return PlainTextResponse("telenano: the page has not been built: make page\n", 503)
 
     routes: list[BaseRoute] = [
         WebSocketRoute("/bus", _PageSocket(hub, access, connections).serve),
         Route("/health", health),
+        Route("/metrics", metrics),
         Mount("/", StaticFiles(directory=page, html=True)) if page is not None else Route("/", missing),
     ]
     return guarded(Starlette(routes=routes, lifespan=lifespan), access, connections)

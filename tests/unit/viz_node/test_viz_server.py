@@ -170,6 +170,14 @@ def test_an_address_that_is_not_allowed_gets_nothing(rig: Rig, page: Path) -> No
             pass
 
 
+def test_a_monitoring_system_reads_the_reports_and_a_stranger_none(rig: Rig, page: Path, client: TestClient) -> None:
+    answer = client.get("/metrics")
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    assert "# TYPE telenano_rate_hertz gauge" in answer.text
+    with TestClient(server.make_app(rig.hub, ACCESS, page), client=("10.0.0.9", 5)) as stranger:
+        assert stranger.get("/metrics").status_code == 403
+
+
 def test_a_page_of_another_server_cannot_open_the_socket(client: TestClient) -> None:
     opening = client.websocket_connect("/bus", headers={"origin": "http://evil.example"})
     with pytest.raises(WebSocketDisconnect) as refused, opening:

@@ -1,0 +1,59 @@
+"""What a monitoring system asks for at /metrics: the newest reports of all nodes, as text of Prometheus 0.0.4."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+_STATES = ("starting", "ready", "running", "safe", "stopping", "ended")
+
+
+class Metric(NamedTuple):
+    """A figure of node/health: the key that it is from, the name it is given, its kind, and what it is."""
+
+    key: str
+    name: str
+    kind: str
+    about: str
+
+
+NODE_METRICS = (
+    Metric("uptime_s", "telenano_uptime_seconds", "gauge", "Time since the node started."),
+    Metric("rate_hz", "telenano_rate_hertz", "gauge", "Steps of the node in a second."),
+    Metric("lateness_p99_s", "telenano_lateness_p99_seconds", "gauge", "99 % lateness since the last report."),
+    Metric("overruns", "telenano_overruns_total", "counter", "Deadlines missed by a period or more."),
+    Metric("lost", "telenano_lost_messages_total", "counter", "Messages of its inputs that never came."),
+    Metric("rejected", "telenano_rejected_messages_total", "counter", "Frames and connections that were refused."),
+    Metric("cpu_percent", "telenano_processor_percent", "gauge", "Processor time, in percent of one."),
+    Metric("memory_bytes", "telenano_resident_memory_bytes", "gauge", "Resident memory."),
+)
+
+
+def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int) -> str:
+    """Return one sample a node and figure.
+
+    Args:
+        nodes: By node, such as `afm_node@slave`: its newest report, with `beat`, the time of sending [ns], and `state`.
+        now_ns: The clock that the nodes stamp their messages with [ns].
+    """
+    lines: list[str] = []
+    for metric in NODE_METRICS:
+        values = [(src, facts[metric.key]) for src, facts in nodes.items() if metric.key in facts]
+        lines += _family(metric.name, metric.kind, metric.about, ((f'node="{_escaped(src)}"', v) for src, v in values))
+    ages = ((f'node="{_escaped(src)}"', (now_ns - facts["beat"]) * 1e-9) for src, facts in nodes.items())
+    lines += _family("telenano_report_age_seconds", "gauge", "Time since the newest report of the node.", ages)
+    states = (
+        (f'node="{_escaped(src)}",state="{state}"', float(facts.get("state") == state))
+        for src, facts in nodes.items()
+        for state in _STATES
+    )
+    lines += _family("telenano_state", "gauge", "1 at what the node is at, 0 at the others.", states)
+    return "\n".join(lines) + "\n"
+
+
+def _family(name: str, kind: str, about: str, samples: Iterable[tuple[str, float]]) -> list[str]:
+    head = [f"# HELP {name} {about}", f"# TYPE {name} {kind}"]
+    return head + [f"{name}{{{labels}}} {float(value):.9g}" for labels, value in samples]
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
