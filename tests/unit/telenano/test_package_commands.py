@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -120,6 +121,21 @@ def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found:
 
 def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:
     assert found["refused"] == ["filtered.filter_s", "layered.k"]
+
+
+def test_every_package_passes_the_test_that_it_comes_with_as_it_is(tmp_path: Path) -> None:
+    folders, tests = [tmp_path, ROOT], []
+    for kind, name in NAMES.items():
+        new_package(kind, name, tmp_path / name)
+        put_on_path(tmp_path / name, tmp_path)
+        folders.append(tmp_path / name)
+        tests.append(str(tmp_path / name / "tests"))
+    # without a compiler, whose work would take longer than the sessions
+    paths = {"PYTHONPATH": os.pathsep.join(map(str, folders)), "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", *tests]
+    done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **paths}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"\b[5-9] passed", done.stdout), done.stdout
 
 
 @pytest.mark.parametrize("kind", KINDS)
