@@ -18,11 +18,17 @@ class DeviceError(ConfigError, RuntimeError):
     """The device cannot do what it was asked: not open, not there, not the one that was configured, or not able."""
 
 
+Pair = tuple[float, float]
+Quaternion = tuple[float, float, float, float]
+UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
 class Capabilities(NamedTuple):
     """What a device declares about itself before anything is sent to it.
 
-    max_stiffness_n_per_m and max_damping_n_s_per_m are what a loop sampled at 1 kHz can render passively: with physical
-    damping b at the arm, b > K T / 2 + B (Colgate and Schenkel 1997), so K <= 2 b / T alone and B <= b alone.
+    max_stiffness_n_per_m and max_damping_n_s_per_m of an admittance device are what a loop sampled at 1 kHz can render
+    passively: with physical damping b at the arm, b > K T / 2 + B (Colgate and Schenkel 1997), so K <= 2 b / T alone
+    and B <= b alone. Of an impedance device they are what its maker declares for its own rate.
     """
 
     max_force_n: float
@@ -37,14 +43,63 @@ class Capabilities(NamedTuple):
     latency_s: float = 0.0
     # identity of the calibration in use
     calibration: str = ""
+    # admittance: it takes a position and measures the force; impedance: it measures the position and takes a force
+    kind: Literal["admittance", "impedance"] = "admittance"
+    # 1: along the paper's axis; 3: with the lateral x and y of the master frame, whose workspace is in lateral_m
+    axes: int = 1
+    lateral_m: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
+    # of the servo that drives it [Hz]; 0.0: it is that of the node
+    rate_hz: float = 0.0
+    # Physical damping b [N s/m] and moving mass [kg], 0.0 where they are not known; a chosen model says so in identity.
+    damping_n_s_per_m: float = 0.0
+    mass_kg: float = 0.0
+    # From a sample to the moment at which the force that answers it acts [s]: D of the bounds in `coupling`.
+    drive_delay_s: float = 0.0
+    # names of the buttons, bit 0 first; the one that has to be held, empty if there is none
+    buttons: tuple[str, ...] = ()
+    deadman: str = ""
+    has_orientation: bool = False
+
+
+class SpatialCommand(NamedTuple):
+    """What a device of impedance type or of three axes is told besides; x and y are of the master frame.
+
+    velocity_reference_m_per_s: of position_reference_m, along the paper's axis. lateral_force_n: what the hand is to
+    feel. lateral_m: the place to which a lateral stiffness, if the coupling has one, draws the hand. arm: a person has
+    armed since the command before.
+    """
+
+    velocity_reference_m_per_s: float = 0.0
+    lateral_m: Pair = (0.0, 0.0)
+    lateral_force_n: Pair = (0.0, 0.0)
+    arm: bool = False
 
 
 class DriveCommand(NamedTuple):
-    """What the guard lets through: a mode code and the reference of that mode."""
+    """What the guard lets through: a mode code and the reference of that mode; `spatial` as the device declares."""
 
     mode: int
     position_reference_m: float
     force_reference_n: float
+    spatial: SpatialCommand | None = None
+
+
+class SpatialReading(NamedTuple):
+    """What a device of impedance type or of three axes says besides; x and y are of the master frame.
+
+    lateral_operator_force_n: estimate of the hand's force; lateral_force_n: what the device sent. orientation: of the
+    handle, w x y z. buttons: bit 0 is the first that the device names. The energies are the accounts of
+    `coupling.CouplingState`.
+    """
+
+    lateral_m: Pair = (0.0, 0.0)
+    lateral_velocity_m_per_s: Pair = (0.0, 0.0)
+    lateral_operator_force_n: Pair = (0.0, 0.0)
+    lateral_force_n: Pair = (0.0, 0.0)
+    orientation: Quaternion = UPRIGHT
+    buttons: int = 0
+    hand_energy_j: float = 0.0
+    coupling_energy_j: float = 0.0
 
 
 class DeviceReading(NamedTuple):
@@ -59,6 +114,7 @@ class DeviceReading(NamedTuple):
     end_stop: bool
     voltage_limited: bool
     torque_limited: bool
+    spatial: SpatialReading | None = None
 
 
 class DeviceReport(NamedTuple):
@@ -67,6 +123,7 @@ class DeviceReport(NamedTuple):
     status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
     estop_pressed: the emergency stop of the device itself. text: the newest sentence for a person, such as why the
     device is lost. counts: the newest sample as it was sent, by the keys of haptic/state; none before there was one.
+    ready: it may be driven; one that waits, as for a hand at rest or a dead-man button, is `ok` and not ready.
     """
 
     status: Status
@@ -74,6 +131,7 @@ class DeviceReport(NamedTuple):
     estop_pressed: bool
     text: str
     counts: Mapping[str, int] = MappingProxyType({})
+    ready: bool = True
 
 
 class HapticDevice(Protocol):

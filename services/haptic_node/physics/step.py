@@ -94,6 +94,7 @@ def plant_step(
         end_stop=drive.end_stop,
         voltage_limited=drive.voltage_limited,
         torque_limited=drive.torque_limited,
+        spatial=None,
     )
     return PlantState(motion, hand), reading
 
@@ -120,6 +121,6 @@ def step(
         device_lost=False,
     )
     guard, applied = safety.step(params.safety, state.safety, guard_inputs, dt)
-    command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n)
+    command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n, None)
     plant, reading = plant_step(params.plant, state.plant, command, inputs.session_time_s, dt)
     return HapticStepState(guard, plant), HapticOutputs(applied, reading)

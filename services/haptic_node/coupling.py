@@ -1,0 +1,375 @@
+"""The virtual coupling between a law's reference and a device that takes a force (impedance type), and its safety.
+
+The laws are of admittance type: they take the force of the hand and give a position. A device of impedance type gives a
+position and takes a force, so a spring and a damper are put between the two (J. E. Colgate, M. C. Stanley, J. M. Brown,
+"Issues in the haptic display of tool use", IROS 1995; R. J. Adams and B. Hannaford, "Stable haptic interaction with
+virtual environments", IEEE Trans. Robotics and Automation 15, 1999):
+
+    f[k] = -(K r + B w)[k] + f_ref,   r = x - x_ref,   w = (r[k] - r[k-1]) / T, low-passed with exp(-2 pi f_c T)
+
+f acts on the hand, and -f is the estimate of the operator's force that the law takes. At rest it is the hand's force.
+
+Two bounds on K, for a sample time T, a delay D of the drive, and a physical damping b of the device:
+
+    passive: b > K (T/2 + D) + |B|      (J. E. Colgate and G. G. Schenkel, J. Robotic Systems 14, 1997)
+    stable:  K <= (b + B) / (T/2 + D)   hands off, reference clamped (J. J. Gil et al.; T. Hulin et al.), over a margin
+
+The step runs in the servo of the device, where T and D are known, and so do the rules that take the force away: see
+GATES. The force goes to zero at once, and comes back from zero at no more than the slew. A reading that cannot be
+believed (no number, a jump, a place that stands still under a force that changes) is refused until a person arms it.
+
+Vectors are in the master frame of the messages: z away from the sample, so pushing is -z.
+"""
+
+import math
+from typing import NamedTuple
+
+from services.numerics.compiled import compiled
+
+Vector = tuple[float, float, float]
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+# The default is called stable and not passive: vendors' devices lie between the two bounds.
+STABLE_MARGIN = 4.0
+# A hand is no faster than this [m/s]; what the place changes by beyond it is compared with `jump_m`.
+_FASTEST_M_PER_S = 2.0
+
+GATE_ACTIVE = 0
+GATE_READY = 1
+GATE_RELEASED = 2
+GATE_REST = 3
+GATE_SILENT = 4
+GATE_DEADMAN = 5
+GATE_REFERENCE = 6
+GATE_DEVICE_SILENT = 7
+GATE_NOT_A_NUMBER = 8
+GATE_JUMP = 9
+GATE_FROZEN = 10
+GATES: dict[int, str] = {
+    GATE_ACTIVE: "the device follows the law",
+    GATE_READY: "the device gives no force until the law engages it",
+    GATE_RELEASED: "the device gives no force until the law has let go of it once",
+    GATE_REST: "the device gives no force until the hand has been at rest",
+    GATE_SILENT: "the device gives no force: its servo has heard nothing from the node within its deadline",
+    GATE_DEADMAN: "the device gives no force: its dead-man button is not held, or its grip is asleep",
+    GATE_REFERENCE: "the device gives no force: the reference is not a finite number",
+    GATE_DEVICE_SILENT: "the device gives no force: it has sent no sample within the deadline",
+    GATE_NOT_A_NUMBER: "the device is refused until armed: its position was not a finite number",
+    GATE_JUMP: "the device is refused until armed: its position jumped, as that of a lost encoder does",
+    GATE_FROZEN: "the device is refused until armed: its position stood still while the force on it changed",
+}
+# These are refused until armed; the node takes the device as lost.
+FAULTS = (GATE_NOT_A_NUMBER, GATE_JUMP, GATE_FROZEN)
+
+
+class CouplingSettings(NamedTuple):
+    """K [N/m] and B [N s/m] per axis, limits of the force, and what is taken for silence, rest, jump and frozen.
+
+    max_force_n, max_slew_n_per_s: of the length of the force vector. velocity_filter_hz: f_c, 0 for none.
+    deadman_age_s: oldest word of a grip about its button; a grip speaks at some 50 Hz and falls asleep when it is left.
+    rest_s: how long the hand has to stay within rest_m. jump_m: more in one step, beyond what a hand
+    moves at 2 m/s, is no motion of a hand. frozen_s: how long a place may be the same to the last bit while the force
+    has changed by frozen_force_n; 0 for ever. extrapolation_s: how far ahead a reference is moved with its velocity.
+    """
+
+    stiffness_n_per_m: Vector
+    damping_n_s_per_m: Vector
+    max_force_n: float
+    max_slew_n_per_s: float
+    velocity_filter_hz: float = 0.0
+    needs_deadman: bool = False
+    silence_s: float = 0.05
+    deadman_age_s: float = 0.1
+    rest_s: float = 0.2
+    rest_m: float = 2e-3
+    jump_m: float = 0.005
+    frozen_s: float = 0.1
+    frozen_force_n: float = 1.0
+    extrapolation_s: float = 2e-3
+
+
+class CouplingReference(NamedTuple):
+    """What the node asks for: x_ref and its velocity, and the force that is added, as for a lateral axis.
+
+    engaged: the law drives the device (the guard's mode is position). age_s: since the node wrote it. arm_count: counts
+    up when a person arms, which ends a refusal.
+    """
+
+    position_m: Vector
+    velocity_m_per_s: Vector
+    force_n: Vector
+    engaged: bool
+    age_s: float
+    arm_count: int
+
+
+class CouplingReading(NamedTuple):
+    """What the device says: its place, how old that is, and the button that has to be held, with its own age."""
+
+    position_m: Vector
+    age_s: float
+    deadman: bool
+    deadman_age_s: float
+
+
+class CouplingState(NamedTuple):
+    """What the coupling remembers.
+
+    gate: one of GATES; limited: clamp or slew acts. force_n: sent last; own_force_n: the same without f_ref.
+    position_m, reference_m: at the last step. rate_m_per_s: w after its filter. started: there was a place.
+    rest_place_m, rest_s: where the hand has been, and for how long. still_s, still_force_n: how long the place has been
+    the same, and the force before. arm_count: the newest obeyed. hand_energy_j: what the hand has put in, less what it
+    got. coupling_energy_j: what spring and damper have taken in, less what they gave out; below zero the coupling makes
+    energy.
+    """
+
+    gate: int
+    limited: bool
+    force_n: Vector
+    own_force_n: Vector
+    position_m: Vector
+    reference_m: Vector
+    rate_m_per_s: Vector
+    velocity_m_per_s: Vector
+    started: bool
+    rest_place_m: Vector
+    rest_s: float
+    still_s: float
+    still_force_n: Vector
+    arm_count: int
+    hand_energy_j: float
+    coupling_energy_j: float
+
+
+def coupling_at_start(arm_count: int = 0) -> CouplingState:
+    """Return the state before the first sample: no force until the hand has been at rest."""
+    return CouplingState(
+        GATE_REST, False, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, False, ZERO, 0.0, 0.0, ZERO, arm_count, 0.0, 0.0
+    )
+
+
+def passive_stiffness_n_per_m(b_n_s_per_m: float, damping_n_s_per_m: float, sample_s: float, delay_s: float) -> float:
+    """Return the greatest K [N/m] that is passive against any passive hand; 0.0 if none is: K (T/2 + D) + |B| < b."""
+    return max(b_n_s_per_m - abs(damping_n_s_per_m), 0.0) / (0.5 * sample_s + delay_s)
+
+
+def stable_stiffness_n_per_m(b_n_s_per_m: float, damping_n_s_per_m: float, sample_s: float, delay_s: float) -> float:
+    """Return the K [N/m] at which a clamped reference begins to oscillate hands off, (b + B) / (T/2 + D)."""
+    return (b_n_s_per_m + damping_n_s_per_m) / (0.5 * sample_s + delay_s)
+
+
+@compiled
+def _finite(vector: Vector) -> bool:
+    return math.isfinite(vector[0]) and math.isfinite(vector[1]) and math.isfinite(vector[2])
+
+
+@compiled
+def _minus(a: Vector, b: Vector) -> Vector:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@compiled
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def _length(a: Vector) -> float:
+    return math.sqrt(_dot(a, a))
+
+
+@compiled
+def _scaled(a: Vector, factor: float) -> Vector:
+    return (a[0] * factor, a[1] * factor, a[2] * factor)
+
+
+@compiled
+def _fault(
+    settings: CouplingSettings, state: CouplingState, place: Vector, started: bool, still_s: float, dt: float
+) -> int:
+    """Return why the reading cannot be believed, or GATE_ACTIVE."""
+    if not _finite(place):
+        return GATE_NOT_A_NUMBER
+    if started:
+        if _length(_minus(place, state.position_m)) > settings.jump_m + _FASTEST_M_PER_S * dt:
+            return GATE_JUMP
+        changed = _length(_minus(state.force_n, state.still_force_n))
+        if 0.0 < settings.frozen_s < still_s and changed > settings.frozen_force_n:
+            return GATE_FROZEN
+    return GATE_ACTIVE
+
+
+@compiled
+def _gate(
+    settings: CouplingSettings, gate: int, reference: CouplingReference, reading: CouplingReading, rested: bool
+) -> int:
+    """Return the gate for a reading that can be believed.
+
+    After a gate was closed the node has to have let go once, so that it begins again where the hand is. Written so
+    that an age that is not a number counts as too old.
+    """
+    if not reading.age_s <= settings.silence_s:
+        return GATE_DEVICE_SILENT
+    if not reference.age_s <= settings.silence_s:
+        return GATE_SILENT
+    if not (_finite(reference.position_m) and _finite(reference.velocity_m_per_s) and _finite(reference.force_n)):
+        return GATE_REFERENCE
+    if settings.needs_deadman and not (reading.deadman and reading.deadman_age_s <= settings.deadman_age_s):
+        return GATE_DEADMAN
+    if gate == GATE_DEADMAN:
+        gate = GATE_RELEASED
+    if gate not in (GATE_ACTIVE, GATE_READY, GATE_RELEASED):
+        if not rested:
+            return GATE_REST
+        gate = GATE_RELEASED
+    if not reference.engaged:
+        return GATE_READY
+    return GATE_RELEASED if gate == GATE_RELEASED else GATE_ACTIVE
+
+
+@compiled
+def _target(settings: CouplingSettings, reference: CouplingReference) -> Vector:
+    ahead = min(max(reference.age_s, 0.0), settings.extrapolation_s)
+    p, v = reference.position_m, reference.velocity_m_per_s
+    return (p[0] + ahead * v[0], p[1] + ahead * v[1], p[2] + ahead * v[2])
+
+
+@compiled
+def _limited(settings: CouplingSettings, before: Vector, wanted: Vector, dt: float) -> tuple[Vector, bool]:
+    """Return the force after clamp and slew, and whether one of them acts."""
+    force, limited = wanted, False
+    size = _length(force)
+    if size > settings.max_force_n:
+        force, limited = _scaled(force, settings.max_force_n / size), True
+    step = _minus(force, before)
+    change, most = _length(step), settings.max_slew_n_per_s * dt
+    if change > most:
+        s = most / change
+        return (before[0] + s * step[0], before[1] + s * step[1], before[2] + s * step[2]), True
+    return force, limited
+
+
+@compiled
+def coupling_step(
+    state: CouplingState,
+    settings: CouplingSettings,
+    reference: CouplingReference,
+    reading: CouplingReading,
+    dt: float,
+) -> tuple[Vector, CouplingState]:
+    """Return the force on the hand [N] for the next period, and the state after this sample.
+
+    Args:
+        state: The state after the sample before.
+        settings: Gains, limits and what is refused.
+        reference: The newest word of the node.
+        reading: The newest word of the device.
+        dt: The time since the step before [s], > 0.
+
+    Raises:
+        ValueError: dt is not a positive time.
+    """
+    if not dt > 0.0:
+        raise ValueError("dt of the coupling must be a positive time in s")
+    refused = state.gate >= GATE_NOT_A_NUMBER
+    if refused and reference.arm_count == state.arm_count:
+        return ZERO, _without_force(state, state.gate)
+    # The place that an armed device has is taken as it comes.
+    started = state.started and not refused
+    still_s = state.still_s + dt if started and reading.position_m == state.position_m else 0.0
+    fault = _fault(settings, state, reading.position_m, started, still_s, dt)
+    if fault != GATE_ACTIVE:
+        return ZERO, _without_force(state, fault)
+    return _step_of_a_good_reading(state, settings, reference, reading, (started, still_s), dt)
+
+
+@compiled
+def _without_force(state: CouplingState, gate: int) -> CouplingState:
+    """Return the state under a refusal, which keeps the last place: what is refused moves nothing."""
+    return CouplingState(
+        gate=gate,
+        limited=False,
+        force_n=ZERO,
+        own_force_n=ZERO,
+        position_m=state.position_m,
+        reference_m=state.position_m,
+        rate_m_per_s=ZERO,
+        velocity_m_per_s=ZERO,
+        started=state.started,
+        rest_place_m=state.position_m,
+        rest_s=0.0,
+        still_s=0.0,
+        still_force_n=ZERO,
+        arm_count=state.arm_count,
+        hand_energy_j=state.hand_energy_j,
+        coupling_energy_j=state.coupling_energy_j,
+    )
+
+
+@compiled
+def _low_passed(before: Vector, new: Vector, cutoff_hz: float, dt: float) -> Vector:
+    if not cutoff_hz > 0.0:
+        return new
+    a = math.exp(-2.0 * math.pi * cutoff_hz * dt)
+    return (
+        a * before[0] + (1.0 - a) * new[0],
+        a * before[1] + (1.0 - a) * new[1],
+        a * before[2] + (1.0 - a) * new[2],
+    )
+
+
+@compiled
+def _step_of_a_good_reading(
+    state: CouplingState,
+    settings: CouplingSettings,
+    reference: CouplingReference,
+    reading: CouplingReading,
+    known: tuple[bool, float],
+    dt: float,
+) -> tuple[Vector, CouplingState]:
+    """Set gate, force and accounts; `known`: whether there was a place before, and how long it has been this one."""
+    place = reading.position_m
+    started, still_s = known
+    moved = _minus(place, state.position_m) if started else ZERO
+    velocity = _low_passed(state.velocity_m_per_s, _scaled(moved, 1.0 / dt), settings.velocity_filter_hz, dt)
+    near = started and _length(_minus(place, state.rest_place_m)) <= settings.rest_m
+    rest_s = state.rest_s + dt if near else 0.0
+    gate = _gate(settings, state.gate, reference, reading, rest_s >= settings.rest_s)
+    if gate in (GATE_SILENT, GATE_DEVICE_SILENT, GATE_REFERENCE):
+        rest_s = 0.0
+    force, own, rate, limited, target = ZERO, ZERO, ZERO, False, place
+    hand_j = state.hand_energy_j - _dot(state.force_n, moved)
+    coupling_j = state.coupling_energy_j
+    if gate == GATE_ACTIVE:
+        target = _target(settings, reference)
+        offset = _minus(place, target)
+        if state.gate == GATE_ACTIVE:
+            change = _minus(offset, _minus(state.position_m, state.reference_m))
+            coupling_j -= _dot(state.own_force_n, change)
+            rate = _low_passed(state.rate_m_per_s, _scaled(change, 1.0 / dt), settings.velocity_filter_hz, dt)
+        k, b, f = settings.stiffness_n_per_m, settings.damping_n_s_per_m, reference.force_n
+        wanted = (
+            f[0] - (k[0] * offset[0] + b[0] * rate[0]),
+            f[1] - (k[1] * offset[1] + b[1] * rate[1]),
+            f[2] - (k[2] * offset[2] + b[2] * rate[2]),
+        )
+        force, limited = _limited(settings, state.force_n, wanted, dt)
+        own = _minus(force, f)
+    return force, CouplingState(
+        gate=gate,
+        limited=limited,
+        force_n=force,
+        own_force_n=own,
+        position_m=place,
+        reference_m=target,
+        rate_m_per_s=rate,
+        velocity_m_per_s=velocity,
+        started=True,
+        rest_place_m=state.rest_place_m if near else place,
+        rest_s=rest_s,
+        still_s=still_s,
+        still_force_n=state.still_force_n if still_s > 0.0 else state.force_n,
+        arm_count=reference.arm_count,
+        hand_energy_j=hand_j,
+        coupling_energy_j=coupling_j,
+    )
