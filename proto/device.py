@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from proto.ranges import VoltageV
+from proto.ranges import EnergyJ, QuaternionPart, VoltageV
 
 DeviceStatus = Literal["ok", "stale", "lost"]
 
@@ -42,6 +42,25 @@ class HandCounts(BaseModel):
     drive_raw: RawCount | None = Field(default=None, description="Drive after every limit as it was sent [counts]")
 
 
+class CoupledHand(BaseModel):
+    """What a device of three axes, or one that takes a force, has to say besides its vectors."""
+
+    buttons: Annotated[int, Field(ge=0, lt=2**16)] | None = Field(
+        default=None, description="Buttons of the handle that are pressed, the first in bit 0; absent if it has none"
+    )
+    orientation: tuple[QuaternionPart, QuaternionPart, QuaternionPart, QuaternionPart] | None = Field(
+        default=None, description="Orientation of the handle in the master frame, w x y z; absent if it is not measured"
+    )
+    hand_energy_j: EnergyJ | None = Field(
+        default=None,
+        description="Energy that the hand has put into the forces of its device, less what it got [J]; impedance type",
+    )
+    coupling_energy_j: EnergyJ | None = Field(
+        default=None,
+        description="Energy that the virtual coupling has taken in, less what it gave out [J]; below 0 it makes energy",
+    )
+
+
 class StageVolts(BaseModel):
     """What a real instrument's converters had, before any calibration."""
 
@@ -50,6 +69,7 @@ class StageVolts(BaseModel):
 
 
 HAND_COUNTS, STAGE_VOLTS = tuple(HandCounts.model_fields), tuple(StageVolts.model_fields)
+COUPLED_HAND = tuple(CoupledHand.model_fields)
 LATERAL_FORCE_N: Any = Field(
     default=None,
     description="Force on the tip by the sample along x [N]; absent where it is not measured",

@@ -163,11 +163,14 @@ class _HandSample(Record):
     hand_t_ns: Count = Field(description="t_ns of that haptic/state, on the master's clock [ns]; 0 = none yet")
 
 
-class HapticState(real.HandCounts, _Extended):
+class HapticState(real.HandCounts, real.CoupledHand, _Extended):
     """The operator's device: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.HAND_COUNTS, 2)}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {
+        **dict.fromkeys(("device", "sample_age_s", *real.HAND_COUNTS), 2),
+        **dict.fromkeys(real.COUPLED_HAND, 3),
+    }
 
     position_m: PositionVector = Field(
         description="Hand position in the master frame [m]; z = -x_m, 0 where the arm starts"

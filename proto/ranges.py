@@ -64,8 +64,24 @@ RATE = Range("rate", 0.0, 1e9, "Hz", "one step in each nanosecond of the clock")
 PERCENTAGE = Range("percentage", 0.0, 1e6, "%", "ten thousand processors that work for one process")
 ANGLE = Range("angle", -1e6, 1e6, "rad", "an unwrapped phase of 1.6e5 turns")
 VOLTAGE = Range("voltage", -1e4, 1e4, "V", "ten times the highest voltage that drives a piezo")
+QUATERNION = Range("component of a unit quaternion", -1.0, 1.0, "", "that of a rotation by no angle at all")
 
-RANGES = (POSITION, WAY, VELOCITY, FORCE, WAVE, ENERGY, POWER, DURATION, TIME, RATE, PERCENTAGE, ANGLE, VOLTAGE)
+RANGES = (
+    POSITION,
+    WAY,
+    VELOCITY,
+    FORCE,
+    WAVE,
+    ENERGY,
+    POWER,
+    DURATION,
+    TIME,
+    RATE,
+    PERCENTAGE,
+    ANGLE,
+    VOLTAGE,
+    QUATERNION,
+)
 
 PositionM = Annotated[float, POSITION]
 WayM = Annotated[float, WAY]
@@ -79,6 +95,7 @@ TimeS = Annotated[float, TIME]
 RateHz = Annotated[float, RATE]
 Percent = Annotated[float, PERCENTAGE]
 VoltageV = Annotated[float, VOLTAGE]
+QuaternionPart = Annotated[float, QUATERNION]
 
 PositionVector = tuple[PositionM, PositionM, PositionM]
 WayVector = tuple[WayM, WayM, WayM]

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from services.haptic_node.config import DRIVERS, HapticConfig
+from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.physics.disturbances import DisturbedHaptic
@@ -21,8 +21,11 @@ def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevi
         driver = DRIVERS.found[config.driver]
         device: HapticDevice = driver.build(getattr(config, driver.name) or driver.config(), config.limits)
         return device
-    if config.serial is None or config.driver == "simulated":
-        return DisturbedHaptic(config.to_plant_params(), config.device.start_position_m, config.disturbances)
+    if config.serial is None or config.driver in ("simulated", SIMULATED_IMPEDANCE):
+        declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None
+        return DisturbedHaptic(
+            config.to_simulated_params(), config.device.start_position_m, config.disturbances, declared
+        )
     from services.haptic_node.devices.calibration import read_calibration
     from services.haptic_node.devices.serial_driver import SerialHandle
 

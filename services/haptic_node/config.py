@@ -10,7 +10,9 @@ from pydantic import Field, create_model, field_validator, model_validator
 
 from presets.plugins import refuse
 from proto.topics import deadline_of
+from services.haptic_node.impedance_config import CouplingConfig, SimulatedImpedanceConfig
 from services.haptic_node.physics import step
+from services.haptic_node.physics.coupled import CoupledParams
 from services.haptic_node.physics.disturbances import HandDisturbanceConfig
 from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
@@ -321,7 +323,8 @@ class SerialConfig(Settings):
 
 _DRIVER: Any = Field(
     default="simulated",
-    description="simulated: device and operator below; serial: a real handle; or the driver of another package",
+    description="simulated: device and operator below; simulated_impedance: a simulated device of three axes that takes"
+    " a force; serial: a real handle; or the driver of another package",
 )
 
 
@@ -331,6 +334,12 @@ class _OwnSections(Settings):
     driver: str = _DRIVER
     serial: SerialConfig | None = Field(default=None, description="The real handle, for driver serial")
     device: DeviceConfig = Field(default=DeviceConfig(), description="The simulated device")
+    impedance: SimulatedImpedanceConfig = Field(
+        default=SimulatedImpedanceConfig(), description="The simulated device of three axes that takes a force"
+    )
+    coupling: CouplingConfig = Field(
+        default=CouplingConfig(), description="Spring and damper between the law and a device that takes a force"
+    )
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
@@ -343,7 +352,7 @@ class _OwnSections(Settings):
     @property
     def simulated(self) -> bool:
         """Whether the readings of the device follow from what it was sent alone."""
-        return self.driver == "simulated" or (self.driver in DRIVERS.found and DRIVERS.found[self.driver].simulated)
+        return self.driver in _SIMULATED or (self.driver in DRIVERS.found and DRIVERS.found[self.driver].simulated)
 
     @field_validator("driver", mode="before")
     @classmethod
@@ -380,17 +389,25 @@ class _OwnSections(Settings):
     def to_plant_params(self) -> step.PlantParams:
         return step.PlantParams(self.device.to_params(), self.operator.to_params())
 
+    def to_simulated_params(self) -> step.PlantParams | CoupledParams:
+        """Return the constants of the simulated device that the driver names, and of the hand on it."""
+        if self.driver == SIMULATED_IMPEDANCE:
+            return self.impedance.to_params(self.coupling, self.operator.to_params())
+        return self.to_plant_params()
+
     def to_params(self) -> step.HapticParams:
-        """Return the constants of the whole compiled chain; the simulated device has no force mode."""
+        """Return the constants of the whole compiled chain; no simulated device has a force mode."""
         guard = self.limits.to_params(has_position_mode=True, has_force_mode=False)
-        return step.HapticParams(guard, self.to_plant_params())
+        return step.HapticParams(guard, self.to_simulated_params())
 
     def initial_state(self) -> step.HapticStepState:
         """Return the state at start: at rest, off, not latched."""
-        return step.initial_state(self.to_plant_params(), self.device.start_position_m)
+        return step.initial_state(self.to_simulated_params(), self.device.start_position_m)
 
 
-_OWN_DRIVERS = ("simulated", "serial")
+SIMULATED_IMPEDANCE = "simulated_impedance"
+_SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
+_OWN_DRIVERS = (*_SIMULATED, "serial")
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
 DRIVERS = drivers_of("haptic_node", TAKEN)

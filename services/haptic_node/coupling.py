@@ -45,6 +45,7 @@ GATE_DEVICE_SILENT = 7
 GATE_NOT_A_NUMBER = 8
 GATE_JUMP = 9
 GATE_FROZEN = 10
+GATE_RUNAWAY = 11
 GATES: dict[int, str] = {
     GATE_ACTIVE: "the device follows the law",
     GATE_READY: "the device gives no force until the law engages it",
@@ -57,9 +58,10 @@ GATES: dict[int, str] = {
     GATE_NOT_A_NUMBER: "the device is refused until armed: its position was not a finite number",
     GATE_JUMP: "the device is refused until armed: its position jumped, as that of a lost encoder does",
     GATE_FROZEN: "the device is refused until armed: its position stood still while the force on it changed",
+    GATE_RUNAWAY: "the device is refused until armed: it ran against its force, as one whose sign is wrong does",
 }
 # These are refused until armed; the node takes the device as lost.
-FAULTS = (GATE_NOT_A_NUMBER, GATE_JUMP, GATE_FROZEN)
+FAULTS = (GATE_NOT_A_NUMBER, GATE_JUMP, GATE_FROZEN, GATE_RUNAWAY)
 
 
 class CouplingSettings(NamedTuple):
@@ -69,7 +71,8 @@ class CouplingSettings(NamedTuple):
     deadman_age_s: oldest word of a grip about its button; a grip speaks at some 50 Hz and falls asleep when it is left.
     rest_s: how long the hand has to stay within rest_m. jump_m: more in one step, beyond what a hand
     moves at 2 m/s, is no motion of a hand. frozen_s: how long a place may be the same to the last bit while the force
-    has changed by frozen_force_n; 0 for ever. extrapolation_s: how far ahead a reference is moved with its velocity.
+    has changed by frozen_force_n; 0 for ever. runaway_m_per_s: speed against more than half of the greatest force; no
+    hand has it, but a device that pushes the wrong way soon does. extrapolation_s: how far a reference is moved ahead.
     """
 
     stiffness_n_per_m: Vector
@@ -85,6 +88,7 @@ class CouplingSettings(NamedTuple):
     jump_m: float = 0.005
     frozen_s: float = 0.1
     frozen_force_n: float = 1.0
+    runaway_m_per_s: float = 0.5
     extrapolation_s: float = 2e-3
 
 
@@ -117,10 +121,10 @@ class CouplingState(NamedTuple):
 
     gate: one of GATES; limited: clamp or slew acts. force_n: sent last; own_force_n: the same without f_ref.
     position_m, reference_m: at the last step. rate_m_per_s: w after its filter. started: there was a place.
-    rest_place_m, rest_s: where the hand has been, and for how long. still_s, still_force_n: how long the place has been
-    the same, and the force before. arm_count: the newest obeyed. hand_energy_j: what the hand has put in, less what it
-    got. coupling_energy_j: what spring and damper have taken in, less what they gave out; below zero the coupling makes
-    energy.
+    rest_place_m, rest_s: where the hand has been, and for how long. still_force_n: the force when the place last
+    changed; still_s: how long it has been the same while the force was another. arm_count: the newest obeyed.
+    hand_energy_j: what the hand has put in, less what it got. coupling_energy_j: what spring and damper have taken in,
+    less what they gave out; below zero the coupling makes energy.
     """
 
     gate: int
@@ -193,9 +197,12 @@ def _fault(
     if started:
         if _length(_minus(place, state.position_m)) > settings.jump_m + _FASTEST_M_PER_S * dt:
             return GATE_JUMP
-        changed = _length(_minus(state.force_n, state.still_force_n))
-        if 0.0 < settings.frozen_s < still_s and changed > settings.frozen_force_n:
+        if 0.0 < settings.frozen_s < still_s:
             return GATE_FROZEN
+        against = -_dot(state.force_n, state.velocity_m_per_s)
+        size = _length(state.force_n)
+        if size > 0.5 * settings.max_force_n and against > settings.runaway_m_per_s * size:
+            return GATE_RUNAWAY
     return GATE_ACTIVE
 
 
@@ -276,11 +283,14 @@ def coupling_step(
         return ZERO, _without_force(state, state.gate)
     # The place that an armed device has is taken as it comes.
     started = state.started and not refused
-    still_s = state.still_s + dt if started and reading.position_m == state.position_m else 0.0
+    # A force that a gate has taken away is no such change: the handle may lie in its holder.
+    same = started and state.gate == GATE_ACTIVE and reading.position_m == state.position_m
+    changed = same and _length(_minus(state.force_n, state.still_force_n)) > settings.frozen_force_n
+    still_s = state.still_s + dt if changed else 0.0
     fault = _fault(settings, state, reading.position_m, started, still_s, dt)
     if fault != GATE_ACTIVE:
         return ZERO, _without_force(state, fault)
-    return _step_of_a_good_reading(state, settings, reference, reading, (started, still_s), dt)
+    return _step_of_a_good_reading(state, settings, reference, reading, (started, same, still_s), dt)
 
 
 @compiled
@@ -324,12 +334,12 @@ def _step_of_a_good_reading(
     settings: CouplingSettings,
     reference: CouplingReference,
     reading: CouplingReading,
-    known: tuple[bool, float],
+    known: tuple[bool, bool, float],
     dt: float,
 ) -> tuple[Vector, CouplingState]:
-    """Set gate, force and accounts; `known`: whether there was a place before, and how long it has been this one."""
+    """Set gate, force and accounts; `known`: there was a place before, it was this one, and its `still_s`."""
     place = reading.position_m
-    started, still_s = known
+    started, same, still_s = known
     moved = _minus(place, state.position_m) if started else ZERO
     velocity = _low_passed(state.velocity_m_per_s, _scaled(moved, 1.0 / dt), settings.velocity_filter_hz, dt)
     near = started and _length(_minus(place, state.rest_place_m)) <= settings.rest_m
@@ -355,6 +365,8 @@ def _step_of_a_good_reading(
         )
         force, limited = _limited(settings, state.force_n, wanted, dt)
         own = _minus(force, f)
+    rest_place = state.rest_place_m if near else place
+    still_force = state.still_force_n if same else state.force_n
     return force, CouplingState(
         gate=gate,
         limited=limited,
@@ -365,10 +377,10 @@ def _step_of_a_good_reading(
         rate_m_per_s=rate,
         velocity_m_per_s=velocity,
         started=True,
-        rest_place_m=state.rest_place_m if near else place,
+        rest_place_m=rest_place,
         rest_s=rest_s,
         still_s=still_s,
-        still_force_n=state.still_force_n if still_s > 0.0 else state.force_n,
+        still_force_n=still_force,
         arm_count=reference.arm_count,
         hand_energy_j=hand_j,
         coupling_energy_j=coupling_j,

@@ -64,32 +64,30 @@ class Capabilities(NamedTuple):
 class SpatialCommand(NamedTuple):
     """What a device of impedance type or of three axes is told besides; x and y are of the master frame.
 
-    velocity_reference_m_per_s: of position_reference_m, along the paper's axis. lateral_force_n: what the hand is to
-    feel. lateral_m: the place to which a lateral stiffness, if the coupling has one, draws the hand. arm: a person has
-    armed since the command before.
+    lateral_force_n: what the hand is to feel. lateral_m: the place to which a lateral stiffness, if the coupling has
+    one, draws the hand. arm: a person has armed since the command before.
     """
 
-    velocity_reference_m_per_s: float = 0.0
     lateral_m: Pair = (0.0, 0.0)
     lateral_force_n: Pair = (0.0, 0.0)
     arm: bool = False
 
 
 class DriveCommand(NamedTuple):
-    """What the guard lets through: a mode code and the reference of that mode; `spatial` as the device declares."""
+    """What the guard lets through: a mode code and the reference of that mode; `spatial` is for some."""
 
     mode: int
     position_reference_m: float
     force_reference_n: float
-    spatial: SpatialCommand | None = None
+    spatial: SpatialCommand = SpatialCommand()
 
 
 class SpatialReading(NamedTuple):
     """What a device of impedance type or of three axes says besides; x and y are of the master frame.
 
     lateral_operator_force_n: estimate of the hand's force; lateral_force_n: what the device sent. orientation: of the
-    handle, w x y z. buttons: bit 0 is the first that the device names. The energies are the accounts of
-    `coupling.CouplingState`.
+    handle, w x y z. buttons: bit 0 is the first that the device names. gate: why there is no force, of
+    `coupling.GATES`. The energies are the accounts of `coupling.CouplingState`.
     """
 
     lateral_m: Pair = (0.0, 0.0)
@@ -98,6 +96,7 @@ class SpatialReading(NamedTuple):
     lateral_force_n: Pair = (0.0, 0.0)
     orientation: Quaternion = UPRIGHT
     buttons: int = 0
+    gate: int = 0
     hand_energy_j: float = 0.0
     coupling_energy_j: float = 0.0
 
@@ -123,7 +122,6 @@ class DeviceReport(NamedTuple):
     status: `stale` repeats the last sample, `lost` means that nothing drives the arm. age_s: of the sample [s].
     estop_pressed: the emergency stop of the device itself. text: the newest sentence for a person, such as why the
     device is lost. counts: the newest sample as it was sent, by the keys of haptic/state; none before there was one.
-    ready: it may be driven; one that waits, as for a hand at rest or a dead-man button, is `ok` and not ready.
     """
 
     status: Status
@@ -131,7 +129,6 @@ class DeviceReport(NamedTuple):
     estop_pressed: bool
     text: str
     counts: Mapping[str, int] = MappingProxyType({})
-    ready: bool = True
 
 
 class HapticDevice(Protocol):

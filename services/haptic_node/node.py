@@ -1,19 +1,23 @@
 """The haptic process: paces the rig, samples the operator's device and guards it."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
 from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
+from proto.nodes import is_meant
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, InteractiveConfig
+from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from services.haptic_node.driver import (
     DeviceReading,
     DeviceReport,
     DriveCommand,
     HapticDevice,
     PushedDevice,
+    SpatialCommand,
+    SpatialReading,
     Status,
 )
 from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
@@ -32,6 +36,10 @@ _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_
 _NOT_RUNNING_S = -1.0
 # A sample of a real device that is younger than so many periods needs no remark.
 _FRESH_PERIODS = 2
+# With a change of law the force of an impedance device is zero for so long, and control begins anew where the hand is.
+_LET_GO_S = 0.1
+_LAW_CHANGES = "the law changes: no force meanwhile, and control begins anew where the hand is"
+_AT_CENTRE = SpatialReading()
 
 
 class HapticMemory(msgspec.Struct, array_like=True):
@@ -39,7 +47,8 @@ class HapticMemory(msgspec.Struct, array_like=True):
 
     The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
     [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
-    holds [N]; what was asked for since the last tick; ticks since the session began, None before.
+    holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
+    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law.
     """
 
     guard: safety.SafetyState
@@ -52,6 +61,8 @@ class HapticMemory(msgspec.Struct, array_like=True):
     estop_requested: bool = False
     arm_requested: bool = False
     session_ticks: int | None = None
+    gate: int = GATE_ACTIVE
+    let_go_ticks: int = 0
 
 
 class HapticNodeState(NamedTuple):
@@ -96,12 +107,20 @@ class HapticNode(Node):
         )
         start_m = config.device.start_position_m
         self._memory = HapticMemory(safety.SafetyState(False, safety.MODE_OFF, start_m), start_m)
+        able = device.capabilities
+        self._coupled, self._buttons = able.kind == "impedance", able.buttons
+        self._has_orientation = able.has_orientation
+        self._waits_for = ""
+        if self._coupled:
+            self._memory.gate = GATE_REST
+            if device.report is None:
+                self.event("node", "info", f"{able.identity}; {config.coupling.bounds(able).sentence()}")
         self._command_is_new = False
         operator = config.operator
         self._force_deadline_s = operator.force_deadline_s if isinstance(operator, InteractiveConfig) else None
         self._ignored_force = False
         self._switch_pressed = False
-        self._reported = (safety.MODE_OFF, safety.REASON_COMMAND_STALE)
+        self._reported = (safety.MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
         self._device_text = ""
         self._device_status: Status = "ok"
         self._report_device(device.report)
@@ -141,6 +160,8 @@ class HapticNode(Node):
             self.freshness.record(received.message)
         elif isinstance(received.message, OperatorForce):
             self._on_operator_force(received.message, received.received_ns)
+        elif self._coupled and type(received.message) is SessionControl:
+            self._on_law_change(received.message)
 
     def on_deadline(self, now_ns: int) -> None:
         """Guard the command, drive and sample the device, publish what it did."""
@@ -153,11 +174,14 @@ class HapticNode(Node):
         elapsed_s = periods * self.period_s
         if self._memory.session_ticks is not None:
             self._memory.session_ticks += periods
+        armed = self._memory.arm_requested
         applied = self._guarded()
         self._push()
-        self.device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
+        self.device.write(self._drive_command(applied, armed))
         reading = self.device.read(self._session_s(), elapsed_s)
         self._memory.position_m = reading.position_m
+        if reading.spatial is not None:
+            self._memory.gate = reading.spatial.gate
         report = self.device.report
         self._publish_state(applied, reading, elapsed_s, report)
         self._report_changes(applied)
@@ -213,8 +237,23 @@ class HapticNode(Node):
             self._memory.pushed_n = force_n
             self.device.push(force_n)
 
+    def _on_law_change(self, control: SessionControl) -> None:
+        """Let go of the hand when the law changes: the new one is to find no force in the coupling."""
+        if control.command == "set" and "law" in control.parameters and is_meant("controller@master", control.target):
+            self._memory.let_go_ticks = round(_LET_GO_S / self.period_s)
+
+    def _drive_command(self, applied: safety.SafetyOutputs, armed: bool) -> DriveCommand:
+        command, mode = self._memory.command, applied.mode
+        if not self._coupled:
+            return DriveCommand(mode, applied.position_reference_m, applied.force_reference_n)
+        spatial = SpatialCommand(arm=armed)
+        if command is not None and mode != safety.MODE_OFF:
+            spatial = SpatialCommand(command.position_m[:2], command.force_n[:2], armed)
+        return DriveCommand(mode, applied.position_reference_m, applied.force_reference_n, spatial)
+
     def _guarded(self) -> safety.SafetyOutputs:
         command = self._memory.command
+        self._waits_for = self._reason_to_wait()
         command_age_s = self.freshness.command_age_s(command, self._memory.command_received_ns, self.clock.now_ns())
         if self._command_is_new:
             self._command_is_new = False
@@ -228,7 +267,9 @@ class HapticNode(Node):
             arm_requested=self._memory.arm_requested,
             position_m=self._memory.position_m,
             device_lost=self._device_status == "lost",
+            device_waits=bool(self._waits_for),
         )
+        self._memory.let_go_ticks = max(0, self._memory.let_go_ticks - 1)
         self._memory.estop_requested = self._memory.arm_requested = False
         # The step covers one period of motion, however long the process stalled, so that the hand feels no jump.
         self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, self.period_s)
@@ -239,12 +280,13 @@ class HapticNode(Node):
     ) -> None:
         command = self._memory.command
         device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s, **report.counts}
+        side = _AT_CENTRE if reading.spatial is None else reading.spatial
         self.publish(
             "haptic/state",
-            position_m=to_site_frame(reading.position_m),
-            velocity_m_per_s=to_site_frame(reading.velocity_m_per_s),
-            operator_force_n=to_site_frame(reading.operator_force_n),
-            motor_force_n=to_site_frame(reading.motor_force_n),
+            position_m=(*side.lateral_m, 0.0 - reading.position_m),
+            velocity_m_per_s=(*side.lateral_velocity_m_per_s, 0.0 - reading.velocity_m_per_s),
+            operator_force_n=(*side.lateral_operator_force_n, 0.0 - reading.operator_force_n),
+            motor_force_n=(*side.lateral_force_n, 0.0 - reading.motor_force_n),
             reference_m=to_site_frame(applied.position_reference_m),
             mode=safety.MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
@@ -255,7 +297,19 @@ class HapticNode(Node):
             answered_at_ns=self._memory.command_received_ns,
             step_s=elapsed_s,
             **device,
+            **self._spatial_keys(reading.spatial),
         )
+
+    def _spatial_keys(self, found: SpatialReading | None) -> dict[str, Any]:
+        """Return the keys of haptic/state that only devices of three axes or of impedance type have."""
+        if found is None:
+            return {}
+        keys: dict[str, Any] = {"hand_energy_j": found.hand_energy_j, "coupling_energy_j": found.coupling_energy_j}
+        if self._has_orientation:
+            keys["orientation"] = found.orientation
+        if self._buttons:
+            keys["buttons"] = found.buttons
+        return keys
 
     def _report_device(self, report: DeviceReport | None) -> None:
         """Take up the state of a real device: its emergency stop latches here, and what it says is an event, once."""
@@ -276,16 +330,23 @@ class HapticNode(Node):
         self.state = "running" if applied.mode != safety.MODE_OFF else "safe"
         # a limit may come and go at every tick; it is published as `limited`, not as an event
         reason = safety.REASON_NONE if applied.reason in _LIMITS else applied.reason
-        if (applied.mode, reason) == self._reported:
+        text = self._waits_for if reason == safety.REASON_DEVICE_WAITS else safety.REASONS[reason]
+        if (applied.mode, text) == self._reported:
             return
-        self._reported = (applied.mode, reason)
+        self._reported = (applied.mode, text)
         self.event(
             "mode",
             "info" if reason == safety.REASON_NONE else "warning",
-            safety.REASONS[reason],
+            text,
             mode=safety.MODE_NAMES[applied.mode],
             position_m=self._memory.position_m,
         )
+
+    def _reason_to_wait(self) -> str:
+        """Return why an impedance device is not to be driven now, empty if it may be."""
+        if self._memory.let_go_ticks:
+            return _LAW_CHANGES
+        return "" if self._memory.gate in (GATE_ACTIVE, GATE_READY) else GATES[self._memory.gate]
 
 
 def _device_limited(reading: DeviceReading) -> bool:

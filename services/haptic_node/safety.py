@@ -28,6 +28,7 @@ REASON_TRAVEL_LIMIT = 6
 REASON_SPEED_LIMIT = 7
 REASON_FORCE_LIMIT = 8
 REASON_DEVICE_LOST = 9
+REASON_DEVICE_WAITS = 10
 REASONS: dict[int, str] = {
     REASON_NONE: "command applied as it came",
     REASON_ESTOP: "emergency stop is latched: off until armed",
@@ -39,6 +40,7 @@ REASONS: dict[int, str] = {
     REASON_SPEED_LIMIT: "reference moves at the speed limit towards the commanded position",
     REASON_FORCE_LIMIT: "reference held at the force limit",
     REASON_DEVICE_LOST: "the device is lost: off until it is back",
+    REASON_DEVICE_WAITS: "the device gives no force for a reason of its own: off until it may be driven",
 }
 
 
@@ -65,7 +67,8 @@ class SafetyState(NamedTuple):
 class SafetyInputs(NamedTuple):
     """The newest command, its age (infinite if there never was one), stop and arm requests, measured position.
 
-    device_lost: position_m is not where the arm is now, and nothing drives it.
+    device_lost: position_m is not where the arm is now, and nothing drives it. device_waits: the coupling of an
+    impedance device gives no force, as until the hand has been at rest.
     """
 
     command_mode: int
@@ -76,6 +79,7 @@ class SafetyInputs(NamedTuple):
     arm_requested: bool
     position_m: float
     device_lost: bool = False
+    device_waits: bool = False
 
 
 class SafetyOutputs(NamedTuple):
@@ -93,6 +97,8 @@ def _refusal(params: SafetyParams, inputs: SafetyInputs, latched: bool) -> int:
     """Return the reason to be off whatever the command is, or REASON_NONE."""
     if latched:
         return REASON_ESTOP
+    if inputs.device_waits:
+        return REASON_DEVICE_WAITS
     if inputs.device_lost:
         return REASON_DEVICE_LOST
     # Written so that an age that is not a number counts as stale.

@@ -67,7 +67,7 @@ from services.controller.law import (
 )
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.physics.step import HapticInputs, HapticParams
+from services.haptic_node.physics.step import HapticInputs, HapticParams, found
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import compiled, compiled_form, inlined
@@ -532,7 +532,7 @@ def _run(
     sent_forward, sent_backward = np.zeros(window, np.bool_), np.zeros(window, np.bool_)
     answered = np.zeros(window, np.int64)
     slave_band = initial_deadband_state(NO_SIGNAL)
-    m, s = _master_at(halves, haptic_state), _slave_at(halves)
+    m, s = _master_at(halves, haptic, haptic_state), _slave_at(halves)
     i = _instrument_at(instrument_state, period_ns)
     hand_energy_j, f, b = 0.0, 0, 0
     for n in range(len(rows)):
@@ -569,9 +569,9 @@ def _run(
 
 
 @inlined
-def _master_at(halves: Halves, haptic_state: HapticChainState) -> Master:
+def _master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainState) -> Master:
     """Return the master half before the first sample."""
-    hand = HandSample(haptic_state.plant.motor.position_m, 0.0, 0.0, False)
+    hand = HandSample(found(haptic.plant, haptic_state.plant)[0], 0.0, 0.0, False)
     return Master(
         timing=master_begin(),
         law=master_start(halves.law, hand),

@@ -23,7 +23,7 @@ from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings
-from services.haptic_node.config import HapticConfig
+from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops.link import schedule_of
@@ -217,7 +217,7 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     afm = loaded.section("afm_node", AfmConfig)
     link = loaded.section("delay_node", LinkSettings)
     for section, driver in (("haptic_node", haptic.driver), ("afm_node", afm.driver)):
-        if driver != "simulated":
+        if driver not in ("simulated", SIMULATED_IMPEDANCE):
             raise ConfigError(f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it")
     if afm.model != "quasi_static":
         raise ConfigError(f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static")

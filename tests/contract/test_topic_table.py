@@ -31,6 +31,8 @@ UNITLESS = {
     "hand_seq": "number of a message",
     "answered_seq": "number of a message",
     "command_seq": "number of a message",
+    "buttons": "bit mask",
+    "orientation": "parts of a unit quaternion",
     "v": "version",
     "first_turn": "number of a turn",
     "pid": "name of a process",

@@ -116,7 +116,7 @@ class EmulatedHandle:
     @property
     def position_m(self) -> float:
         """Where the arm really is [m]."""
-        return self._plant.motor.position_m
+        return float(self._plant.motor.position_m)
 
     @property
     def drive_v(self) -> float:

@@ -14,7 +14,8 @@ from pydantic import Field
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
-from services.haptic_node.driver import DeviceReading
+from services.haptic_node.driver import Capabilities, DeviceReading
+from services.haptic_node.physics.coupled import CoupledParams
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.haptic_node.physics.step import PlantParams
 from services.numerics.normal_numbers import normal_number
@@ -119,8 +120,14 @@ def changed_disturbances(config: HandDisturbanceConfig, parameters: Mapping[str,
 class DisturbedHaptic(SimulatedHaptic):
     """The simulated device with its disturbances; while all are off it is the device itself."""
 
-    def __init__(self, params: PlantParams, start_position_m: float, config: HandDisturbanceConfig) -> None:
-        super().__init__(params, start_position_m)
+    def __init__(
+        self,
+        params: PlantParams | CoupledParams,
+        start_position_m: float,
+        config: HandDisturbanceConfig,
+        declared: Capabilities | None = None,
+    ) -> None:
+        super().__init__(params, start_position_m, declared)
         self.state.disturbed = HandDisturbances(config, HandDisturbanceState(start_position_m, 0.0, 0.0, 0))
 
     def configure(self, config: HandDisturbanceConfig) -> None:

@@ -1,12 +1,16 @@
-"""The simulated haptic device: motor and hand behind the driver protocol. No socket, no clock: time is passed in."""
+"""The simulated haptic devices: motor or coupled mass, and hand, behind the driver protocol.
 
-from typing import Any
+They have no socket and no clock: time is passed in.
+"""
+
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 
-from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand
-from services.haptic_node.physics.step import PlantParams, PlantState, initial_plant, plant_step
+from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, Pair
+from services.haptic_node.physics.coupled import CoupledParams
+from services.haptic_node.physics.step import PlantParams, initial_plant, plant_step
 from services.haptic_node.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
 
 SAMPLE_TIME_S = 1e-3
@@ -36,7 +40,7 @@ def capabilities(params: PlantParams) -> Capabilities:
 class HandleState(msgspec.Struct, array_like=True):
     """The state of the device and of the hand on it; the command in force; what disturbs it, None for nothing ever."""
 
-    plant: PlantState
+    plant: Any
     command: DriveCommand = _OFF
     disturbed: Any = None
 
@@ -44,9 +48,12 @@ class HandleState(msgspec.Struct, array_like=True):
 class SimulatedHaptic:
     """A HapticDevice whose motor and hand are the compiled models."""
 
-    def __init__(self, params: PlantParams, start_position_m: float) -> None:
-        self._params = params
-        self._capabilities = capabilities(params)
+    def __init__(
+        self, params: PlantParams | CoupledParams, start_position_m: float, declared: Capabilities | None = None
+    ) -> None:
+        """Put device and hand at a place; a device of impedance type declares what its own configuration says."""
+        self._params: Any = params
+        self._capabilities = capabilities(cast(PlantParams, params)) if declared is None else declared
         self.state = HandleState(initial_plant(params, start_position_m))
         self._opened = False
 
@@ -90,12 +97,17 @@ class SimulatedHaptic:
         if not dt_s > 0.0:
             raise ValueError(f"dt_s of a reading must be a positive time in s, not {dt_s!r}")
         self.state.plant, reading = plant_step(self._params, self.state.plant, self.state.command, session_time_s, dt_s)
-        return reading
+        return cast(DeviceReading, reading)
 
     def push(self, force_n: float) -> None:
         """Hold a force of the hand from now on [N], towards the sample, in the place of the profile."""
         values = np.array([force_n])
         self._params = self._params._replace(operator=self._params.operator._replace(values=values))
+
+    def push_lateral(self, force_n: Pair) -> None:
+        """Hold a force of the hand [N] along x and y of the master frame; a device of one axis feels none."""
+        if isinstance(self._params, CoupledParams):
+            self._params = self._params._replace(lateral=self._params.lateral._replace(force_n=force_n))
 
     def make_safe(self) -> None:
         """Drive voltage zero from now on: the shorted motor brakes and the screw, not back-drivable, stands."""

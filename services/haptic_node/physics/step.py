@@ -7,10 +7,11 @@ studies. Both are the same functions, so a study and a rig cannot differ.
 from typing import Any, NamedTuple
 
 from services.haptic_node import safety
-from services.haptic_node.driver import DeviceReading, DriveCommand
+from services.haptic_node.driver import DeviceReading, DriveCommand, SpatialCommand
 from services.haptic_node.physics import motor, operator
+from services.haptic_node.physics.coupled import CoupledParams, coupled_plant_step, initial_coupled, waits
 from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
-from services.numerics.compiled import compiled
+from services.numerics.compiled import chosen_step, compiled
 
 
 class PlantParams(NamedTuple):
@@ -29,17 +30,17 @@ class PlantState(NamedTuple):
 
 
 class HapticParams(NamedTuple):
-    """Constants of the whole chain."""
+    """Constants of the whole chain; the plant is that of one of the two simulated devices."""
 
     safety: safety.SafetyParams
-    plant: PlantParams
+    plant: Any
 
 
 class HapticStepState(NamedTuple):
     """State of the whole chain."""
 
     safety: safety.SafetyState
-    plant: PlantState
+    plant: Any
 
 
 class HapticInputs(NamedTuple):
@@ -65,18 +66,20 @@ class HapticOutputs(NamedTuple):
     reading: DeviceReading
 
 
-def initial_plant(params: PlantParams, position_m: float) -> PlantState:
+def initial_plant(params: Any, position_m: float) -> Any:
     """Return the device and the hand at rest at position_m [m]."""
+    if isinstance(params, CoupledParams):
+        return initial_coupled(params, position_m)
     return PlantState(motor.MotorState(position_m, 0.0), operator_at_rest(params.operator, position_m))
 
 
-def initial_state(params: PlantParams, position_m: float) -> HapticStepState:
+def initial_state(params: Any, position_m: float) -> HapticStepState:
     """Return the chain at rest at position_m [m], off, not latched."""
     return HapticStepState(safety.SafetyState(False, safety.MODE_OFF, position_m), initial_plant(params, position_m))
 
 
 @compiled
-def plant_step(
+def motor_plant_step(
     params: PlantParams, state: PlantState, command: DriveCommand, session_time_s: float, dt: float
 ) -> tuple[PlantState, DeviceReading]:
     """Advance device and hand by dt [s], > 0, under a guarded command."""
@@ -100,6 +103,22 @@ def plant_step(
 
 
 @compiled
+def _motor_found(params: PlantParams, state: PlantState) -> tuple[float, bool]:
+    return state.motor.position_m, False
+
+
+@compiled
+def _coupled_found(params: CoupledParams, state: Any) -> tuple[float, bool]:
+    return 0.0 - state.position_m[2], waits(state)
+
+
+_CENTRE = SpatialCommand((0.0, 0.0), (0.0, 0.0), False)
+plant_step = chosen_step(lambda kind: coupled_plant_step if kind is CoupledParams else motor_plant_step)
+# where the device is [m], and whether it gives no force for a reason of its own
+found = chosen_step(lambda kind: _coupled_found if kind is CoupledParams else _motor_found)
+
+
+@compiled
 def step(
     params: HapticParams, state: HapticStepState, inputs: HapticInputs, dt: float
 ) -> tuple[HapticStepState, HapticOutputs]:
@@ -110,6 +129,7 @@ def step(
     """
     if not dt > 0.0:
         raise ValueError("dt of the haptic step must be a positive time in s")
+    position_m, device_waits = found(params.plant, state.plant)
     guard_inputs = safety.SafetyInputs(
         command_mode=inputs.command_mode,
         position_reference_m=inputs.position_reference_m,
@@ -117,10 +137,11 @@ def step(
         command_age_s=inputs.command_age_s,
         estop=inputs.estop,
         arm_requested=inputs.arm_requested,
-        position_m=state.plant.motor.position_m,
+        position_m=position_m,
         device_lost=False,
+        device_waits=device_waits,
     )
     guard, applied = safety.step(params.safety, state.safety, guard_inputs, dt)
-    command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n, None)
+    command = DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n, _CENTRE)
     plant, reading = plant_step(params.plant, state.plant, command, inputs.session_time_s, dt)
     return HapticStepState(guard, plant), HapticOutputs(applied, reading)

@@ -40,7 +40,7 @@ def trace(config: HapticConfig, count: int) -> np.ndarray:
     rows = []
     for index in range(count):
         state, out = step.step(params, state, command(index), DT)
-        rows.append([*map(float, out.applied), *map(float, out.reading)])
+        rows.append([*map(float, out.applied), *map(float, out.reading[:9])])
     return np.array(rows)
 
 
@@ -82,7 +82,7 @@ def test_the_driver_behind_the_guard_is_the_compiled_chain(kind):
         device.write(DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n))
         reading = device.read(given.session_time_s, DT)
         position = reading.position_m
-        assert [*map(float, applied), *map(float, reading)] == list(expected[index])
+        assert [*map(float, applied), *map(float, reading[:9])] == list(expected[index])
     device.close()
 
 

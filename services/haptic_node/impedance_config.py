@@ -1,0 +1,254 @@
+"""Configuration of devices of impedance type: their coupling, and the simulated one."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from services.haptic_node.coupling import (
+    STABLE_MARGIN,
+    CouplingSettings,
+    passive_stiffness_n_per_m,
+    stable_stiffness_n_per_m,
+)
+from services.haptic_node.driver import Capabilities
+from services.haptic_node.physics.coupled import CoupledParams, LateralHand
+from services.haptic_node.physics.operator import OperatorParams
+from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from services.runtime.settings.config import Settings
+
+# From no force to the greatest one takes so long at least [s].
+_FULL_FORCE_S = 0.01
+
+
+class Bounds(NamedTuple):
+    """The coupling beside its two bounds [N/m], and what they follow from.
+
+    verdict: `passive` below the passive bound, else `stable` below the stable one over its margin, else `unproven`.
+    """
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    passive_n_per_m: float
+    stable_n_per_m: float
+    margin: float
+    verdict: Literal["passive", "stable", "unproven"]
+
+    def sentence(self) -> str:
+        """Return what a person is told."""
+        return (
+            f"coupling K = {self.stiffness_n_per_m:.4g} N/m, B = {self.damping_n_s_per_m:.4g} N s/m: {self.verdict};"
+            f" passive up to {self.passive_n_per_m:.4g} N/m, stable up to {self.stable_n_per_m:.4g} N/m"
+            f" ({self.stable_n_per_m / self.margin:.4g} N/m with a margin of {self.margin:g})"
+        )
+
+
+class CouplingConfig(Settings):
+    """Section `haptic_node.coupling`: the spring and damper between the law's reference and an impedance device."""
+
+    stiffness_n_per_m: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=1e6,
+        description="K along the paper's axis [N/m]; [0, 1e6]; none: the stable bound over the margin, and no more than"
+        " the device declares",
+    )
+    damping_n_s_per_m: float | None = Field(
+        default=None, ge=0.0, le=1e4, description="B [N s/m]; [0, 1e4]; none: half of what the device declares"
+    )
+    lateral_stiffness_n_per_m: float = Field(
+        default=0.0, ge=0.0, le=1e6, description="K of the lateral axes, towards the lateral reference [N/m]; [0, 1e6]"
+    )
+    lateral_damping_n_s_per_m: float | None = Field(
+        default=None, ge=0.0, le=1e4, description="B of the lateral axes [N s/m]; [0, 1e4]; none: a tenth of B"
+    )
+    margin: float = Field(
+        default=STABLE_MARGIN, ge=1.0, le=100.0, description="Margin of the default K below the stable bound; [1, 100]"
+    )
+    max_force_n: float | None = Field(
+        default=None, ge=1e-3, le=1e3, description="Greatest force on the hand [N]; none: what the device declares"
+    )
+    max_slew_n_per_s: float | None = Field(
+        default=None, ge=1e-3, le=1e6, description="Fastest change of the force [N/s]; none: the greatest in 10 ms"
+    )
+    velocity_filter_hz: float = Field(
+        default=200.0, ge=0.0, le=1e5, description="Low-pass of the velocity in the damper [Hz]; 0 for none"
+    )
+    needs_deadman: bool | None = Field(
+        default=None, description="Whether a button has to be held; none: where the device has one for it"
+    )
+    silence_s: float = Field(
+        default=0.05, ge=1e-3, le=0.05, description="Silence of node or device after which there is no force [s]"
+    )
+    deadman_age_s: float = Field(
+        default=0.1, ge=0.02, le=1.0, description="Oldest word about the button; grips speak at some 50 Hz [s]"
+    )
+    rest_s: float = Field(
+        default=0.2, ge=0.0, le=10.0, description="How long the hand has to be at rest before there is force [s]"
+    )
+    rest_m: float = Field(default=2e-3, ge=1e-6, le=0.1, description="How far a hand at rest may move [m]")
+    jump_m: float = Field(
+        default=5e-3, ge=1e-4, le=0.1, description="Motion in one sample, beyond 2 m/s, that is refused [m]"
+    )
+    frozen_s: float = Field(
+        default=0.1, ge=0.0, le=10.0, description="How long a place may stay the same bits under a changing force [s]"
+    )
+    frozen_force_n: float = Field(
+        default=1.0, ge=1e-3, le=1e3, description="Change of the force that a device must answer with some motion [N]"
+    )
+    runaway_m_per_s: float = Field(
+        default=0.5, ge=0.01, le=10.0, description="Speed against half of the greatest force that is refused [m/s]"
+    )
+
+    def to_settings(self, device: Capabilities) -> CouplingSettings:
+        """Return the constants of the coupling for what a device declares."""
+        b = self.damping_n_s_per_m
+        damping = 0.5 * device.max_damping_n_s_per_m if b is None else b
+        stiffness = self.stiffness_n_per_m
+        if stiffness is None:
+            stable = stable_stiffness_n_per_m(
+                device.damping_n_s_per_m, damping, 1.0 / device.rate_hz, device.drive_delay_s
+            )
+            stiffness = min(stable / self.margin, device.max_stiffness_n_per_m)
+        side = self.lateral_damping_n_s_per_m
+        side = 0.1 * damping if side is None else side
+        most = device.max_force_n if self.max_force_n is None else min(self.max_force_n, device.max_force_n)
+        return CouplingSettings(
+            stiffness_n_per_m=(self.lateral_stiffness_n_per_m, self.lateral_stiffness_n_per_m, stiffness),
+            damping_n_s_per_m=(side, side, damping),
+            max_force_n=most,
+            max_slew_n_per_s=most / _FULL_FORCE_S if self.max_slew_n_per_s is None else self.max_slew_n_per_s,
+            velocity_filter_hz=self.velocity_filter_hz,
+            needs_deadman=bool(device.deadman) if self.needs_deadman is None else self.needs_deadman,
+            silence_s=self.silence_s,
+            deadman_age_s=self.deadman_age_s,
+            rest_s=self.rest_s,
+            rest_m=self.rest_m,
+            jump_m=self.jump_m,
+            frozen_s=self.frozen_s,
+            frozen_force_n=self.frozen_force_n,
+            runaway_m_per_s=self.runaway_m_per_s,
+        )
+
+    def bounds(self, device: Capabilities) -> Bounds:
+        """Return the coupling along the paper's axis beside its two bounds."""
+        found = self.to_settings(device)
+        k, b = found.stiffness_n_per_m[2], found.damping_n_s_per_m[2]
+        timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
+        passive, stable = passive_stiffness_n_per_m(*timing), stable_stiffness_n_per_m(*timing)
+        verdict: Literal["passive", "stable", "unproven"] = "unproven"
+        if k < passive:
+            verdict = "passive"
+        elif k <= stable / self.margin * (1.0 + 1e-9):
+            verdict = "stable"
+        return Bounds(k, b, passive, stable, self.margin, verdict)
+
+
+class DeviceModel(NamedTuple):
+    """What makes of devices are like: chosen for emulators, not measured, but for what their makers declare."""
+
+    mass_kg: float
+    damping_n_s_per_m: float
+    max_force_n: float
+    max_stiffness_n_per_m: float
+    max_damping_n_s_per_m: float
+    reach_m: float
+    rate_hz: float
+
+
+ModelName = Literal["touch", "inverse3", "omega", "heavy"]
+MODELS: dict[ModelName, DeviceModel] = {
+    "touch": DeviceModel(0.045, 0.05, 3.3, 400.0, 4.0, 0.075, 1000.0),
+    "inverse3": DeviceModel(0.20, 0.20, 10.0, 1000.0, 6.0, 0.15, 1000.0),
+    "omega": DeviceModel(0.25, 0.50, 12.0, 5000.0, 30.0, 0.075, 4000.0),
+    "heavy": DeviceModel(0.35, 2.0, 20.0, 5000.0, 30.0, 0.15, 4000.0),
+}
+
+
+class LateralPoint(Settings):
+    """One corner of the way of the hand over the sample."""
+
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
+    x_m: float = Field(default=0.0, ge=-1.0, le=1.0, description="Where the hand means to be, to the right [m]")
+    y_m: float = Field(default=0.0, ge=-1.0, le=1.0, description="Where the hand means to be, forward [m]")
+
+
+class SimulatedImpedanceConfig(Settings):
+    """Section `haptic_node.impedance`: the simulated device of three axes, for driver simulated_impedance."""
+
+    model: ModelName = Field(default="inverse3", description="Constants that hold where none are given here")
+    mass_kg: float | None = Field(default=None, ge=1e-3, le=10.0, description="Moving mass m [kg]; [1e-3, 10]")
+    damping_n_s_per_m: float | None = Field(default=None, ge=0.0, le=1e3, description="Damping b [N s/m]; [0, 1e3]")
+    max_force_n: float | None = Field(default=None, ge=0.1, le=1e3, description="Greatest force [N]; [0.1, 1e3]")
+    rate_hz: float | None = Field(default=None, ge=100.0, le=1e4, description="Rate of its servo [Hz]; [100, 1e4]")
+    delay_s: float | None = Field(
+        default=None, ge=0.0, le=0.05, description="From a sample to its force, D [s]; [0, 0.05]; none: one sample time"
+    )
+    lateral_path: tuple[LateralPoint, ...] = Field(
+        default=(),
+        max_length=10_000,
+        description="Way of the hand over the sample: linear between the corners; none: the hand is free there",
+    )
+    lateral_stiffness_n_per_m: float = Field(
+        default=300.0, ge=0.0, le=1e6, description="Spring of the arm on that way [N/m]; [0, 1e6]"
+    )
+    lateral_damping_n_s_per_m: float = Field(
+        default=5.0, ge=0.0, le=1e5, description="Damper of the arm on that way [N s/m]; [0, 1e5]"
+    )
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "SimulatedImpedanceConfig":
+        for before, after in zip(self.lateral_path, self.lateral_path[1:], strict=False):
+            if not after.time_s > before.time_s:
+                raise ValueError(f"lateral_path: time_s = {after.time_s} s must be later than {before.time_s} s")
+        return self
+
+    @property
+    def _model(self) -> DeviceModel:
+        return MODELS[self.model]
+
+    def capabilities(self) -> Capabilities:
+        """Return what the device declares."""
+        model = self._model
+        rate_hz = model.rate_hz if self.rate_hz is None else self.rate_hz
+        return Capabilities(
+            max_force_n=model.max_force_n if self.max_force_n is None else self.max_force_n,
+            max_stiffness_n_per_m=model.max_stiffness_n_per_m,
+            max_damping_n_s_per_m=model.max_damping_n_s_per_m,
+            workspace_min_m=-model.reach_m,
+            workspace_max_m=model.reach_m,
+            modes=(MODE_OFF, MODE_POSITION),
+            identity=f"simulated {self.model}: mass and damping are chosen, not measured",
+            force_source="estimate",
+            kind="impedance",
+            axes=3,
+            lateral_m=((-model.reach_m, model.reach_m), (-model.reach_m, model.reach_m)),
+            rate_hz=rate_hz,
+            damping_n_s_per_m=model.damping_n_s_per_m if self.damping_n_s_per_m is None else self.damping_n_s_per_m,
+            mass_kg=model.mass_kg if self.mass_kg is None else self.mass_kg,
+            drive_delay_s=1.0 / rate_hz if self.delay_s is None else self.delay_s,
+        )
+
+    def to_params(self, coupling: CouplingConfig, operator: OperatorParams) -> CoupledParams:
+        """Return the constants of device, coupling and hand."""
+        found = self.capabilities()
+        held = 1.0 if self.lateral_path else 0.0
+        path = self.lateral_path or (LateralPoint(time_s=0.0),)
+        side = LateralHand(
+            times_s=np.array([point.time_s for point in path]),
+            x_m=np.array([point.x_m for point in path]),
+            y_m=np.array([point.y_m for point in path]),
+            stiffness_n_per_m=held * self.lateral_stiffness_n_per_m,
+            damping_n_s_per_m=held * self.lateral_damping_n_s_per_m,
+            force_n=(0.0, 0.0),
+        )
+        return CoupledParams(
+            settings=coupling.to_settings(found),
+            mass_kg=found.mass_kg,
+            damping_n_s_per_m=found.damping_n_s_per_m,
+            servo_period_s=1.0 / found.rate_hz,
+            delay_s=found.drive_delay_s,
+            reach_m=found.workspace_max_m,
+            lateral=side,
+            operator=operator,
+        )

@@ -1,0 +1,129 @@
+"""A device that takes a force behind the real nodes, in virtual time: ratio, places, energy, and what takes the force.
+
+An arm presses with 2 N, as in the second hold of Fig. 12, and is held there; the session of Fig. 12 as a whole is in
+`tests/unit/studies/test_impedance_lockstep.py`.
+"""
+
+import itertools
+from typing import Any
+
+import pytest
+from virtual_rig import ARMED_S, STARTED_S, VirtualRig, constant_timing
+
+from proto.messages import HapticState, SessionEvent
+from services.haptic_node.config import HapticConfig
+
+HAND = "haptic_node@master"
+# alpha_f F_s (1 + 1/K_f) = F_m, as on the paper's master
+HOLD_RATIO = 1.05
+# where an ordinary arm of 300 N/m means to be, so that it presses with 2 N
+ARM_N_PER_M, MEANT_M = 300.0, 0.0182
+SCENARIO = {
+    "name": "coupled",
+    "description": "a hand presses the tip onto mica through a virtual coupling",
+    "duration_s": 60.0,
+    "haptic_node": {
+        "driver": "simulated_impedance",
+        "coupling": {"rest_s": 0.05},
+        "impedance": {"lateral_path": [{"time_s": 0.1, "x_m": 0.0}, {"time_s": 0.4, "x_m": 0.004, "y_m": -0.002}]},
+        "operator": {
+            "kind": "impedance",
+            "path": [{"time_s": 0.05, "position_m": 0.0}, {"time_s": 0.35, "position_m": MEANT_M}],
+        },
+    },
+    "afm_node": {"rest_distance_m": 10.0e-9},
+}
+CONFIG = HapticConfig.model_validate_json(
+    '{"driver": "simulated_impedance", "coupling": {"rest_s": 0.05}, "operator": {"kind": "force_profile"}}'
+)
+DECLARED = CONFIG.impedance.capabilities()
+K_N_PER_M = CONFIG.coupling.to_settings(DECLARED).stiffness_n_per_m[2]
+
+
+class Session:
+    """A rig whose hand presses, and what its haptic node says."""
+
+    def __init__(self, scenario: dict[str, Any]) -> None:
+        self.rig = VirtualRig(None, 1, (), constant_timing(10_000), scenario)
+        self.rig.run_until(ARMED_S)
+        self.rig.command("arm", "*")
+        self.rig.run_until(STARTED_S)
+        self.rig.command("start", "*", self.states()[-1])
+
+    def states(self) -> list[HapticState]:
+        return self.rig.received("haptic/state", HAND)
+
+    def events(self) -> list[SessionEvent]:
+        return [event for event in self.rig.received("session/event", HAND) if event.kind in ("mode", "fault")]
+
+    def at(self, time_s: float) -> HapticState:
+        self.rig.run_until(STARTED_S + time_s)
+        return self.states()[-1]
+
+
+def test_hold_and_place_are_those_of_theory_and_what_takes_the_force_is_said_in_one_event(
+    request: pytest.FixtureRequest,
+) -> None:
+    session = Session(SCENARIO)
+    request.addfinalizer(session.rig.close)
+    first = session.rig.received("session/event", HAND)[0]
+    assert "simulated inverse3" in first.text and "stable up to" in first.text
+    hold = session.at(1.2)
+    tip = session.rig.received("afm/state", "afm_node@slave")[-1]
+    force_n, place_m, reference_m = -hold.operator_force_n[2], -hold.position_m[2], -hold.reference_m[2]
+    assert hold.mode == "position"
+    # The estimate is the hand's force, and the hand stands F / K beyond the reference of the law.
+    assert force_n == pytest.approx(ARM_N_PER_M * (MEANT_M - place_m), rel=1e-3, abs=0.0)
+    assert force_n == pytest.approx(2.0, rel=0.05, abs=0.0)
+    assert force_n / (1e8 * tip.tip_force_n[2]) == pytest.approx(HOLD_RATIO, rel=0.005, abs=0.0)
+    assert place_m == pytest.approx(reference_m + force_n / K_N_PER_M, rel=0.001, abs=0.0)
+    # The tip is where the law's reference puts it, as on the paper's master.
+    assert -tip.base_position_m[2] == pytest.approx(1.5e-6 * reference_m, rel=1e-3, abs=0.0)
+    # the hand goes its way over the sample, and is felt there no harder than the damper is
+    assert hold.position_m[:2] == pytest.approx((0.004, -0.002), rel=1e-3)
+    assert hold.orientation is None and hold.buttons is None
+    # The spring of the coupling holds its energy, the damper has the rest; none was made.
+    energies = [state.coupling_energy_j for state in session.states()]
+    assert energies[-1] > 0.5 * force_n**2 / K_N_PER_M * 0.99
+    assert min(energy for energy in energies if energy is not None) > -1e-9
+    _change_of_law(session)
+    _jump(session)
+
+
+def _change_of_law(session: Session) -> None:
+    """The force is zero for a tenth of a second, and comes back without a jump where the hand is."""
+    session.rig.command("set", "controller", session.states()[-1], law="position_force")
+    session.at(1.21)
+    before = len(session.states())
+    assert session.at(1.29).mode == "off"
+    assert all(state.motor_force_n == (0.0, 0.0, 0.0) for state in session.states()[before:])
+    assert [event.text for event in session.events()].count(
+        "the law changes: no force meanwhile, and control begins anew where the hand is"
+    ) == 1
+    assert session.at(2.2).mode == "position"
+    forces = [state.motor_force_n[2] for state in session.states()[before:]]
+    slew = CONFIG.coupling.to_settings(DECLARED).max_slew_n_per_s
+    assert max(abs(b - a) for a, b in itertools.pairwise(forces)) <= slew * 1e-3 * (1.0 + 1e-9)
+    # The arm has come to where it meant to be, and the tip stayed: what presses now is what it moves from there.
+    assert forces[-1] > 0.1
+
+
+def _jump(session: Session) -> None:
+    """A lost encoder: hand without force and off at once, tip left where it is, until a person arms."""
+    device: Any = session.rig.loops[HAND].node.device
+    plant = device.state.plant
+    x, y, z = plant.position_m
+    device.state.plant = plant._replace(position_m=(x + 0.01, y, z))
+    counted = len(session.events())
+    found = session.at(2.23)
+    base_m = session.rig.received("afm/state", "afm_node@slave")[-1].base_position_m[2]
+    assert found.mode == "off" and found.motor_force_n == (0.0, 0.0, 0.0)
+    assert [event.text for event in session.events()[counted:]] == [
+        "the device is refused until armed: its position jumped, as that of a lost encoder does"
+    ]
+    assert session.at(2.4).mode == "off"
+    assert session.rig.received("afm/state", "afm_node@slave")[-1].base_position_m[2] == pytest.approx(
+        base_m, abs=1e-12
+    )
+    session.rig.command("arm", "haptic_node", session.states()[-1])
+    assert session.at(3.0).mode == "position"
