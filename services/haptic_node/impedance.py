@@ -91,6 +91,9 @@ class ImpedanceDevice:
         elif age_s > self._coupling.silence_s:
             status, text = "lost", _SILENT
         self._report = DeviceReport(status, age_s, False, text)
+        if status == "lost":
+            # The force of the last sample is none that acts now.
+            return reading_of_sample(self._sample._replace(velocity_m_per_s=ZERO, force_n=ZERO))
         return reading_of_sample(self._sample)
 
     def make_safe(self) -> None:

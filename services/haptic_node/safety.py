@@ -97,10 +97,10 @@ def _refusal(params: SafetyParams, inputs: SafetyInputs, latched: bool) -> int:
     """Return the reason to be off whatever the command is, or REASON_NONE."""
     if latched:
         return REASON_ESTOP
-    if inputs.device_waits:
-        return REASON_DEVICE_WAITS
     if inputs.device_lost:
         return REASON_DEVICE_LOST
+    if inputs.device_waits:
+        return REASON_DEVICE_WAITS
     # Written so that an age that is not a number counts as stale.
     if not inputs.command_age_s <= params.command_deadline_s:
         return REASON_COMMAND_STALE

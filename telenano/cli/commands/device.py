@@ -19,6 +19,7 @@ import yaml
 from proto.errors import ConfigError, TelenanoError
 from proto.extras import how_to_install
 from recording.whole_files import whole_file
+from telenano.cli.commands.device_accept import accept
 from telenano.cli.commands.device_calibrate import calibrate_stage
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -27,6 +28,7 @@ app = command_group()
 simulate = command_group()
 calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
+app.command("accept")(accept)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 app.add_typer(simulate, name="simulate", help="Run an emulated device in this terminal.")
 

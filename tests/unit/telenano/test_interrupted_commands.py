@@ -75,6 +75,7 @@ ELSEWHERE = {
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
     "particles": "reads an image, and writes one file at the end by `whole_file`",
+    "device accept": "reads a device for a minute, and then writes its files at once by `results_in`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
