@@ -91,7 +91,10 @@ class CouplingConfig(Settings):
         default=5e-3, ge=1e-4, le=0.1, description="Motion in one sample, beyond 2 m/s, that is refused [m]"
     )
     frozen_s: float = Field(
-        default=0.1, ge=0.0, le=10.0, description="How long a place may stay the same bits under a changing force [s]"
+        default=0.1,
+        ge=0.0,
+        le=10.0,
+        description="How long a place may stay the same bits under a changing force [s]; 0: for ever",
     )
     frozen_force_n: float = Field(
         default=1.0, ge=1e-3, le=1e3, description="Change of the force that a device must answer with some motion [N]"

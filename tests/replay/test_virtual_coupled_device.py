@@ -25,10 +25,10 @@ SCENARIO = {
     "haptic_node": {
         "driver": "simulated_impedance",
         "coupling": {"rest_s": 0.05},
-        "impedance": {"lateral_path": [{"time_s": 0.1, "x_m": 0.0}, {"time_s": 0.4, "x_m": 0.004, "y_m": -0.002}]},
+        "impedance": {"lateral_path": [{"time_s": 0.1, "x_m": 0.0}, {"time_s": 0.3, "x_m": 0.004, "y_m": -0.002}]},
         "operator": {
             "kind": "impedance",
-            "path": [{"time_s": 0.05, "position_m": 0.0}, {"time_s": 0.35, "position_m": MEANT_M}],
+            "path": [{"time_s": 0.05, "position_m": 0.0}, {"time_s": 0.3, "position_m": MEANT_M}],
         },
     },
     "afm_node": {"rest_distance_m": 10.0e-9},
@@ -68,7 +68,7 @@ def test_hold_and_place_are_those_of_theory_and_what_takes_the_force_is_said_in_
     request.addfinalizer(session.rig.close)
     first = session.rig.received("session/event", HAND)[0]
     assert "simulated inverse3" in first.text and "stable up to" in first.text
-    hold = session.at(1.2)
+    hold = session.at(0.85)
     tip = session.rig.received("afm/state", "afm_node@slave")[-1]
     force_n, place_m, reference_m = -hold.operator_force_n[2], -hold.position_m[2], -hold.reference_m[2]
     assert hold.mode == "position"
@@ -93,14 +93,14 @@ def test_hold_and_place_are_those_of_theory_and_what_takes_the_force_is_said_in_
 def _change_of_law(session: Session) -> None:
     """The force is zero for a tenth of a second, and comes back without a jump where the hand is."""
     session.rig.command("set", "controller", session.states()[-1], law="position_force")
-    session.at(1.21)
+    session.at(0.86)
     before = len(session.states())
-    assert session.at(1.29).mode == "off"
+    assert session.at(0.94).mode == "off"
     assert all(state.motor_force_n == (0.0, 0.0, 0.0) for state in session.states()[before:])
     assert [event.text for event in session.events()].count(
         "the law changes: no force meanwhile, and control begins anew where the hand is"
     ) == 1
-    assert session.at(2.2).mode == "position"
+    assert session.at(1.3).mode == "position"
     forces = [state.motor_force_n[2] for state in session.states()[before:]]
     slew = CONFIG.coupling.to_settings(DECLARED).max_slew_n_per_s
     assert max(abs(b - a) for a, b in itertools.pairwise(forces)) <= slew * 1e-3 * (1.0 + 1e-9)
@@ -115,15 +115,15 @@ def _jump(session: Session) -> None:
     x, y, z = plant.position_m
     device.state.plant = plant._replace(position_m=(x + 0.01, y, z))
     counted = len(session.events())
-    found = session.at(2.23)
+    found = session.at(1.33)
     base_m = session.rig.received("afm/state", "afm_node@slave")[-1].base_position_m[2]
     assert found.mode == "off" and found.motor_force_n == (0.0, 0.0, 0.0)
     assert [event.text for event in session.events()[counted:]] == [
         "the device is refused until armed: its position jumped, as that of a lost encoder does"
     ]
-    assert session.at(2.4).mode == "off"
+    assert session.at(1.4).mode == "off"
     assert session.rig.received("afm/state", "afm_node@slave")[-1].base_position_m[2] == pytest.approx(
         base_m, abs=1e-12
     )
     session.rig.command("arm", "haptic_node", session.states()[-1])
-    assert session.at(3.0).mode == "position"
+    assert session.at(1.6).mode == "position"

@@ -34,8 +34,9 @@ class DeviceFaults(NamedTuple):
     force that the drive gives, negative for a wrong sign. noise_m, drift_m_per_s, step_m: of the place. hold_s: how
     long each reading is repeated. late_s: how old readings are. slow: periods of the servo in one. every, stumble: one
     step in so many takes so many periods. nan_at_s, jump_at_s, frozen_at_s: when; gap_s: silence. reported_force: by
-    which the reported force is multiplied. quaternion: what a wrist says. stuck_buttons: bits that are always set.
-    unplug_is_told: whether a cable that is out ends the samples.
+    which the reported force is multiplied. quaternion: what a wrist says. stuck_buttons, dead_buttons: bits that are
+    always and never set. unplug_is_told: whether a cable that is out ends the samples. extra_delay_s: of the drive,
+    beyond what is declared. deadman_is_ignored: by the servo.
     """
 
     axes: tuple[int, int, int] = (0, 1, 2)

@@ -99,8 +99,11 @@ def _new_take(driver: str, settings: list[str], said: tuple[float, str], faults:
 
 
 def _page(take: "Take", verdicts: "list[Verdict]", result: str) -> Any:
+    from services.haptic_node.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
     from studies.pages.page import Page
 
+    device, k, b = take.device, take.settings.stiffness_n_per_m[2], take.settings.damping_n_s_per_m[2]
+    timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
     page = Page(f"Acceptance of {take.device.identity}: {result}")
     page.paragraph(
         f"{len(take.rows)} rows in {sum(step.seconds for step in take.steps):.0f} s, judged from this one take. "
@@ -110,6 +113,11 @@ def _page(take: "Take", verdicts: "list[Verdict]", result: str) -> Any:
     page.heading("What was declared")
     page.table(("what", "value"), [(name, str(value)) for name, value in take.device._asdict().items()])
     page.heading("The coupling")
+    page.paragraph(
+        f"K = {k:.4g} N/m, B = {b:.4g} N s/m; passive up to {passive_stiffness_n_per_m(*timing):.4g} N/m, stable up to "
+        f"{stable_stiffness_n_per_m(*timing):.4g} N/m. What the check of the rendering stiffness found is a K for "
+        "haptic_node.coupling.stiffness_n_per_m, with a margin of your own."
+    )
     page.table(("what", "value"), [(name, str(value)) for name, value in take.settings._asdict().items()])
     page.heading("The motion")
     page.table(("step", "seconds", "what was asked for"), take.steps)

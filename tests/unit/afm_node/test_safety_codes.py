@@ -10,7 +10,7 @@ def test_codes_of_the_guards_keep_their_numbers_which_journals_of_recordings_hol
     assert list(tip.REASON_NAMES) == list(range(12))
     assert list(tip.ARM_REFUSAL_NAMES) == list(range(7))
     assert list(hand.MODE_NAMES) == list(range(3))
-    assert list(hand.REASONS) == list(range(10))
+    assert list(hand.REASONS) == list(range(11))
 
 
 def test_limits_by_range_and_by_speed_are_bits_of_their_own() -> None:

@@ -71,3 +71,16 @@ def test_a_force_is_held_at_its_limit_either_way_and_given_as_it_came_within() -
     ):
         _, out = guarded(SafetyState(False, MODE_FORCE, 0.0), device, command_mode=MODE_FORCE, force_reference_n=wanted)
         assert (out.force_reference_n, out.reason) == (given, reason)
+
+
+def test_device_that_waits_is_off_where_the_arm_is_and_begins_there() -> None:
+    state, out = guarded(SafetyState(False, MODE_POSITION, 0.5), position_reference_m=0.5, device_waits=True)
+    assert (out.mode, out.reason, state.mode) == (MODE_OFF, safety.REASON_DEVICE_WAITS, MODE_OFF)
+    lost = guarded(SafetyState(False, MODE_OFF, 0.0), device_lost=True, device_waits=True)[1]
+    stopped = guarded(SafetyState(False, MODE_OFF, 0.0), estop=True, device_waits=True, command_age_s=math.inf)[1]
+    stale = guarded(SafetyState(False, MODE_OFF, 0.0), device_waits=True, command_age_s=math.inf)[1]
+    assert [found.reason for found in (lost, stopped, stale)] == [
+        safety.REASON_DEVICE_LOST,
+        safety.REASON_ESTOP,
+        safety.REASON_DEVICE_WAITS,
+    ]

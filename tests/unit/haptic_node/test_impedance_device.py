@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from services.haptic_node.__main__ import build
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings
 from services.haptic_node.devices.simulated_link import DeviceFaults, HandMotion, SimulatedLink
@@ -14,6 +15,7 @@ from services.haptic_node.impedance_config import MODELS, CouplingConfig, Simula
 from services.haptic_node.node import HapticNode
 from services.haptic_node.safety import MODE_FORCE, MODE_POSITION
 from services.haptic_node.servo import ServoCommand, ServoSample, Slot
+from services.runtime.loop.node_state import pack, restore
 
 MS = 1e-3
 MASTER = "controller@master"
@@ -183,3 +185,28 @@ def test_default_of_every_model_is_stable_with_its_margin_and_within_what_it_dec
     assert CouplingConfig(stiffness_n_per_m=0.9 * bounds.stable_n_per_m).bounds(device).verdict == "unproven"
     passive = CouplingConfig(stiffness_n_per_m=1.0, damping_n_s_per_m=0.0)
     assert passive.bounds(device).verdict == "passive"
+
+
+def test_state_of_the_simulated_device_goes_on_from_what_was_kept(bench_of: Any) -> None:
+    document = {"driver": "simulated_impedance", "operator": {"kind": "force_profile"}, "coupling": {"rest_s": 0.05}}
+    config = HapticConfig.model_validate(document)
+
+    def turn(bench: Any, node: HapticNode, index: int) -> Any:
+        command = {"mode": "position", "position_m": (0.0, 1e-3, -1e-5 * index), "velocity_m_per_s": (0.0,) * 3}
+        hand = {"hand_seq": 1, "hand_t_ns": bench.clock.now_ns(), "force_n": (0.2, 0.0, 0.0)}
+        node.on_message(bench.received("haptic/command", MASTER, **command, **hand))
+        bench.advance_ms(1)
+        node.on_deadline(bench.clock.monotonic_ns())
+        return bench.take("haptic/state")[-1].model_dump(exclude={"seq"})
+
+    first, other = bench_of("haptic_node@master"), bench_of("haptic_node@master")
+    one = build(first.context, config)
+    for index in range(300):
+        state = turn(first, one, index)
+        other.advance_ms(1)
+    assert state["mode"] == "position" and state["motor_force_n"][0] != 0.0
+    two = build(other.context, config)
+    restore(two, pack(one), lambda *_: b"")
+    assert [turn(first, one, index) for index in range(300, 400)] == [
+        turn(other, two, index) for index in range(300, 400)
+    ]
