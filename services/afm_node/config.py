@@ -202,9 +202,17 @@ class ModbusConfig(Settings):
     port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
 
 
+class AfmControllerConfig(Settings):
+    """The controller of an AFM, or the guard in front of it."""
+
+    calibration: str = Field(min_length=1, description="Calibration file of this very controller")
+    host: str | None = Field(None, min_length=1, max_length=255, description="In place of the calibration's host")
+    port: int | None = Field(None, ge=1, le=65535, description="In place of the calibration's port")
+
+
 _DRIVER: Any = Field(
     "simulated",
-    description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the"
+    description="simulated: everything below; modbus, gwyscope: a real one, of which safety below is the guard; or the"
     " driver of another package.",
 )
 _ENVIRONMENT: Any = Field(
@@ -218,6 +226,12 @@ class _OwnSections(Settings):
 
     driver: str = _DRIVER
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
+    gwyscope: AfmControllerConfig | None = Field(None, description="The controller, for driver gwyscope.")
+    attended: bool = Field(
+        False,
+        description="Whether a person stands by who retracts the tip of an AFM controller, in the place of a guard"
+        " (`telenano device guard`).",
+    )
     environment: str = _ENVIRONMENT
     spring: SpringConfig = Field(SpringConfig(), description="The spring, for environment spring.")
     cantilever: CantileverConfig = Field(CantileverConfig(), description="Spring and read-out of the cantilever.")
@@ -302,8 +316,8 @@ class _OwnSections(Settings):
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
-        if self.driver == "modbus" and self.modbus is None:
-            raise ValueError("driver: modbus needs a section modbus with calibration")
+        if self.driver in _REAL_DRIVERS and getattr(self, self.driver) is None:
+            raise ValueError(f"driver: {self.driver} needs a section {self.driver} with calibration")
         if self.model == "dynamic":
             self._check_dynamic()
         if self.sample is not None and self.sample.particles is not None:
@@ -450,7 +464,9 @@ class _OwnSections(Settings):
         return AfmParams(SafetyParams(**s.model_dump()), plant)
 
 
-_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
+CONTROLLERS = ("gwyscope",)
+_REAL_DRIVERS = ("modbus", *CONTROLLERS)
+_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", *_REAL_DRIVERS), ("tip_sample", "spring")
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields, *dir(_OwnSections)})
 SAMPLES = load("samples", checked_sample, TAKEN)

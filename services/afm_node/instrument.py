@@ -5,7 +5,14 @@ from typing import Any
 
 from proto.errors import ConfigError
 from proto.extras import how_to_install
-from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig, ModbusConfig
+from services.afm_node.config import (
+    CONTROLLERS,
+    DRIVERS,
+    SAMPLES,
+    AfmConfig,
+    AfmControllerConfig,
+    ModbusConfig,
+)
 from services.afm_node.driver import AfmDriver
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.programs.feedback import remaining
@@ -14,12 +21,16 @@ from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import ProgramRunner
 from services.afm_node.safety import SafetyParams
 from services.runtime.loop.node import LOOP_PERIOD_S
+from services.runtime.settings.config import read_yaml
 
 
 def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
     if config.driver == "modbus" and config.modbus is not None:
         return modbus_driver(config.modbus, config.to_params().safety, period_s)
+    if config.driver in CONTROLLERS:
+        limits, section = config.to_params().safety, getattr(config, config.driver)
+        return controller_driver(config.driver, section, limits, period_s, attended=config.attended)
     if config.driver in DRIVERS.found:
         driver = DRIVERS.found[config.driver]
         device: AfmDriver = driver.build(getattr(config, driver.name) or driver.config(), config.to_params().safety)
@@ -80,6 +91,40 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
     return ModbusAfm(calibration, read_map(calibration.instrument.map), limits, period_s=period_s)
 
 
+def controller_driver(
+    name: str,
+    section: AfmControllerConfig,
+    limits: SafetyParams,
+    period_s: float = LOOP_PERIOD_S,
+    *,
+    attended: bool = False,
+) -> AfmDriver:
+    """Return the driver of an AFM controller; ConfigError names what is wrong with its file."""
+    from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
+    from services.afm_node.devices.piezo_calibration import read_controller
+
+    calibration = read_controller(Path(section.calibration), name).reached_at(section.host, section.port)
+    return GwyscopeAfm(calibration, limits, period_s=period_s, attended=attended)
+
+
+def calibration_of_file(calibration: Path) -> Any:
+    """Return the calibration of a real instrument, whichever kind it is; ConfigError names what is wrong."""
+    from services.afm_node.devices.converter_calibration import read_calibration
+    from services.afm_node.devices.piezo_calibration import read_controller
+
+    kind = read_yaml(calibration).get("controller")
+    return read_calibration(calibration) if kind is None else read_controller(calibration, str(kind))
+
+
+def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
+    """Return the driver of a real instrument by its calibration file alone, whichever kind it is."""
+    limits, found = config.to_params().safety, calibration_of_file(calibration)
+    if kind := getattr(found, "controller", ""):
+        section = AfmControllerConfig(calibration=str(calibration))
+        return controller_driver(kind, section, limits, attended=config.attended)
+    return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
+
+
 def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
     """Return what the base reaches, None for an instrument whose surface is not known in advance."""
     if driver.relief is None:
@@ -89,7 +134,11 @@ def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
 
 
 def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_s: float) -> ProgramRunner:
-    """Return what runs the programs of an instrument that steps each period_s [s]."""
+    """Return what runs the programs of an instrument that steps each period_s [s].
+
+    An instrument that answers late regulates as one that steps less often: an integral of gain Ki behind a latency D is
+    stable for Ki D below pi / 2, and 2 / (T + 2 D), the limit of a period T + 2 D, is below that for any T.
+    """
     params = config.to_params()
     lateral = None if driver.stage is None else config.to_lateral_params()
     known = None if reach is None else reach.surface
@@ -100,7 +149,7 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
         lateral=lateral,
         size_m=sides,
         stiffness_n_per_m=c.stiffness_n_per_m,
-        period_s=period_s,
+        period_s=period_s + 2.0 * driver.latency_s,
         can_vibrate=driver.vibration is not None,
         lag=remaining(period_s, c.resonance_hz, c.quality),
         reach=reach,

@@ -10,6 +10,7 @@ from proto.instrument import MOST_TEXT
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
+from services.afm_node.devices.capabilities import refusal
 from services.afm_node.driver import AfmDriver, DeviceReport
 from services.afm_node.instrument import reach_of, runner_of
 from services.afm_node.physics.part import AfmSample, Oscillation
@@ -100,14 +101,13 @@ class AfmNode(Node):
         self._longest_step_s = max(_LONGEST_STEP_S, 2.0 * self.period_s)
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
-        self._driver = driver
+        self._driver, self._driver_name = driver, config.driver
         self._simulated = config.simulated
         self._limits = config.to_params().safety
         self._memory = AfmMemory(safety.initial_safety_state(self._limits))
         self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._lateral = config.to_lateral_params()
         self._reach = reach_of(config, driver)
-        self._programs = runner_of(config, driver, self._reach, self.period_s)
         self._sample = "" if self._reach is None else _sample_text(config, self._reach)
         self._begin = config.begin
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
@@ -115,6 +115,8 @@ class AfmNode(Node):
         self._device_lost = False
         self._device_text = ""
         driver.open()
+        # The latency of a real instrument is known once it is open, and its programs depend on it.
+        self._programs = runner_of(config, driver, self._reach, self.period_s)
         if driver.report is not None:
             self.device_delay = DeviceDelay(driver.latency_s, driver.calibration_identity)
         # compile before the first command comes; dt and inputs change nothing in the retracted state
@@ -232,6 +234,8 @@ class AfmNode(Node):
         return "; ".join(sentences)
 
     def _request(self, request: InstrumentRequest) -> str:
+        if text := refusal(self._driver_name, "", request.program or ""):
+            raise RefusedError(f"program: {text}")
         return self._programs.request(
             request, self._memory.guard.mode, self._memory.place, device_lost=self._device_lost
         )

@@ -23,6 +23,7 @@ from proto.nodes import (
     site_of,
 )
 from services.afm_node.config import AfmConfig
+from services.afm_node.devices.capabilities import refusal
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from services.recorder.config import RecorderConfig
 
 RECORDING_NAME = "session.mcap"
+ATTENDED = ("afm_node.attended=true",)
 ALLOW_REPLAY = ("afm_node.allow_replay=true", "haptic_node.allow_replay=true")
 
 
@@ -86,7 +88,9 @@ class UpRequest(Settings):
     allow_replay: Annotated[bool, Option(("--allow-replay",))] = Field(
         default=False, description="Let the devices obey commands that come from a recording"
     )
-
+    attended: Annotated[bool, Option(("--attended",))] = Field(
+        default=False, description="A person stands by who retracts the tip of an AFM controller without a guard"
+    )
     page: bool = Field(default=False, description="Serve the operator's page")
 
     @property
@@ -105,6 +109,7 @@ class UpRequest(Settings):
             "--delay-ms": self.one_way_ms is not None,
             "--without": bool(self.without),
             "--allow-replay": self.allow_replay,
+            "--attended": self.attended,
         }
         if self.attach:
             _reject(changes, "--attach starts no node, it has to be given where the nodes are started")
@@ -297,6 +302,7 @@ def excluded_nodes(names: Sequence[str], known: Sequence[str] = START_ORDER) -> 
 def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScenario:
     """Merge environment, --set and the other flags into a scenario; ConfigError names file and key."""
     settings = [*request.settings, *(ALLOW_REPLAY if request.allow_replay else ())]
+    settings += ATTENDED if request.attended else ()
     document, origin = layered(path, settings)
     document = anchored(document, path.absolute().parent)
     flags: dict[str, Any] = {}
@@ -342,6 +348,13 @@ def _anchored_value(key: str, value: Any, folder: Path) -> Any:
 
 
 def check_sections(loaded: LoadedScenario) -> None:
-    """Check every node's section with the node's own model; ConfigError names file and key."""
+    """Check every node's section with the node's own model; ConfigError names file and key.
+
+    A law or a program that the driver of the instrument cannot be used with is refused as well.
+    """
     for name in SERVICES:
         loaded.section(name, node_kind(name).config)
+    afm, law = loaded.section("afm_node", AfmConfig), loaded.section("controller", ControllerConfig).law
+    program = "" if afm.begin is None else afm.begin.program or ""
+    if text := refusal(afm.driver, law, program):
+        raise ConfigError(f"{loaded.origin}: {text}")

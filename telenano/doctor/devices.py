@@ -35,9 +35,9 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
 
     It is connected to and asked nothing: a rig may be driving it.
     """
-    from services.afm_node.devices.converter_calibration import read_calibration
+    from services.afm_node.instrument import calibration_of_file
 
-    network = read_calibration(calibration).network
+    network = calibration_of_file(calibration).network
     where = f"{network.host}:{network.port}"
     try:
         with socket.create_connection((network.host, network.port), timeout=patience_s):
@@ -49,7 +49,10 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
         advice = f"check power and cable, that {network.host} is in the network of this machine, and the firewall"
     except ConnectionRefusedError:
         found = "there is a machine, and it refuses the port"
-        advice = f"a T7 listens on 502: correct network.port in {calibration}, or switch its Ethernet on"
+        advice = (
+            f"a T7 listens on 502, a Gwyscope on 51000, a guard on the port that it names: correct network.port in"
+            f" {calibration}, or start it"
+        )
     except OSError as error:
         found, advice = f"not reached: {error.strerror or error}", "check cable, address and network mask"
     return Finding("instrument", "problem", f"{where}: {found}", advice)

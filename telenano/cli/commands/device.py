@@ -16,11 +16,12 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from proto.errors import ConfigError, TelenanoError
+from proto.errors import ConfigError
 from proto.extras import how_to_install
-from recording.whole_files import whole_file
 from telenano.cli.commands.device_accept import accept
 from telenano.cli.commands.device_calibrate import calibrate_stage
+from telenano.cli.commands.device_controllers import guard, simulate_gwyscope
+from telenano.cli.commands.device_files import run_ahead, write_document
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 
@@ -30,7 +31,9 @@ calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
 app.command("accept")(accept)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
+simulate.command("gwyscope")(simulate_gwyscope)
 app.add_typer(simulate, name="simulate", help="Run an emulated device in this terminal.")
+app.add_typer(guard, name="guard", help="Retract the tip of an AFM controller when the rig is silent.")
 
 _BY_ID = Path("/dev/serial/by-id")
 _PERIOD_S = 1e-3
@@ -139,10 +142,11 @@ def _probe_handle(port: str, baud: int) -> dict[str, Any]:
 
 
 def _instrument(calibration: Path) -> Any:
-    from services.afm_node.config import AfmConfig, ModbusConfig
-    from services.afm_node.instrument import modbus_driver
+    from services.afm_node.config import AfmConfig
+    from services.afm_node.instrument import driver_of_file
 
-    return modbus_driver(ModbusConfig(calibration=str(calibration)), AfmConfig().to_params().safety)
+    # A person looks at it, and it stays retracted.
+    return driver_of_file(calibration, AfmConfig(attended=True))
 
 
 def _probe_instrument(calibration: Path) -> dict[str, Any]:
@@ -214,8 +218,7 @@ def _opened_instrument(calibration: Path) -> tuple[Any, Any]:
             "base_m": sample.base_m,
             "input_v": sample.bridge_voltage_v,
             "exchanges": driver.exchanges,
-            "late_answers": driver.late_answers,
-            "refused_answers": driver.refused_answers,
+            **{name: getattr(driver, name) for name in ("late_answers", "refused_answers") if hasattr(driver, name)},
         }
 
     return driver, tick
@@ -324,7 +327,7 @@ def _check_and_write(path: Path, document: dict[str, object]) -> None:
     from services.runtime.settings.config import parse_yaml, validate
 
     validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), str(path)), str(path))
-    _write(path, document)
+    write_document(path, document)
 
 
 @simulate.command("handle")
@@ -358,7 +361,7 @@ def simulate_handle(
         else:
             handle, fitting = emulated_handle.EmulatedHandle(config, _boot()), emulated_handle.calibration_of(config)
         if calibration is not None:
-            _write(calibration, fitting)
+            write_document(calibration, fitting)
         port = HandleOnPty(handle, link)
         received: list[int] = []
         for number in (signal.SIGUSR1, signal.SIGUSR2):
@@ -366,7 +369,7 @@ def simulate_handle(
         typer.echo(f"an emulated handle is at {link}; Enter pulls its cable out and puts it in again, Ctrl-C ends it")
         if isinstance(handle, emulated_handle.EmulatedHandle):
             typer.echo("`gauge 0.005` puts its arm at 5 mm, `mass 0.2` lets 0.2 kg pull at it, for a calibration")
-        _run_ahead()
+        run_ahead()
         has_keys = sys.stdin.isatty()
 
         def goes_on() -> bool:
@@ -439,8 +442,8 @@ def simulate_t7(
         config = AfmConfig() if scenario is None else load_scenario(scenario).section("afm_node", AfmConfig)
         if calibration is not None:
             plant = config.to_params().plant
-            _write(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
-        _run_ahead()
+            write_document(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
+        run_ahead()
         # pymodbus shows the last bytes of every connection that ends as an error.
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
         asyncio.run(
@@ -454,24 +457,6 @@ def simulate_t7(
         )
 
 
-def _run_ahead() -> None:
-    """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
-    from services.runtime.loop.log import StructuredLog, configure_logging
-    from services.runtime.loop.realtime import RealtimeConfig, apply_realtime
-
-    configure_logging()
-    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("device"), "device")
-
-
 def _boot() -> int:
     """Return the number of a session; 0 stands for none."""
     return int.from_bytes(os.urandom(2)) or 1
-
-
-def _write(path: Path, document: dict[str, object]) -> None:
-    try:
-        with whole_file(path) as file:
-            file.write_text(yaml.safe_dump(document, sort_keys=False))
-    except OSError as error:
-        raise TelenanoError(f"{path}: cannot be written: {error.strerror}") from error
-    typer.echo(f"wrote {path}")

@@ -17,6 +17,8 @@ import numpy.typing as npt
 
 from presets.regular_files import open_regular
 
+Bytes = bytes | mmap.mmap
+
 _MAGIC = b"GWYP"
 _SIZE = struct.Struct("<I")
 _ATOMS = {"b": "<?", "c": "<c", "i": "<i", "q": "<q", "d": "<d"}
@@ -59,28 +61,28 @@ def read_gwy(path: Path, most_pixels: int) -> list[DataField]:
         if head != _MAGIC:
             raise ValueError("is no Gwyddion file: it does not begin with GWYP")
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    whole = _object(data, len(_MAGIC), len(data))
+    whole = object_at(data, len(_MAGIC), len(data))
     if whole.name != "GwyContainer" or whole.end != len(data):
         raise ValueError("is no whole Gwyddion file: it must be one container of the length that it states")
-    parts = {part.name: part for part in _components(data, whole)}
+    parts = {part.name: part for part in components(data, whole)}
     fields = []
     for key in sorted(key for key in parts if re.fullmatch(r"/\d+/data", key)):
         part, title = parts[key], parts.get(f"{key}/title")
-        name = str(_value(data, title)) if title is not None and title.kind == "s" else key
-        field = _object(data, part.start, part.end) if part.kind == "o" else None
+        name = str(value_of(data, title)) if title is not None and title.kind == "s" else key
+        field = object_at(data, part.start, part.end) if part.kind == "o" else None
         if field is not None and field.name == "GwyDataField":
             fields.append(_field(data, field, name, most_pixels))
     return fields
 
 
-def _field(data: mmap.mmap, field: _Part, title: str, most_pixels: int) -> DataField:
-    parts = {part.name: part for part in _components(data, field)}
+def _field(data: Bytes, field: _Part, title: str, most_pixels: int) -> DataField:
+    parts = {part.name: part for part in components(data, field)}
 
     def value(name: str, kind: str) -> Any:
         part = parts.get(name)
         if part is None or part.kind != kind:
             raise ValueError(f"the map {title} has no {name}, which must be of type {kind}")
-        return _value(data, part)
+        return value_of(data, part)
 
     columns, rows = (value(name, "i") for name in ("xres", "yres"))
     if not (2 <= columns <= most_pixels and 2 <= rows <= most_pixels):
@@ -92,15 +94,19 @@ def _field(data: mmap.mmap, field: _Part, title: str, most_pixels: int) -> DataF
     return DataField(title, heights.reshape(rows, columns), value("xreal", "d"), value("yreal", "d"), *units)
 
 
-def _unit(data: mmap.mmap, part: _Part | None) -> str:
+def _unit(data: Bytes, part: _Part | None) -> str:
     if part is None or part.kind != "o":
         return ""
-    texts = [each for each in _components(data, _object(data, part.start, part.end)) if each.name == "unitstr"]
-    return str(_value(data, texts[0])) if texts and texts[0].kind == "s" else ""
+    texts = [each for each in components(data, object_at(data, part.start, part.end)) if each.name == "unitstr"]
+    return str(value_of(data, texts[0])) if texts and texts[0].kind == "s" else ""
 
 
-def _value(data: mmap.mmap, part: _Part) -> Any:
-    """Return the value of a component: a number, a text, or an array of numbers that is not copied."""
+def value_of(data: Bytes, part: _Part) -> Any:
+    """Return the value of a component: a number, a text, or an array of numbers that is not copied.
+
+    Raises:
+        KeyError: The component is of another type.
+    """
     if part.kind == "s":
         return data[part.start : part.end - 1].decode("utf-8", "replace")
     if part.kind == "D":
@@ -109,7 +115,8 @@ def _value(data: mmap.mmap, part: _Part) -> Any:
     return struct.unpack_from(_ATOMS[part.kind], data, part.start)[0]
 
 
-def _components(data: mmap.mmap, whole: _Part) -> Iterator[_Part]:
+def components(data: Bytes, whole: _Part) -> Iterator[_Part]:
+    """Yield the components of an object; ValueError where one goes beyond it."""
     position = whole.start
     while position < whole.end:
         name, position = _text(data, position, whole.end)
@@ -119,14 +126,14 @@ def _components(data: mmap.mmap, whole: _Part) -> Iterator[_Part]:
         position = part.end
 
 
-def _extent(data: mmap.mmap, kind: str, start: int, limit: int) -> tuple[int, int]:
+def _extent(data: Bytes, kind: str, start: int, limit: int) -> tuple[int, int]:
     """Return where the value of a component begins and ends; of an array of numbers, its items."""
     if kind in _ATOMS:
         return start, _within(start, struct.calcsize(_ATOMS[kind]), limit)
     if kind == "s":
         return start, _text(data, start, limit)[1]
     if kind == "o":
-        return start, _object(data, start, limit).end
+        return start, object_at(data, start, limit).end
     if kind not in "CIQDSO":
         raise ValueError(f"is no whole Gwyddion file: a value at byte {start} is of the unknown type {kind!r}")
     items = _within(start, _SIZE.size, limit)
@@ -135,17 +142,18 @@ def _extent(data: mmap.mmap, kind: str, start: int, limit: int) -> tuple[int, in
         return items, _within(items, count * _ITEM_BYTES[kind], limit)
     end = items
     for _ in range(count):
-        end = _text(data, end, limit)[1] if kind == "S" else _object(data, end, limit).end
+        end = _text(data, end, limit)[1] if kind == "S" else object_at(data, end, limit).end
     return items, end
 
 
-def _object(data: mmap.mmap, start: int, limit: int) -> _Part:
+def object_at(data: Bytes, start: int, limit: int) -> _Part:
+    """Return the object that begins at a byte; ValueError where it goes beyond the limit."""
     name, position = _text(data, start, limit)
     begin = _within(position, _SIZE.size, limit)
     return _Part(name, "o", begin, _within(begin, _SIZE.unpack_from(data, position)[0], limit))
 
 
-def _text(data: mmap.mmap, start: int, limit: int) -> tuple[str, int]:
+def _text(data: Bytes, start: int, limit: int) -> tuple[str, int]:
     """Return a text and the position after the zero byte at its end."""
     end = data.find(b"\0", start, limit)
     if end < 0:

@@ -1,0 +1,174 @@
+"""A Gwyscope as an AFM of the rig: z at once by `set_feedback`, samples at the server's tick by `read`.
+
+A cycle is two requests: z is sent and answered with the state of the feedback, then the newest sample is read. The
+server samples at its own tick, 3 ms as shipped, and a repeated time stamp is a repeated sample. Nothing of the server
+protects the tip: it refuses no value, has no watchdog, and keeps feedback and z when a connection is lost. So range
+and sign are checked here before a message is sent, what comes back is compared with what was sent, and a guard
+(`telenano device guard`) stands in front of the server that retracts when this process is silent.
+"""
+
+import math
+from collections.abc import Generator
+from itertools import pairwise
+from typing import Any
+
+from services.afm_node.devices import gwyscope_wire
+from services.afm_node.devices.piezo_calibration import ControllerCalibration
+from services.afm_node.devices.request_answer import Talk
+from services.afm_node.devices.request_driver import RequestDriver
+from services.afm_node.driver import DeviceError
+from services.afm_node.safety import SafetyParams
+
+GUARD_QUESTION = "telenano_guard"
+_BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
+_FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
+# so many distinct samples give the server's tick, and so many reads at most are spent on them
+_TICKS, _READS = 4, 200
+# A server whose samples stand for so long does not run its loop.
+_CLOCK_STANDS_S = 0.05
+# A motion over the sample goes to a z as well, beside the z that is sent at once: it is not to get there.
+_Z_SPEED_M_PER_S = 1e-12
+_ALWAYS_READ = ("e", "adc1", "adc2")
+
+Answers = Generator[bytes, bytes, dict[str, Any]]
+
+
+class GwyscopeAfm(RequestDriver):
+    """An `AfmDriver` on a Gwyscope server; arguments as of `RequestDriver`."""
+
+    def __init__(self, calibration: ControllerCalibration, limits: SafetyParams, **options: Any) -> None:
+        super().__init__(calibration, limits, gwyscope_wire.cut, "Gwyscope", **options)
+        self._stamp_s = -math.inf
+        self._stamp_ns = 0
+        self._arrived = False
+
+    @property
+    def latency_s(self) -> float:
+        """Return what the controller adds to the round trip [s]: from a command to its sample, in the mean.
+
+        The answer to the sample after z comes after two periods and is used for two, 2.5 periods in the mean; and the
+        server samples at its tick, of which half is waited for in the mean.
+        """
+        if self.calibration.latency_s is not None:
+            return self.calibration.latency_s
+        return 2.5 * self._period_s + 0.5 * self.tick_s
+
+    def talk(self) -> Talk:
+        """Return the requests: who it is, what it does at present, z away from the sample, its tick; then cycles."""
+        yield from self._find_guard()
+        wanted = {"version": "", "moving": False} | dict.fromkeys(_BUSY, False)
+        found = yield from self._ask("get", **wanted)
+        if busy := [name for name in _BUSY if found.get(name)]:
+            raise DeviceError(
+                f"is busy ({', '.join(busy)}): end that in its own software first; it was not driven, and the tip is"
+                " where that left it"
+            )
+        if found.get("moving"):
+            yield from self._ask("stop")
+        self._history.clear()
+        yield from self._send_z(self.calibration.z.retract_m)
+        if self.calibration.stage is not None:
+            speed = self.calibration.stage.speed_m_per_s
+            yield from self._ask("set_scan", speed=speed, zspeed=_Z_SPEED_M_PER_S)
+        # After a loss the tip goes back to its place, away from the sample.
+        self._sent_place = None
+        signal = self.calibration.deflection.signal
+        if signal not in _ALWAYS_READ:
+            yield from self._ask("set_standby_storage", **{signal: True})
+        yield from self._measure_tick()
+        self.begin_cycles(f"Gwyscope {found.get('version', '')}, a sample every {self.tick_s * 1e3:.3g} ms")
+        while True:
+            yield from self._send_z(self.wanted_z_m())
+            if self._place is not None and self._place != self._sent_place:
+                yield from self._move(*self._place)
+            self._check_place((yield from self._read()))
+
+    def _find_guard(self) -> Generator[bytes, bytes, None]:
+        if self._attended:
+            return
+        found = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
+        if gwyscope_wire.decode(found).get("todo") != GUARD_QUESTION:
+            self.refuse_without_guard()
+
+    def _ask(self, todo: str, **items: Any) -> Answers:
+        """Send a request and return its answer; DeviceError where the server does not know it."""
+        answer = gwyscope_wire.decode((yield gwyscope_wire.encode({"todo": todo, **items})))
+        said = answer.get("todo")
+        if said != todo:
+            raise DeviceError(f"does not do {todo}: it answers {said!r}" + _sent_text(items))
+        return answer
+
+    def _send_z(self, z_m: float) -> Generator[bytes, bytes, None]:
+        self._history.append((self._now_ns(), z_m))
+        answer = yield from self._ask("set_feedback", feedback=False, zpiezo=float(z_m))
+        on = [name for name in _FEEDBACKS if answer.get(name)]
+        if on:
+            raise DeviceError(f"refuses: {', '.join(on)} stays on, with which z is not the rig's")
+        found_m = _number(answer, "zpiezo")
+        if not abs(found_m - z_m) <= self.calibration.z.tolerance_m:
+            raise DeviceError(f"refuses: z = {z_m:.6g} m was sent, and it says {found_m:.6g} m")
+
+    def _move(self, x_m: float, y_m: float) -> Generator[bytes, bytes, None]:
+        self._sent_place, self._arrived = (x_m, y_m), False
+        yield from self._ask("move_to", xreq=float(x_m), yreq=float(y_m), zreq=float(self._history[-1][1]))
+
+    def _read(self) -> Answers:
+        asked_ns = self._now_ns()
+        answer = yield from self._ask("read")
+        z_m, stamp_s = _number(answer, "z"), _number(answer, "ts")
+        value = _number(answer, self.calibration.deflection.signal)
+        if stamp_s != self._stamp_s:
+            self._stamp_s, self._stamp_ns = stamp_s, asked_ns
+            self.check_z(z_m, asked_ns)
+            # The sample is as old as the server's tick at most when it is asked for.
+            self.take_sample(z_m, value, asked_ns - round(self.tick_s * 1e9))
+        elif (asked_ns - self._stamp_ns) * 1e-9 > max(_CLOCK_STANDS_S, 4.0 * self.tick_s):
+            raise DeviceError(f"its samples stand at {stamp_s:.3f} s: the server answers, and its loop does not run")
+        return answer
+
+    def _check_place(self, answer: dict[str, Any]) -> None:
+        """Compare the place with the one that was reached; DeviceError where somebody else has moved it."""
+        stage, x_m, y_m = self.calibration.stage, _number(answer, "x"), _number(answer, "y")
+        if self._centre is None:
+            self.find_centre(x_m, y_m)
+            # The tip is where it was found, if the file has no other place.
+            self._sent_place = (x_m, y_m)
+        if stage is None or self._sent_place is None:
+            return
+        off_m = math.hypot(x_m - self._sent_place[0], y_m - self._sent_place[1])
+        if off_m <= stage.tolerance_m:
+            self._arrived = True
+        elif self._arrived:
+            raise DeviceError(
+                f"somebody else has moved the tip by {off_m:.3g} m over the sample; it is retracted, and stays so until"
+                " armed"
+            )
+
+    def _measure_tick(self) -> Generator[bytes, bytes, None]:
+        """Read until the server's time stamps tell its tick, which a cycle of reads cannot see below a period."""
+        self.tick_s = 0.0
+        stamps: list[float] = []
+        for _ in range(_READS):
+            answer = yield from self._ask("read")
+            stamp_s = _number(answer, "ts")
+            if not stamps or stamp_s != stamps[-1]:
+                stamps.append(stamp_s)
+            if len(stamps) > _TICKS:
+                break
+        steps = [after - before for before, after in pairwise(stamps)]
+        if len(steps) < _TICKS or not min(steps) > 0.0:
+            raise DeviceError("answers, and its samples stand: the server's loop does not run")
+        self.tick_s = min(steps)
+
+
+def _number(answer: dict[str, Any], name: str) -> float:
+    """Return a number out of an answer; DeviceError where it has none of that name."""
+    value = answer.get(name)
+    if not isinstance(value, int | float):
+        raise DeviceError(f"answers {answer.get('todo')} without a number {name}: check the names in the calibration")
+    return float(value)
+
+
+def _sent_text(items: dict[str, Any]) -> str:
+    shown = ", ".join(f"{name} = {value}" for name, value in items.items())
+    return f" ({shown} was sent)" if shown else ""

@@ -1,0 +1,72 @@
+"""A server of an emulated controller: one answer to each request, in turn, on connections that share one device."""
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+
+from services.afm_node.devices.request_answer import Cut, Incoming, WireError
+
+_WATCH_S = 0.001
+_READ_BYTES = 65536
+
+
+async def serve_requests(
+    cut: Cut,
+    respond: Callable[[bytes, int], bytes | None],
+    pass_time: Callable[[int], None],
+    host: str,
+    ports: Sequence[int],
+    on_ready: Callable[[], None] = lambda: None,
+    most_clients: int = 16,
+) -> None:
+    """Serve until the task is cancelled.
+
+    Args:
+        cut: The rule of the protocol.
+        respond: Returns the answer to a request that came at a time of the monotonic clock [ns], None for none; what it
+            raises ends the server.
+        pass_time: Lets the device do what is due at a time [ns].
+        host: The address to listen at.
+        ports: The TCP ports to listen at.
+        on_ready: Called once the ports are bound.
+        most_clients: The most connections at one port; one more is closed at once.
+
+    Raises:
+        OSError: An address cannot be bound.
+    """
+    failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    clients: dict[int, int] = dict.fromkeys(ports, 0)
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        port = writer.get_extra_info("sockname")[1]
+        clients[port] += 1
+        incoming = Incoming(cut)
+        try:
+            while clients[port] <= most_clients and (received := await reader.read(_READ_BYTES)):
+                incoming.add(received)
+                while (request := incoming.take()) is not None:
+                    answer = respond(request, time.monotonic_ns())
+                    if answer is not None:
+                        writer.write(answer)
+                        await writer.drain()
+        except (WireError, ConnectionError):
+            # bytes that cannot be read end their connection, and nothing else
+            pass
+        except Exception as error:  # noqa: BLE001
+            # it ends the process, as it would that of the device
+            if not failed.done():
+                failed.set_exception(error)
+        finally:
+            clients[port] -= 1
+            writer.close()
+
+    servers = [await asyncio.start_server(serve, host, port) for port in ports]
+    on_ready()
+    try:
+        while not failed.done():
+            pass_time(time.monotonic_ns())
+            await asyncio.sleep(_WATCH_S)
+        failed.result()
+    finally:
+        for server in servers:
+            server.close()

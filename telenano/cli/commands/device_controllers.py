@@ -1,0 +1,121 @@
+"""`telenano device simulate gwyscope` and `device guard`: AFM controllers, emulated and guarded."""
+
+import asyncio
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from proto.errors import ConfigError
+from telenano.cli.commands.device_files import run_ahead, write_document
+from telenano.cli.options import command_group
+from telenano.cli.output import report_errors
+
+guard = command_group()
+
+HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")]
+ScenarioOption = Annotated[
+    Path | None, typer.Option("--scenario", metavar="FILE", help="Scenario whose AFM is behind the controller.")
+]
+NoiseOption = Annotated[
+    float, typer.Option("--noise", min=0.0, max=1.0, metavar="V", help="Noise of the deflection [V], one sigma.")
+]
+WriteOption = Annotated[
+    Path | None, typer.Option("--calibration", metavar="FILE", help="Write a calibration file that fits the emulator.")
+]
+GuardedOption = Annotated[
+    Path, typer.Option("--calibration", metavar="FILE", help="Calibration file of the controller; z of retraction.")
+]
+
+
+def simulate_gwyscope(
+    host: HostOption = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="TCP port.")] = 51000,
+    scenario: ScenarioOption = None,
+    tick: Annotated[
+        float, typer.Option("--tick", min=1e-4, max=1.0, metavar="S", help="Tick of the server [s]; 0.5 ms is fine.")
+    ] = 3e-3,
+    noise: NoiseOption = 0.0,
+    calibration: WriteOption = None,
+) -> None:
+    """Serve an emulated Gwyscope with stage and cantilever behind it. Ctrl-C ends it, with z at 0."""
+    with report_errors(as_json=False, interrupted="the emulated Gwyscope has ended, with z at 0"):
+        from services.afm_node.devices import gwyscope_model, gwyscope_wire
+        from services.afm_node.devices.request_server import serve_requests
+
+        config, afm = _simulated(scenario)
+        model = gwyscope_model.GwyscopeModel(afm, tick_s=tick, noise_v=noise, now_ns=time.monotonic_ns())
+        _write_fitting(calibration, gwyscope_model.calibration_of, config, host, port)
+        run_ahead()
+
+        def respond(request: bytes, now_ns: int) -> bytes:
+            return gwyscope_wire.encode(model.respond(gwyscope_wire.decode(request), now_ns))
+
+        text = f"an emulated Gwyscope is at {host}:{port}, a sample every {tick * 1e3:g} ms; Ctrl-C ends it"
+        serving = serve_requests(gwyscope_wire.cut, respond, model.pass_time, host, [port], lambda: typer.echo(text))
+        try:
+            asyncio.run(serving)
+        finally:
+            model.end()
+
+
+@guard.command("gwyscope")
+def guard_gwyscope(
+    calibration: GuardedOption,
+    controller: Annotated[
+        str, typer.Option("--controller", metavar="HOST:PORT", help="Where the server of the Gwyscope is.")
+    ] = "127.0.0.1:51000",
+    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="TCP port for the rig.")] = 51001,
+) -> None:
+    """Stand between rig and Gwyscope, and retract the tip when the rig is silent. Ctrl-C ends it, retracted."""
+    with report_errors(as_json=False):
+        from services.afm_node.devices.gwyscope_guard import GuardedGwyscope
+        from services.afm_node.devices.piezo_calibration import read_controller
+
+        _guard(GuardedGwyscope(read_controller(calibration, "gwyscope")), controller, (host, port))
+
+
+def _guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:
+    from services.afm_node.devices.retract_guard import RetractGuard
+
+    name, _, number = controller.rpartition(":")
+    if not (name and number.isdigit() and 0 < int(number) < 65536):
+        raise ConfigError(f"--controller {controller}: must be HOST:PORT, such as 127.0.0.1:51000")
+    try:
+        made = RetractGuard(guarded, (name, int(number)), listen, typer.echo)
+    except OSError as error:
+        raise ConfigError(f"{listen[0]}:{listen[1]}: cannot be listened at: {error.strerror}") from error
+    ended: list[int] = []
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, lambda found, frame: ended.append(found))
+    run_ahead()
+    typer.echo(
+        f"the guard listens at {listen[0]}:{listen[1]} for {controller}: it retracts the tip after"
+        f" {guarded.heartbeat_s * 1e3:.0f} ms without a request; Ctrl-C ends it"
+    )
+    made.run(lambda: not ended)
+    typer.echo("the guard has ended" + (", and the tip was not retracted" if made.judge.driven else ", tip retracted"))
+
+
+def _simulated(scenario: Path | None) -> tuple[Any, Any]:
+    """Return the configuration of a simulated instrument, and the instrument, opened."""
+    from services.afm_node.config import AfmConfig
+    from services.afm_node.instrument import driver_of
+    from services.runtime.settings.scenario import load_scenario
+
+    config = AfmConfig() if scenario is None else load_scenario(scenario).section("afm_node", AfmConfig)
+    afm = driver_of(config.model_copy(update={"driver": "simulated"}))
+    afm.open()
+    return config, afm
+
+
+def _write_fitting(
+    path: Path | None, calibration_of: Callable[..., dict[str, object]], config: Any, host: str, port: int
+) -> None:
+    if path is not None:
+        plant = config.to_params().plant
+        write_document(path, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port))

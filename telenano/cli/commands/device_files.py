@@ -1,0 +1,28 @@
+"""What the commands of `telenano device` share: calibration files that are written, and the scheduling of a device."""
+
+from pathlib import Path
+
+import typer
+import yaml
+
+from proto.errors import TelenanoError
+from recording.whole_files import whole_file
+
+
+def run_ahead() -> None:
+    """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
+    from services.runtime.loop.log import StructuredLog, configure_logging
+    from services.runtime.loop.realtime import RealtimeConfig, apply_realtime
+
+    configure_logging()
+    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("device"), "device")
+
+
+def write_document(path: Path, document: dict[str, object]) -> None:
+    """Write a calibration file; TelenanoError where it cannot be written."""
+    try:
+        with whole_file(path) as file:
+            file.write_text(yaml.safe_dump(document, sort_keys=False))
+    except OSError as error:
+        raise TelenanoError(f"{path}: cannot be written: {error.strerror}") from error
+    typer.echo(f"wrote {path}")

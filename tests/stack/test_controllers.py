@@ -1,0 +1,163 @@
+"""Fig. 12 and an image by emulated AFM controllers, with their guards: processes of their own, over real sockets."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import machine
+import numpy as np
+import pytest
+import yaml
+from stack_rig import ROOT, Rig
+
+from recording.reader import Recording
+from services.afm_node.config import AfmConfig
+from services.afm_node.devices import gwyscope_wire
+from services.afm_node.devices.request_answer import Incoming
+from services.afm_node.physics.sample.surface_files import read_surface
+
+pytestmark = [pytest.mark.stack, pytest.mark.endurance]
+PATIENCE_S = 60.0
+SCAN = ("scan", "--live", "--json", "--pixels", "32", "--lines", "6", "--size", "60")
+# a tick of 3 ms and the driver's cycle: gains and dwell that the default of a simulated instrument is too quick for
+SLOWER = ("--gain", "150", "--dwell", "20")
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+class Gwyscope:
+    """An emulated Gwyscope and its guard, and what a rig needs to use them."""
+
+    def __init__(self, folder: Path, scenario: str) -> None:
+        self.file = folder / "gwyscope.yaml"
+        self.port, self.guard_port = free_port(), free_port()
+        where = ("--port", str(self.port), "--calibration", str(self.file))
+        self.server = self._start("simulate", *where, "--scenario", f"presets/scenarios/{scenario}.yaml")
+        self._wait(self.port)
+        document = yaml.safe_load(self.file.read_text())
+        document["network"]["port"] = self.guard_port
+        self.file.write_text(yaml.safe_dump(document))
+        to = ("--controller", f"127.0.0.1:{self.port}", "--port", str(self.guard_port))
+        self.guard = self._start("guard", "--calibration", str(self.file), *to)
+        self._wait(self.guard_port)
+        self._line = socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S)
+        self._incoming = Incoming(gwyscope_wire.cut)
+
+    def _start(self, what: str, *arguments: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", "telenano", "device", what, "gwyscope", *arguments]
+        return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+    def _wait(self, port: int) -> None:
+        end = time.monotonic() + PATIENCE_S
+        while True:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    return
+            assert time.monotonic() < end, f"nobody listens at {port}"
+            time.sleep(0.05)
+
+    @property
+    def options(self) -> list[str]:
+        settings = {"afm_node.driver": "gwyscope", "afm_node.gwyscope.calibration": self.file}
+        return [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+
+    def ask(self, **message: Any) -> dict[str, Any]:
+        """Ask the server itself, as another program would."""
+        self._line.sendall(gwyscope_wire.encode(message))
+        while (answer := self._incoming.take()) is None:
+            self._incoming.add(self._line.recv(65536))
+        return gwyscope_wire.decode(answer)
+
+    @property
+    def z_m(self) -> float:
+        return float(self.ask(todo="read")["z"])
+
+    def close(self) -> None:
+        self._line.close()
+        for process in (self.guard, self.server):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def gwyscope(tmp_path: Path, request: Any) -> Iterator[Gwyscope]:
+    found = Gwyscope(tmp_path, request.param)
+    yield found
+    found.close()
+
+
+@pytest.mark.parametrize("gwyscope", ["fig12"], indirect=True)
+def test_fig12_by_a_gwyscope(rig: Rig, gwyscope: Gwyscope) -> None:
+    summary = rig.run(*gwyscope.options)
+    recording = Recording(rig.out / "session.mcap")
+    health = [message.decode() for message in recording.messages(["node/health"])]
+    ages = [found.device_age_s for found in health if found.device_age_s is not None]
+    machine.note(
+        f"fig12 by a Gwyscope: hold {summary['hold_ratio']:.3f}, contact {summary['contact_x_cm']:.3f} cm, samples"
+        f" {1e3 * np.median(ages):.1f} ms old"
+    )
+    assert summary["hold_ratio"] == pytest.approx(1.050, abs=0.01)
+    assert summary["contact_x_cm"] == pytest.approx(0.703, abs=0.01)
+    assert min(ages) > 3e-3
+    latencies = {found.device_latency_s for found in health if found.device_latency_s is not None}
+    assert latencies == {pytest.approx(4e-3, abs=1e-6)}
+    assert gwyscope.z_m == 0.0
+
+
+@pytest.mark.parametrize("gwyscope", ["image"], indirect=True)
+def test_image_by_a_gwyscope_and_a_gain_that_its_latency_forbids(rig: Rig, gwyscope: Gwyscope, tmp_path: Path) -> None:
+    rig.start(*gwyscope.options, scenario="image")
+    rig.wait_until(rig.running, "the session")
+    refused = rig.telenano(*SCAN, "--dwell", "20", "--out", str(tmp_path / "refused"))
+    assert refused.returncode != 0
+    assert "scan.gain_per_s (--gain) = 400 1/s makes the feedback unstable" in refused.stdout + refused.stderr
+    done = rig.telenano(*SCAN, *SLOWER, "--out", str(tmp_path / "scan"), patience_s=120.0)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert (document["state"], document["lines"]) == ("finished", 6)
+    surface = AfmConfig.model_validate({"sample": {"name": "dots"}}).to_surface()
+    assert surface is not None
+    image = read_surface(tmp_path / "scan" / "scan.gsf")
+    xs = (-30e-9 + (np.arange(32) + 0.5) * 60e-9 / 32 + 75e-9) / surface.step_x_m
+    ys = (-30e-9 + (np.arange(6) + 0.5) * 10e-9 + 75e-9) / surface.step_y_m
+    truth = surface.height_m[np.ix_(ys.astype(int), xs.astype(int))]
+    likeness = float(np.corrcoef(image.height_m.ravel(), truth.ravel())[0, 1])
+    machine.note(f"image by a Gwyscope: correlation with the sample {likeness:.3f}")
+    assert likeness > 0.9
+    code, _, err = rig.stop()
+    assert code == 0, err + rig.logs()
+
+
+@pytest.mark.parametrize("gwyscope", ["fig12"], indirect=True)
+def test_killed_node_is_retracted_by_the_guard_and_a_person_who_moves_the_tip_is_an_event(
+    rig: Rig, gwyscope: Gwyscope
+) -> None:
+    rig.start(*gwyscope.options, "--duration", "600")
+    rig.wait_until(lambda: rig.running() and gwyscope.z_m > 1.95e-6, "an approach")
+    gwyscope.ask(todo="set_feedback", feedback=False, zpiezo=1.5e-6)
+    rig.wait_until(lambda: rig.log_has("afm_node@slave", "somebody else has moved the tip"), "the event")
+    rig.wait_until(lambda: rig.log_has("afm_node@slave", "is ready and retracted", 2), "the recovery")
+    assert gwyscope.z_m < 1.95e-6
+    assert rig.telenano("session", "arm").returncode == 0
+    rig.wait_until(lambda: gwyscope.z_m > 1.95e-6, "the tip")
+    killed_ns = time.monotonic_ns()
+    rig.kill("afm_node@slave")
+    while gwyscope.z_m > 0.0:
+        assert time.monotonic_ns() - killed_ns < PATIENCE_S * 1e9
+    machine.note(
+        f"kill -9 of the AFM node: its guard had retracted after {(time.monotonic_ns() - killed_ns) / 1e6:.0f} ms"
+    )
+    assert rig.process is not None
+    os.kill(rig.process.pid, signal.SIGINT)
+    rig.finish()

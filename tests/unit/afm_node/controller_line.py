@@ -1,0 +1,155 @@
+"""A connection between a driver and an emulated controller in virtual time, with the guard in between if wanted."""
+
+from collections.abc import Callable
+from typing import Any
+
+import yaml
+
+from services.afm_node.config import AfmConfig
+from services.afm_node.devices import gwyscope_model, gwyscope_wire
+from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
+from services.afm_node.devices.gwyscope_guard import GuardedGwyscope
+from services.afm_node.devices.piezo_calibration import ControllerCalibration
+from services.afm_node.devices.retract_guard import SilenceJudge
+from services.afm_node.node import AfmNode
+from services.afm_node.physics.sim import simulated_afm
+from services.runtime.settings.config import merge, parse_yaml, validate
+
+MS = 1_000_000
+PARAMS = AfmConfig().to_params()
+
+
+def calibration(document: dict[str, object], **changes: Any) -> ControllerCalibration:
+    text = yaml.safe_dump(merge(document, changes)).encode()
+    return validate(ControllerCalibration, parse_yaml(text, "controller.yaml"), "controller.yaml")
+
+
+class ControllerLine:
+    """The network, with the controller at its end; time passes in `pass_ms`.
+
+    A part of the test replaces `to_host`, what the network does with an answer, or says that the controller is not
+    reachable, does not run, or is not accepting. respond: the answer of the controller to a request. judge: the guard
+    in between, None for none.
+    """
+
+    resolved = True
+
+    def __init__(self, respond: Callable[[bytes, int], bytes | None], guarded: Any = None) -> None:
+        self.now_ns = 10**9
+        self.respond = respond
+        self.reachable = self.running = self.accepting = True
+        self.latency_ms = 0.0
+        self.to_host: Callable[[bytes], bytes] = lambda sent: sent
+        self.guarded = guarded
+        self.judge = None if guarded is None else SilenceJudge(guarded)
+        self.sent: list[bytes] = []
+        self.opened = 0
+        self._connected = False
+        # when the guard has passed the answer of the controller on, 0 where none is owed
+        self._owed_ns = 0
+        self._waiting: list[tuple[int, bytes]] = []
+
+    def connect(self, host: str, port: int) -> "ControllerLine":
+        if not self.reachable or (self.judge is not None and self.judge.due):
+            raise OSError(111, "Connection refused")
+        self.opened += 1
+        self._connected = True
+        self._waiting.clear()
+        return self
+
+    def ready(self) -> bool:
+        return self.accepting
+
+    def send(self, request: bytes) -> None:
+        if not self._connected or not self.reachable:
+            raise OSError(104, "Connection reset by peer")
+        own = None if self.judge is None else self.judge.hear(request, self.now_ns)
+        self.sent.append(request)
+        answer = own if own is not None or not self.running else self.respond(request, self.now_ns)
+        if answer is not None:
+            self._owed_ns = self.now_ns + round(self.latency_ms * MS)
+            self._waiting.append((self._owed_ns, self.to_host(answer)))
+
+    def receive(self) -> bytes:
+        if not self._connected or not self.reachable:
+            raise OSError(104, "Connection reset by peer")
+        due = b"".join(sent for at_ns, sent in self._waiting if at_ns <= self.now_ns)
+        self._waiting = [(at_ns, sent) for at_ns, sent in self._waiting if at_ns > self.now_ns]
+        return due
+
+    def close(self) -> None:
+        self._connected = False
+
+    def pass_ms(self, duration_ms: int) -> None:
+        for _ in range(duration_ms):
+            self.now_ns += MS
+            if self.judge is None:
+                continue
+            if self._owed_ns and self.now_ns >= self._owed_ns:
+                self._owed_ns = 0
+                self.judge.passed_back(self.now_ns)
+            if self.judge.judge(self.now_ns, connected=self._connected):
+                self._connected = False
+            if self.judge.due and self.reachable and self.running:
+                answer = self.respond(self.guarded.retraction(), self.now_ns)
+                if answer is not None:
+                    self.judge.take(answer)
+
+    @property
+    def clock(self) -> dict[str, Any]:
+        """Return what a driver gets in the place of the real clock and the real network."""
+        return {
+            "connect": self.connect,
+            "now_ns": lambda: self.now_ns,
+            "sleep": lambda duration_s: self.pass_ms(max(1, round(duration_s * 1e3))),
+        }
+
+
+class Gwyscope(ControllerLine):
+    """A Gwyscope and its driver."""
+
+    def __init__(
+        self, *, tick_s: float = 3e-3, guarded: bool = True, attended: bool = False, config: Any = None, **changes: Any
+    ) -> None:
+        document = gwyscope_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
+        self.calibration = calibration(document, **changes)
+        super().__init__(self.served, GuardedGwyscope(self.calibration) if guarded else None)
+        afm = simulated_afm(PARAMS) if config is None else config
+        afm.open()
+        self.model = gwyscope_model.GwyscopeModel(afm, tick_s=tick_s, now_ns=self.now_ns)
+        self.driver = GwyscopeAfm(self.calibration, PARAMS.safety, attended=attended, **self.clock)
+        # a guard retracts first, and then lets a rig in
+        self.pass_ms(1)
+
+    def served(self, request: bytes, now_ns: int) -> bytes | None:
+        return gwyscope_wire.encode(self.model.respond(gwyscope_wire.decode(request), now_ns))
+
+    def pass_ms(self, duration_ms: int) -> None:
+        for _ in range(duration_ms):
+            super().pass_ms(1)
+            self.model.pass_time(self.now_ns)
+
+    @property
+    def base_m(self) -> float:
+        """Return where the base really is, towards the sample [m]."""
+        return self.model.z_m - gwyscope_model.REST_M
+
+
+class ControllerRig:
+    """An AFM node with an emulated controller on a bench."""
+
+    def __init__(self, bench: Any, line: Any) -> None:
+        self.bench, self.line = bench, line
+        self.node = AfmNode(bench.context, AfmConfig(), line.driver)
+
+    def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
+        for _ in range(count):
+            self.bench.advance_ms(1)
+            self.line.pass_ms(1)
+            fields = {"mode": "position", "base_position_m": (*place, 0.0 - x_s_m), "hand_seq": 7}
+            fields["hand_t_ns"] = self.bench.clock.now_ns()
+            self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
+
+    def control(self, command: str) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
+        return self.node.on_control(self.bench.make("session/control", "console@slave", **fields))
