@@ -212,8 +212,8 @@ class AfmControllerConfig(Settings):
 
 _DRIVER: Any = Field(
     "simulated",
-    description="simulated: everything below; modbus, gwyscope: a real one, of which safety below is the guard; or the"
-    " driver of another package.",
+    description="simulated: everything below; modbus, gwyscope, nanonis: a real one, of which safety below is the"
+    " guard; or the driver of another package.",
 )
 _ENVIRONMENT: Any = Field(
     "tip_sample",
@@ -227,6 +227,7 @@ class _OwnSections(Settings):
     driver: str = _DRIVER
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
     gwyscope: AfmControllerConfig | None = Field(None, description="The controller, for driver gwyscope.")
+    nanonis: AfmControllerConfig | None = Field(None, description="The controller, for driver nanonis.")
     attended: bool = Field(
         False,
         description="Whether a person stands by who retracts the tip of an AFM controller, in the place of a guard"
@@ -464,7 +465,7 @@ class _OwnSections(Settings):
         return AfmParams(SafetyParams(**s.model_dump()), plant)
 
 
-CONTROLLERS = ("gwyscope",)
+CONTROLLERS = ("gwyscope", "nanonis")
 _REAL_DRIVERS = ("modbus", *CONTROLLERS)
 _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", *_REAL_DRIVERS), ("tip_sample", "spring")
 # Packages may not use the keys of the section, nor the methods of its class.

@@ -101,10 +101,12 @@ def controller_driver(
 ) -> AfmDriver:
     """Return the driver of an AFM controller; ConfigError names what is wrong with its file."""
     from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
+    from services.afm_node.devices.nanonis_driver import NanonisAfm
     from services.afm_node.devices.piezo_calibration import read_controller
 
     calibration = read_controller(Path(section.calibration), name).reached_at(section.host, section.port)
-    return GwyscopeAfm(calibration, limits, period_s=period_s, attended=attended)
+    kind = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}[name]
+    return kind(calibration, limits, period_s=period_s, attended=attended)
 
 
 def calibration_of_file(calibration: Path) -> Any:

@@ -3,11 +3,20 @@
 import asyncio
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 from services.afm_node.devices.request_answer import Cut, Incoming, WireError
 
 _WATCH_S = 0.001
 _READ_BYTES = 65536
+_MOST_UNREAD_BYTES = 2**20
+
+
+class Pushed(NamedTuple):
+    """A stream that a device pushes to whoever connects to a port: take() returns its bytes since the last call."""
+
+    port: int
+    take: Callable[[], bytes]
 
 
 async def serve_requests(
@@ -18,6 +27,7 @@ async def serve_requests(
     ports: Sequence[int],
     on_ready: Callable[[], None] = lambda: None,
     most_clients: int = 16,
+    pushed: Pushed | None = None,
 ) -> None:
     """Serve until the task is cancelled.
 
@@ -30,16 +40,19 @@ async def serve_requests(
         ports: The TCP ports to listen at.
         on_ready: Called once the ports are bound.
         most_clients: The most connections at one port; one more is closed at once.
+        pushed: A stream on a port of its own, None for none.
 
     Raises:
         OSError: An address cannot be bound.
     """
     failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
     clients: dict[int, int] = dict.fromkeys(ports, 0)
+    writers: set[asyncio.StreamWriter] = set()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         port = writer.get_extra_info("sockname")[1]
         clients[port] += 1
+        writers.add(writer)
         incoming = Incoming(cut)
         try:
             while clients[port] <= most_clients and (received := await reader.read(_READ_BYTES)):
@@ -58,15 +71,39 @@ async def serve_requests(
                 failed.set_exception(error)
         finally:
             clients[port] -= 1
+            writers.discard(writer)
             writer.close()
 
+    listeners: list[asyncio.StreamWriter] = []
+
+    async def listen(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        listeners.append(writer)
+
     servers = [await asyncio.start_server(serve, host, port) for port in ports]
+    if pushed is not None:
+        servers.append(await asyncio.start_server(listen, host, pushed.port))
     on_ready()
     try:
         while not failed.done():
             pass_time(time.monotonic_ns())
+            if pushed is not None and listeners:
+                _push(listeners, pushed.take())
             await asyncio.sleep(_WATCH_S)
         failed.result()
     finally:
         for server in servers:
             server.close()
+        for writer in (*writers, *listeners):
+            writer.close()
+        # those who wait for a request find that it ended
+        await asyncio.sleep(_WATCH_S)
+
+
+def _push(listeners: list[asyncio.StreamWriter], frames: bytes) -> None:
+    """Write to each listener; one that is gone, or does not read, is left out."""
+    for writer in list(listeners):
+        if writer.is_closing() or writer.transport.get_write_buffer_size() > _MOST_UNREAD_BYTES:
+            listeners.remove(writer)
+            writer.close()
+        elif frames:
+            writer.write(frames)

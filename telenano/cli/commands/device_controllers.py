@@ -1,4 +1,4 @@
-"""`telenano device simulate gwyscope` and `device guard`: AFM controllers, emulated and guarded."""
+"""`telenano device simulate gwyscope`, `simulate nanonis` and `device guard`: AFM controllers, emulated and guarded."""
 
 import asyncio
 import signal
@@ -60,6 +60,89 @@ def simulate_gwyscope(
             asyncio.run(serving)
         finally:
             model.end()
+
+
+def simulate_nanonis(
+    host: HostOption = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1, max=65532, help="First of the four TCP ports.")] = 6501,
+    log_port: Annotated[int, typer.Option("--log-port", min=1, max=65535, help="Port of the TCP Logger.")] = 6590,
+    scenario: ScenarioOption = None,
+    tap: Annotated[
+        float, typer.Option("--tap", min=1e-3, max=10.0, metavar="S", help="Period in which values are published [s].")
+    ] = 20e-3,
+    calibration: WriteOption = None,
+) -> None:
+    """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
+    with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
+        from services.afm_node.devices import nanonis_model, nanonis_wire
+        from services.afm_node.devices.request_server import Pushed, serve_requests
+
+        config, afm = _simulated(scenario)
+        model = nanonis_model.NanonisModel(afm, tap_s=tap, now_ns=time.monotonic_ns())
+        _write_fitting(calibration, nanonis_model.calibration_of, config, host, port)
+        run_ahead()
+        ports = [port + number for number in range(len(nanonis_model.PORTS))]
+        text = (
+            f"an emulated Nanonis is at {host}:{ports[0]} to {ports[-1]}, its TCP Logger at {log_port}, values every"
+            f" {tap * 1e3:g} ms; Ctrl-C ends it"
+        )
+        pushed = Pushed(log_port, model.log.take)
+        # one client at a port, as at the instrument
+        serving = serve_requests(
+            nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
+        )
+        asyncio.run(serving)
+
+
+def image_nanonis(
+    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE", help="nanonis.yaml of the controller.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png.")],
+    setpoint: Annotated[
+        float, typer.Option("--setpoint", metavar="X", help="Set-point, in the unit of the controller's signal.")
+    ],
+    size: Annotated[float, typer.Option("--size", min=1e-3, metavar="NM", help="Side of the image [nm].")] = 150.0,
+    pixels: Annotated[int, typer.Option("--pixels", min=16, max=4096, help="Pixels of a line, in sixteens.")] = 64,
+    lines: Annotated[int, typer.Option("--lines", min=1, max=4096, help="Lines of the image.")] = 64,
+    line_time: Annotated[
+        float, typer.Option("--line-time", min=1e-3, max=1e3, metavar="S", help="Time of a line, each way [s].")
+    ] = 0.5,
+) -> None:
+    """Let a Nanonis controller take an image by its own scan; the tip is withdrawn at the end."""
+    with report_errors(as_json=False):
+        from analysis.image_files import Image
+        from services.afm_node.devices.nanonis_client import NanonisClient, Raster, image
+        from services.afm_node.devices.piezo_calibration import read_controller
+        from telenano.cli.commands.scan import write_images
+        from telenano.cli.sample_options import results_in
+
+        found = read_controller(calibration, "nanonis")
+        side_m = size * 1e-9
+        client = NanonisClient(found.network.host, found.network.port)
+        try:
+            z_m = image(client, Raster(side_m, side_m, pixels, lines, line_time, setpoint), typer.echo)
+        finally:
+            client.close()
+        with results_in(out) as folder:
+            height = -found.z.towards_sample * (z_m - z_m.mean())
+            write_images(folder, {"height": Image("Height", "m", height, side_m, side_m)})
+        typer.echo(f"wrote {out / 'scan.gwy'}, scan.gsf and scan.png")
+
+
+@guard.command("nanonis")
+def guard_nanonis(
+    calibration: GuardedOption,
+    controller: Annotated[
+        str, typer.Option("--controller", metavar="HOST:PORT", help="One of the four ports of the controller.")
+    ] = "127.0.0.1:6501",
+    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="TCP port for the rig.")] = 6511,
+) -> None:
+    """Stand between rig and Nanonis, and withdraw the tip when the rig is silent. Ctrl-C ends it, withdrawn."""
+    with report_errors(as_json=False):
+        from services.afm_node.devices.nanonis_guard import GuardedNanonis
+        from services.afm_node.devices.piezo_calibration import read_controller
+
+        _guard(GuardedNanonis(read_controller(calibration, "nanonis")), controller, (host, port))
 
 
 @guard.command("gwyscope")

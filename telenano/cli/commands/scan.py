@@ -96,7 +96,7 @@ def scan(
                 task = bar.add_task("lines", total=request.lines)
                 result = scans.scan(surface, request, config, lambda n, of: _show(bar, task, n), noise)
             _say_if_interrupted(result.partial)
-            _write(folder, _images(result, mode))
+            write_images(folder, _images(result, mode))
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
@@ -133,7 +133,7 @@ def _scan_live(
             failure = error
         if count := image.finished:
             _say_if_interrupted(image.partial)
-            _write(folder, _live_images(image, count))
+            write_images(folder, _live_images(image, count))
     if failure is not None:
         raise RigError(f"{failure}; {out} has {count} lines") if count else failure
     document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
@@ -224,7 +224,8 @@ def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
     }
 
 
-def _write(out: Path, images: "dict[str, Image]") -> None:
+def write_images(out: Path, images: "dict[str, Image]") -> None:
+    """Write the files of an image into a folder; its height is the channel `height`."""
     from analysis.image_files import write_gsf, write_gwy, write_png
 
     write_gsf(out / "scan.gsf", images["height"])

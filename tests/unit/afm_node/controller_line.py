@@ -6,9 +6,11 @@ from typing import Any
 import yaml
 
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices import gwyscope_model, gwyscope_wire
+from services.afm_node.devices import gwyscope_model, gwyscope_wire, nanonis_model
 from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
 from services.afm_node.devices.gwyscope_guard import GuardedGwyscope
+from services.afm_node.devices.nanonis_driver import NanonisAfm
+from services.afm_node.devices.nanonis_guard import GuardedNanonis
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
 from services.afm_node.devices.retract_guard import SilenceJudge
 from services.afm_node.node import AfmNode
@@ -133,6 +135,65 @@ class Gwyscope(ControllerLine):
     def base_m(self) -> float:
         """Return where the base really is, towards the sample [m]."""
         return self.model.z_m - gwyscope_model.REST_M
+
+
+class Nanonis(ControllerLine):
+    """A Nanonis controller and its driver."""
+
+    def __init__(self, *, tap_s: float = 20e-3, guarded: bool = True, attended: bool = False, **changes: Any) -> None:
+        document = nanonis_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
+        self.calibration = calibration(document, **changes)
+        super().__init__(self.served, GuardedNanonis(self.calibration) if guarded else None)
+        afm = simulated_afm(PARAMS)
+        afm.open()
+        self.model = nanonis_model.NanonisModel(afm, tap_s=tap_s, now_ns=self.now_ns)
+        self.driver = NanonisAfm(self.calibration, PARAMS.safety, attended=attended, **self.clock)
+        self.pass_ms(1)
+
+    def connect(self, host: str, port: int) -> Any:
+        if port == nanonis_model.LOG_PORT:
+            return LogLine(self)
+        return super().connect(host, port)
+
+    def served(self, request: bytes, now_ns: int) -> bytes | None:
+        return self.model.serve(request, now_ns)
+
+    def pass_ms(self, duration_ms: int) -> None:
+        for _ in range(duration_ms):
+            super().pass_ms(1)
+            self.model.pass_time(self.now_ns)
+
+    @property
+    def base_m(self) -> float:
+        """Return where the base really is, towards the sample [m]."""
+        return 0.0 - self.model.z_m
+
+
+class LogLine:
+    """The connection to the TCP Logger of an emulated Nanonis, whose frames come in pieces."""
+
+    resolved = True
+
+    def __init__(self, controller: Nanonis) -> None:
+        self._controller, self._rest = controller, b""
+
+    def ready(self) -> bool:
+        return True
+
+    def send(self, request: bytes) -> None:
+        raise AssertionError("nothing is sent to a logger")
+
+    def receive(self) -> bytes:
+        if not self._controller.running:
+            return b""
+        both = self._rest + self._controller.model.log.take()
+        # the end of what is there comes with the next
+        cut = max(0, len(both) - 5)
+        self._rest = both[cut:]
+        return both[:cut]
+
+    def close(self) -> None:
+        self._rest = b""
 
 
 class ControllerRig:

@@ -14,7 +14,7 @@ import pytest
 from controller_line import MS, PARAMS, ControllerRig, Gwyscope
 
 from proto.errors import ConfigError
-from services.afm_node.config import AfmConfig
+from services.afm_node.config import CONTROLLERS, AfmConfig
 from services.afm_node.devices import gwyscope_model, gwyscope_wire, request_driver
 from services.afm_node.devices.gwyscope_model import AssertionOfTheServerError
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
@@ -236,9 +236,10 @@ def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> 
     assert attended.driver.report.status == "ok"
 
 
-def test_calibration_of_the_document_is_valid() -> None:
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_calibration_of_the_document_is_valid(controller: str) -> None:
     page = (Path(__file__).parents[3] / "docs" / "devices.md").read_text()
-    (block,) = re.findall(r"```yaml\n(schema: 1\ncontroller: gwyscope\n.*?)```", page, re.DOTALL)
+    (block,) = re.findall(rf"```yaml\n(schema: 1\ncontroller: {controller}\n.*?)```", page, re.DOTALL)
     found = validate(ControllerCalibration, parse_yaml(block.encode(), "docs"), "docs")
     assert found.check(PARAMS.safety) == []
 

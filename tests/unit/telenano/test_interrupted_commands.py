@@ -77,6 +77,7 @@ ELSEWHERE = {
     "particles": "reads an image, and writes one file at the end by `whole_file`",
     "device accept": "reads a device for a minute, and then writes its files at once by `results_in`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
+    "device image": "asks a controller for an image, and then writes its files at once by `results_in`",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
 }

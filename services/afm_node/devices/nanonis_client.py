@@ -1,0 +1,137 @@
+"""A client of Nanonis that waits for its answers: for scripts, and for images that the controller takes by itself."""
+
+import contextlib
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.devices import nanonis_wire
+from services.afm_node.devices.nanonis_wire import NanonisRefusalError
+from services.afm_node.devices.request_answer import Incoming, WireError
+from services.afm_node.driver import DeviceError
+
+_READ_BYTES = 65536
+_Z_SIGNAL = "Z (m)"
+_POLL_S = 0.05
+# z that moves by less between so many looks is at rest: an approach goes faster [m]
+_RESTS, _REST_M = 6, 2e-9
+
+
+class NanonisClient:
+    """A connection on which one call follows the other; after a failure it is closed, and cannot be used again.
+
+    Args:
+        host: The address of the controller.
+        port: One of its ports.
+        patience_s: How long an answer is waited for [s].
+
+    Raises:
+        DeviceError: The controller is not reached.
+    """
+
+    def __init__(self, host: str, port: int, patience_s: float = 5.0) -> None:
+        self._where = f"{host}:{port}"
+        try:
+            self._line = socket.create_connection((host, port), timeout=patience_s)
+        except OSError as error:
+            raise DeviceError(f"{self._where}: cannot be reached: {error.strerror or error}") from error
+        self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._incoming = Incoming(nanonis_wire.cut)
+
+    def call(self, command: str, *arguments: Any) -> list[Any]:
+        """Return what a command of `nanonis_wire.COMMANDS` returns.
+
+        Raises:
+            DeviceError: The controller refuses it, does not answer in time, or answers what cannot be read.
+        """
+        try:
+            self._line.sendall(nanonis_wire.request(command, *arguments))
+            while (answer := self._incoming.take()) is None:
+                received = self._line.recv(_READ_BYTES)
+                if not received:
+                    raise OSError("it has closed the connection")
+                self._incoming.add(received)
+            return nanonis_wire.returned(command, answer)
+        except NanonisRefusalError as error:
+            raise DeviceError(f"{self._where}: refuses {command}{arguments or ''}: {error}") from None
+        except (OSError, WireError) as error:
+            self.close()
+            raise DeviceError(f"{self._where}: {command}: {error.strerror or error}") from error  # type: ignore[union-attr]
+
+    def close(self) -> None:
+        self._line.close()
+
+
+class Raster(NamedTuple):
+    """An image that the controller is to take: sides [m], pixels and lines, and the time of a line each way [s]."""
+
+    width_m: float
+    depth_m: float
+    pixels: int
+    lines: int
+    line_s: float
+    setpoint: float
+
+
+@contextlib.contextmanager
+def in_contact(client: NanonisClient, setpoint: float, patience_s: float = 60.0) -> Iterator[None]:
+    """Hold the set-point of the z-controller while a block runs, and withdraw the tip whatever ends it.
+
+    Raises:
+        DeviceError: z does not come to rest in time: there is no surface within its range, or the gain is too great.
+    """
+    try:
+        client.call("ZCtrl.SetpntSet", setpoint)
+        client.call("ZCtrl.OnOffSet", 1)
+        end, past = time.monotonic() + patience_s, [math.inf]
+        while len(past) < _RESTS or max(past[-_RESTS:]) - min(past[-_RESTS:]) > _REST_M:
+            if time.monotonic() > end:
+                raise DeviceError(f"z did not come to rest within {patience_s:g} s: is the surface within its range?")
+            time.sleep(_POLL_S)
+            past.append(client.call("ZCtrl.ZPosGet")[0])
+        yield
+    finally:
+        client.call("ZCtrl.Withdraw", 0, -1)
+
+
+def image(
+    client: NanonisClient, raster: Raster, tell: Callable[[str], None] = lambda text: None
+) -> npt.NDArray[np.float64]:
+    """Take an image by the controller's own scan, forward and upwards; the tip is withdrawn at the end.
+
+    Returns:
+        z [m] of shape (lines, pixels) with y rising, NaN where the controller has not been.
+
+    Raises:
+        DeviceError: The controller refuses, scans already, or returns another channel or shape.
+    """
+    if client.call("Scan.StatusGet")[0]:
+        raise DeviceError("the controller is scanning: end that in its own software first")
+    names = client.call("Signals.NamesGet")[0]
+    if _Z_SIGNAL not in names:
+        raise DeviceError(f"the controller has no signal {_Z_SIGNAL!r}")
+    channel = names.index(_Z_SIGNAL)
+    client.call("Scan.FrameSet", 0.0, 0.0, raster.width_m, raster.depth_m, 0.0)
+    client.call("Scan.BufferSet", [channel], raster.pixels, raster.lines)
+    _, pixels, lines = client.call("Scan.BufferGet")
+    speed = raster.width_m / raster.line_s
+    client.call("Scan.SpeedSet", speed, speed, raster.line_s, raster.line_s, 2, 1.0)
+    tell(f"an image of {pixels} x {lines} pixels begins, {2.0 * raster.line_s * lines:.0f} s")
+    with in_contact(client, raster.setpoint):
+        client.call("Scan.Action", 0, 1)
+        try:
+            while client.call("Scan.StatusGet")[0]:
+                time.sleep(_POLL_S)
+        finally:
+            client.call("Scan.Action", 1, 1)
+        name, found, _ = client.call("Scan.FrameDataGrab", channel, 1)
+    if name != _Z_SIGNAL or found.shape != (lines, pixels):
+        raise DeviceError(
+            f"the controller returned {name!r} of {found.shape}, {_Z_SIGNAL!r} of {lines, pixels} was asked"
+        )
+    return np.asarray(found, np.float64)
