@@ -228,6 +228,7 @@ class VirtualRig:
             write_provenance(self.writer, config, SITE_DIRECTORY / "local.yaml", path, self.clock.now_ns())
         self._channels: dict[tuple[str, str, str], int] = {}
         self.nodes = NODES if timing.link is not None else (LINK_NODE, *NODES)
+        self._known_due_ns: dict[str, int] = {}
         self.buses = {key: VirtualBus(self, key) for key in self.nodes}
         self._link_at_slave, self._launcher = VirtualBus(self, LINK_ENDPOINT), VirtualBus(self, LAUNCHER)
         self.loops: dict[str, NodeLoop] = {}
@@ -239,7 +240,6 @@ class VirtualRig:
         self._started_ns = self.clock.monotonic_ns()
         self._late_ns = dict.fromkeys(self.nodes, 0)
         self._stalled_until_ns = dict.fromkeys(self.nodes, 0)
-        self._known_due_ns: dict[str, int] = {}
         if timing.link is not None:
             self._declare(timing.link[0])
 

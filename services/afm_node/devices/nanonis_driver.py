@@ -80,7 +80,7 @@ class NanonisAfm(RequestDriver):
         if self.calibration.logger_port is not None:
             yield from self._start_logger()
         source = "frames of its TCP Logger" if self._logger.port else f"values every {self.tick_s * 1e3:.3g} ms"
-        self.begin_cycles(f"Nanonis, a slow instrument ({source}): what a hand feels is a model that these correct,")
+        self.begin_cycles(f"Nanonis, a slow instrument ({source}; what a hand feels is a model that these correct)")
         count = 0
         while True:
             yield from self._send_z(self.wanted_z_m())

@@ -199,9 +199,9 @@ class LogLine:
 class ControllerRig:
     """An AFM node with an emulated controller on a bench."""
 
-    def __init__(self, bench: Any, line: Any) -> None:
+    def __init__(self, bench: Any, line: Any, config: AfmConfig | None = None) -> None:
         self.bench, self.line = bench, line
-        self.node = AfmNode(bench.context, AfmConfig(), line.driver)
+        self.node = AfmNode(bench.context, AfmConfig() if config is None else config, line.driver)
 
     def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
         for _ in range(count):
@@ -211,6 +211,6 @@ class ControllerRig:
             fields["hand_t_ns"] = self.bench.clock.now_ns()
             self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
 
-    def control(self, command: str) -> str:
-        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": {}}
+    def control(self, command: str, **parameters: Any) -> str:
+        fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
         return self.node.on_control(self.bench.make("session/control", "console@slave", **fields))

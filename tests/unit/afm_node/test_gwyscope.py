@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from controller_line import MS, PARAMS, ControllerRig, Gwyscope
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import CONTROLLERS, AfmConfig
 from services.afm_node.devices import gwyscope_model, gwyscope_wire, request_driver
 from services.afm_node.devices.gwyscope_model import AssertionOfTheServerError
@@ -192,6 +192,32 @@ def test_tip_goes_over_the_sample_while_z_is_the_rigs(line: Gwyscope) -> None:
         stage.move_to(6e-5, 0.0)
     with pytest.raises(ValueError, match="finite"):
         stage.move_to(math.nan, 0.0)
+
+
+@pytest.mark.endurance
+def test_an_image_by_the_node_is_that_of_the_sample_with_a_gain_that_the_latency_permits(bench_of: Any) -> None:
+    config = AfmConfig.model_validate({"sample": {"name": "dots"}, "cantilever": {"stiffness_n_per_m": 1.0}})
+    line = Gwyscope(config=driver_of(config), cantilever={"stiffness_n_per_m": 1.0})
+    rig = ControllerRig(bench_of("afm_node@slave"), line, config)
+    scan = {"width_m": 60e-9, "depth_m": 10e-9, "pixels": 32, "lines": 1, "dwell_s": 20e-3}
+    wanted = {f"scan.{key}": value for key, value in scan.items()}
+    rig.tick(8)
+    with pytest.raises(RefusedError, match=r"scan.gain_per_s .* makes the feedback unstable .* below 222.222 1/s"):
+        rig.control("set", program="scan", **wanted)
+    rig.control("set", program="scan", **wanted, **{"scan.gain_per_s": 150.0, "scan.approach_m_per_s": 2e-7})
+    lines: list[Any] = []
+    for _ in range(6000):
+        rig.tick(1)
+        lines += rig.bench.take("afm/scanline")
+        if len(lines) == 2:
+            break
+    surface = config.to_surface()
+    assert surface is not None
+    xs = ((np.arange(32) + 0.5) / 32 - 0.5) * 60e-9 + 0.5 * surface.width_m
+    truth = surface.height_m[surface.height_m.shape[0] // 2, (xs / surface.step_x_m).astype(int)]
+    assert np.ptp(truth) > 3e-9
+    for found in lines:
+        assert np.corrcoef(found.height_m.to_numpy(), truth)[0, 1] > 0.9
 
 
 def test_every_item_that_the_driver_sends_has_the_type_that_the_server_asserts(line: Gwyscope) -> None:

@@ -1,0 +1,135 @@
+"""Fig. 12 by emulated AFM controllers in virtual time: forces and places beside those of the simulated instrument."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from virtual_rig import Timing, VirtualRig
+
+import services.afm_node.__main__ as afm
+from presets import find_scenario
+from services.afm_node.config import AfmConfig
+from services.afm_node.devices import gwyscope_model, gwyscope_wire, nanonis_model
+from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
+from services.afm_node.devices.nanonis_driver import NanonisAfm
+from services.afm_node.devices.piezo_calibration import ControllerCalibration
+from services.afm_node.instrument import driver_of
+from services.runtime.settings.config import parse_yaml, validate
+
+TIP, HAND = "afm_node@slave", "haptic_node@master"
+BEGIN_S, END_S = 0.4, 4.4
+# states in the holds of 1 and of 2 N
+FIRST, SECOND = (2400, 2600), (4200, 4700)
+TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
+
+
+class Wire:
+    """The connection to an emulated controller, at the time of a rig."""
+
+    resolved = True
+
+    def __init__(self, kind: str, config: AfmConfig) -> None:
+        self.now_ns = 0
+        self._answers: list[bytes] = []
+        instrument = driver_of(config)
+        instrument.open()
+        plant = config.to_params().plant
+        model: Any = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}[kind]
+        document = model.calibration_of(plant.volts_per_m, plant.stiffness_n_per_m)
+        content = yaml.safe_dump(document).encode()
+        calibration = validate(ControllerCalibration, parse_yaml(content, kind), kind)
+        self.model: Any
+        if kind == "gwyscope":
+            self.model = gwyscope_model.GwyscopeModel(instrument)
+        else:
+            self.model = nanonis_model.NanonisModel(instrument)
+        driver = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}[kind]
+        clock = {"connect": lambda host, port: self, "now_ns": lambda: self.now_ns, "sleep": self.sleep}
+        self.driver = driver(calibration, config.to_params().safety, attended=True, **clock)
+
+    def sleep(self, duration_s: float) -> None:
+        self.now_ns += round(duration_s * 1e9)
+
+    def ready(self) -> bool:
+        return True
+
+    def send(self, request: bytes) -> None:
+        if isinstance(self.model, nanonis_model.NanonisModel):
+            self._answers.append(self.model.serve(request, self.now_ns) or b"")
+        else:
+            answer = self.model.respond(gwyscope_wire.decode(request), self.now_ns)
+            self._answers.append(gwyscope_wire.encode(answer))
+
+    def receive(self) -> bytes:
+        return self._answers.pop(0) if self._answers else b""
+
+    def close(self) -> None:
+        self._answers.clear()
+
+
+def session(kind: str, law: str, monkeypatch: pytest.MonkeyPatch) -> tuple[Any, Any]:
+    """Run the hand of Fig. 12 for five seconds; return what tip and hand said in it."""
+    scenario = yaml.safe_load(find_scenario("fig12").read_text()) | {"duration_s": 60.0}
+    scenario["controller"] = {"law": law}
+    wires: list[Wire] = []
+
+    def driver(config: AfmConfig, period_s: float) -> Any:
+        if kind == "simulated":
+            return driver_of(config, period_s)
+        wires.append(Wire(kind, config))
+        return wires[0].driver
+
+    with monkeypatch.context() as patch:
+        patch.setattr(afm, "driver_of", driver)
+        rig = VirtualRig(None, 1, (), TIMING, scenario)
+    try:
+        if wires:
+            wire, usual = wires[0], wires[0].driver.exchange
+            ahead_ns = wire.now_ns - rig.clock.monotonic_ns()
+
+            def exchange(base_m: float) -> Any:
+                wire.now_ns = max(wire.now_ns, rig.clock.monotonic_ns() + ahead_ns)
+                return usual(base_m)
+
+            monkeypatch.setattr(wire.driver, "exchange", exchange)
+        rig.run_until(0.2)
+        rig.command("arm", "*")
+        rig.run_until(BEGIN_S)
+        rig.command("start", HAND)
+        rig.run_until(BEGIN_S + END_S)
+        return rig.received("afm/state", TIP), rig.received("haptic/state", HAND)
+    finally:
+        rig.close()
+
+
+def held(tips: Any, begin: int, end: int) -> float:
+    """Return the mean force on the tip in some of the states [N]."""
+    return float(np.mean([tip.tip_force_n[2] for tip in tips[begin:end]]))
+
+
+@pytest.mark.endurance
+def test_fig12_by_a_gwyscope_is_that_of_the_simulated_instrument(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulated, simulated_hands = session("simulated", "virtual_impedance", monkeypatch)
+    tips, hands = session("gwyscope", "virtual_impedance", monkeypatch)
+    assert {(tip.mode, tip.device) for tip in tips} <= {("retracted", "ok"), ("follow", "ok")}
+    for hold in (FIRST, SECOND):
+        assert held(tips, *hold) == pytest.approx(held(simulated, *hold), rel=1e-4)
+    # the pull before contact is read at the ticks of the server
+    pulls = [min(tip.tip_force_n[2] for tip in found) for found in (tips, simulated)]
+    assert pulls[0] == pytest.approx(pulls[1], rel=0.05)
+    assert hands[-1].position_m[2] == pytest.approx(simulated_hands[-1].position_m[2], rel=1e-6)
+
+
+@pytest.mark.endurance
+def test_fig12_by_a_nanonis_presses_no_harder_and_costs_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that values of a Tap correct is met later, so the hand stands deeper: that is what it costs."""
+    simulated, _ = session("simulated", "model_mediated", monkeypatch)
+    tips, hands = session("nanonis", "model_mediated", monkeypatch)
+    assert {(tip.mode, tip.device) for tip in tips} <= {("retracted", "ok"), ("follow", "ok")}
+    assert held(tips, *SECOND) == pytest.approx(held(simulated, *SECOND), rel=0.05)
+    most = [max(tip.tip_force_n[2] for tip in found) for found in (tips, simulated)]
+    assert most[0] < 1.1 * most[1]
+    # and it does not swing: the hand stands, and the force of the tip within a nanonewton
+    assert np.ptp([hand.position_m[2] for hand in hands[-300:]]) < 1e-5
+    assert np.std([tip.tip_force_n[2] for tip in tips[SECOND[0] : SECOND[1]]]) < 1e-9
