@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, Field
 
-from proto.ranges import EnergyJ, QuaternionPart, VoltageV
+from proto.ranges import ChannelValue, EnergyJ, QuaternionPart, VoltageV
 
 DeviceStatus = Literal["ok", "stale", "lost"]
 
@@ -68,8 +68,24 @@ class StageVolts(BaseModel):
     input_v: VoltageV | None = Field(default=None, description="Input of the deflection [V]")
 
 
+class FeltChannel(BaseModel):
+    """What the hand feels where that is no force on the tip: a measured channel, by a table of the instrument."""
+
+    felt_channel: Literal["frequency_shift", "current", "amplitude", "phase"] | None = Field(
+        default=None,
+        description="Channel that tip_force_n along z is made of, which is no force then; absent otherwise",
+    )
+    felt_value: ChannelValue | None = Field(
+        default=None, description="Its value [Hz, A, m or rad]; absent where it is no number"
+    )
+    felt_clamp: Literal["", "saturated", "bounds", "rate", "left"] | None = Field(
+        default=None, description="What limits the force made of it; left: the value has left the branch of the table"
+    )
+
+
 HAND_COUNTS, STAGE_VOLTS = tuple(HandCounts.model_fields), tuple(StageVolts.model_fields)
 COUPLED_HAND = tuple(CoupledHand.model_fields)
+FELT_CHANNEL = tuple(FeltChannel.model_fields)
 LATERAL_FORCE_N: Any = Field(
     default=None,
     description="Force on the tip by the sample along x [N]; absent where it is not measured",

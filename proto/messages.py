@@ -247,11 +247,13 @@ class AfmCommand(Message, _HandSample):
     )
 
 
-class AfmState(real.StageVolts, _Extended, _HandSample):
+class AfmState(real.FeltChannel, real.StageVolts, _Extended, _HandSample):
     """The AFM: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"device": 2, "sample_age_s": 2, **dict.fromkeys(real.STAGE_VOLTS, 2)}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {
+        **dict.fromkeys(("device", "sample_age_s", *real.STAGE_VOLTS), 2), **dict.fromkeys(real.FELT_CHANNEL, 3)
+    }  # fmt: skip
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
     base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")

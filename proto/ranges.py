@@ -65,6 +65,9 @@ PERCENTAGE = Range("percentage", 0.0, 1e6, "%", "ten thousand processors that wo
 ANGLE = Range("angle", -1e6, 1e6, "rad", "an unwrapped phase of 1.6e5 turns")
 VOLTAGE = Range("voltage", -1e4, 1e4, "V", "ten times the highest voltage that drives a piezo")
 QUATERNION = Range("component of a unit quaternion", -1.0, 1.0, "", "that of a rotation by no angle at all")
+CHANNEL = Range(
+    "measured channel", -1e9, 1e9, "its SI unit", "the greatest rate, as of a frequency shift; others are less"
+)
 
 RANGES = (
     POSITION,
@@ -81,6 +84,7 @@ RANGES = (
     ANGLE,
     VOLTAGE,
     QUATERNION,
+    CHANNEL,
 )
 
 PositionM = Annotated[float, POSITION]
@@ -96,6 +100,7 @@ RateHz = Annotated[float, RATE]
 Percent = Annotated[float, PERCENTAGE]
 VoltageV = Annotated[float, VOLTAGE]
 QuaternionPart = Annotated[float, QUATERNION]
+ChannelValue = Annotated[float, CHANNEL]
 
 PositionVector = tuple[PositionM, PositionM, PositionM]
 WayVector = tuple[WayM, WayM, WayM]

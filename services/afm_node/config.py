@@ -13,6 +13,8 @@ from presets.plugins import load, refuse
 from proto.errors import ConfigError
 from proto.extras import how_to_install
 from proto.topics import deadline_of
+from services.afm_node.felt import FeelConfig
+from services.afm_node.over_map import guard_of, require_feelable
 from services.afm_node.physics.cantilever import Plant, build_plant, volts_per_m
 from services.afm_node.physics.contact.capillary import meniscus_radius_m
 from services.afm_node.physics.contact.friction import FrictionParams, adhesion_n
@@ -27,6 +29,7 @@ from services.afm_node.physics.contact.tip_sample import (
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
+from services.afm_node.physics.sample.force_map import Span
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface import Surface, dilated
 from services.afm_node.physics.sample_models import checked_sample
@@ -34,7 +37,6 @@ from services.afm_node.physics.spring import spring_params
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.programs.lateral import LateralParams
 from services.afm_node.programs.settings import InstrumentRequest
-from services.afm_node.safety import SafetyParams
 from services.runtime.settings.config import Settings
 from services.runtime.settings.device_drivers import drivers_of
 
@@ -255,6 +257,9 @@ class _OwnSections(Settings):
     begin: InstrumentRequest | None = Field(
         None, description="What begins when the instrument is armed, keys as of `set`; none: it follows commands."
     )
+    feel: FeelConfig | None = Field(
+        None, description="A measured channel that is felt in place of the force, by a table; none: the force."
+    )
     friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
@@ -289,7 +294,18 @@ class _OwnSections(Settings):
             return None
         if self.environment in SAMPLES.found:
             return getattr(getattr(self, self.environment), "stiffness_n_per_m", None)
-        return (self.spring if self.environment == "spring" else self.cantilever).stiffness_n_per_m
+        return self.spring.stiffness_n_per_m if self.environment == "spring" else self.felt_through_n_per_m
+
+    @property
+    def felt_through_n_per_m(self) -> float:
+        """Stiffness of the cantilever [N/m]; under a recorded map, that of the one that measured it."""
+        span = self.map_span
+        return (0.0 if span is None else span.stiffness_n_per_m) or self.cantilever.stiffness_n_per_m
+
+    @property
+    def map_span(self) -> Span | None:
+        """What the recorded map says without its values; None where there is none, or not on this machine."""
+        return None if self.sample is None else self.sample.map_span
 
     def doubts(self) -> str:
         """Return what contradicts itself in the material, though it can be simulated; empty where nothing does."""
@@ -323,6 +339,8 @@ class _OwnSections(Settings):
             self._check_dynamic()
         if self.sample is not None and self.sample.particles is not None:
             self._check_particles(self.sample.particles)
+        if self.sample is not None and self.sample.map is not None:
+            require_feelable(self, self.sample.map)
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self
@@ -355,6 +373,12 @@ class _OwnSections(Settings):
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
 
+    @property
+    def places_m(self) -> tuple[float, float]:
+        """How far from the middle the tip may go in x and in y [m]: as far as the stage and the map reach."""
+        reach_m, span = self.lateral.reach_m, self.map_span
+        return (reach_m, reach_m) if span is None else (min(reach_m, span.half_x_m), min(reach_m, span.half_y_m))
+
     def to_friction_params(self) -> FrictionParams:
         f = self.friction
         # Without friction the adhesion is not needed, and it takes a while to find.
@@ -363,7 +387,7 @@ class _OwnSections(Settings):
 
     def to_surface(self) -> Surface | None:
         """Return the sample as the sphere of the tip sees it, None for a plane; ConfigError names what is wrong."""
-        if self.sample is None:
+        if self.sample is None or self.sample.map is not None:
             return None
         try:
             return dilated(self.sample.build(), self.tip_sample.tip_radius_m)
@@ -374,6 +398,8 @@ class _OwnSections(Settings):
         """Return width and depth of the sample [m]; of a plane, what one image of it takes by default."""
         if self.sample is None:
             return _PLANE_M, _PLANE_M
+        if (span := self.map_span) is not None:
+            return 2.0 * span.half_x_m, 2.0 * span.half_y_m
         surface = self.sample.build()
         return surface.width_m, surface.depth_m
 
@@ -406,7 +432,7 @@ class _OwnSections(Settings):
 
     def to_sample_params(self) -> AfmParams:
         """Return the parameters of the sample of another package behind the same guard."""
-        return AfmParams(SafetyParams(**self.safety.model_dump()), getattr(self, self.environment).to_params())
+        return AfmParams(guard_of(self), getattr(self, self.environment).to_params())
 
     def to_dynamic(
         self,
@@ -462,7 +488,7 @@ class _OwnSections(Settings):
         )
         gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
         plant = _plant(properties, _TABLE_REACH * s.force_limit_n, c.stiffness_n_per_m, self.rest_distance_m, gain)
-        return AfmParams(SafetyParams(**s.model_dump()), plant)
+        return AfmParams(guard_of(self), plant)
 
 
 CONTROLLERS = ("gwyscope", "nanonis")

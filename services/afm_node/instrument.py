@@ -14,6 +14,7 @@ from services.afm_node.config import (
     ModbusConfig,
 )
 from services.afm_node.driver import AfmDriver
+from services.afm_node.over_map import read_params
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.programs.feedback import remaining
 from services.afm_node.programs.program import Instrument
@@ -39,6 +40,8 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
         return SimulatedInstrument(config.to_sample_params())
     if config.environment == "spring":
         return SimulatedInstrument(config.to_spring_params())
+    if config.sample is not None and config.sample.map is not None:
+        return recorded_afm(config)
     if config.model == "dynamic":
         return dynamic_afm(config)
     return simulated_afm(
@@ -73,6 +76,16 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error
     return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip, **_particles(config))
+
+
+def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
+    """Return the instrument over its recorded map; ConfigError, if the map cannot be used."""
+    plant, found, text = read_params(config)
+    params = config.to_params()
+    # what disturbs the instrument is that of a cantilever with the stiffness of the map
+    cantilever = params.plant._replace(stiffness_n_per_m=plant.stiffness_n_per_m)
+    channel = "" if plant.is_force else found.quantity
+    return SimulatedInstrument(params._replace(plant=plant), None, cantilever, config.disturbances, text, channel)
 
 
 def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
@@ -142,7 +155,8 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
     stable for Ki D below pi / 2, and 2 / (T + 2 D), the limit of a period T + 2 D, is below that for any T.
     """
     params = config.to_params()
-    lateral = None if driver.stage is None else config.to_lateral_params()
+    # over a recorded map, programs go within the largest square of it
+    lateral = None if driver.stage is None else config.to_lateral_params()._replace(reach_m=min(config.places_m))
     known = None if reach is None else reach.surface
     sides = config.sample_sides_m() if known is None else (known.width_m, known.depth_m)
     c = config.cantilever
@@ -150,7 +164,7 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
         limits=params.safety,
         lateral=lateral,
         size_m=sides,
-        stiffness_n_per_m=c.stiffness_n_per_m,
+        stiffness_n_per_m=config.felt_through_n_per_m,
         period_s=period_s + 2.0 * driver.latency_s,
         can_vibrate=driver.vibration is not None,
         lag=remaining(period_s, c.resonance_hz, c.quality),

@@ -12,7 +12,9 @@ from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
 from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.felt import LEFT, FeltInputs, FeltState, felt_step
 from services.afm_node.instrument import reach_of, runner_of
+from services.afm_node.over_map import MapEdge
 from services.afm_node.physics.part import AfmSample, Oscillation
 from services.afm_node.physics.step import LONGEST_STEP_NS, command_wait_ns
 from services.afm_node.programs.lateral import Place, moved
@@ -49,7 +51,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
     The state of the guard; the command in force, and when it was received [ns]; forces on the tip at the last step [N];
     where the tip is, and where a person wants it; the times of the last report of a program, of the last step, and of
-    the next one [ns].
+    the next one [ns]; what is felt, None where it is the force.
     """
 
     guard: safety.SafetyState
@@ -62,6 +64,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
     told_ns: int = 0
     stepped_ns: int = 0
     due_ns: int = 0
+    felt: FeltState | None = None
 
 
 class AfmNodeState(NamedTuple):
@@ -108,7 +111,14 @@ class AfmNode(Node):
         self._twist_n = config.friction.lateral_stiffness_n_per_m * config.friction.tip_height_m
         self._lateral = config.to_lateral_params()
         self._reach = reach_of(config, driver)
-        self._sample = "" if self._reach is None else _sample_text(config, self._reach)
+        about = getattr(driver, "about", "")
+        self._sample = about if self._reach is None else _sample_text(config, self._reach)
+        self._places_m = config.places_m
+        self._edge = None if config.map_span is None else MapEdge(config.places_m)
+        self._feel = None if config.feel is None else (config.feel.channel, config.feel.to_params())
+        self._left = False
+        if self._feel is not None:
+            self._memory.felt = FeltState()
         self._begin = config.begin
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
         self.state = "safe"
@@ -126,7 +136,8 @@ class AfmNode(Node):
         self._report_device(driver.report)
         self._memory.stepped_ns = self.clock.monotonic_ns()
         self._memory.due_ns = self._memory.stepped_ns + self._period_ns
-        if config.driver == "simulated" and config.environment == "tip_sample" and (doubts := config.doubts()):
+        is_model = config.driver == "simulated" and config.environment == "tip_sample" and self._edge is None
+        if is_model and (doubts := config.doubts()):
             self.event("fault", "warning", doubts)
 
     def admits(self, received: Received) -> bool:
@@ -222,10 +233,12 @@ class AfmNode(Node):
                 raise RefusedError("lateral: this instrument has no lateral stage")
             x_m = self._memory.pointer.x_m if lateral.x_m is None else lateral.x_m
             y_m = self._memory.pointer.y_m if lateral.y_m is None else lateral.y_m
-            if max(abs(x_m), abs(y_m)) > self._lateral.reach_m:
-                raise RefusedError(
-                    f"lateral: {x_m:g}, {y_m:g} m is beyond lateral.reach_m = {self._lateral.reach_m:g} m"
-                )
+            reach_x_m, reach_y_m = self._places_m
+            if abs(x_m) > reach_x_m or abs(y_m) > reach_y_m:
+                limit = f"lateral.reach_m = {reach_x_m:g} m"
+                if self._edge is not None:
+                    limit = f"the recorded map, x ± {reach_x_m:g} m, y ± {reach_y_m:g} m"
+                raise RefusedError(f"lateral: {x_m:g}, {y_m:g} m is beyond {limit}")
             self._memory.pointer = Place(x_m, y_m)
             sentences.append(f"the tip goes to x = {x_m:g} m, y = {y_m:g} m while it follows")
         if request.program is not None:
@@ -309,6 +322,10 @@ class AfmNode(Node):
     def _carry_out(self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float) -> safety.SafetyOutputs:
         """Guard what is asked, apply it, measure, and publish what was done."""
         self._memory.guard, allowed = safety.safety_step(self._limits, self._memory.guard, asked, elapsed_s)
+        if self._edge is not None:
+            wanted, text = self._edge.kept(wanted, allowed, self._memory.stepped_ns)
+            if text:
+                self.event("mode", "warning", text)
         if wanted is not self._memory.place and allowed.mode == safety.MODE_FOLLOW:
             self._move_laterally(wanted, elapsed_s)
         simulation = self._driver.simulation
@@ -320,13 +337,40 @@ class AfmNode(Node):
         report = self._driver.report
         # A force beyond the range of the input is no number for the guard.
         self._memory.force_n = sample.force_n if report is None or report.force_valid else math.nan
-        self._publish_state(allowed, sample, elapsed_s, report)
+        felt: dict[str, Any] = {}
+        if self._feel is not None:
+            sample, felt = self._made_of_channel(sample, allowed, elapsed_s)
+        self._publish_state(allowed, sample, elapsed_s, report, felt)
         self._report_changes(allowed)
         self._report_device(report)
         self.steps += 1
         if simulation is not None and simulation.settles:
             self.defer(self._settle, NEVER_NS)
         return allowed
+
+    def _made_of_channel(
+        self, sample: AfmSample, allowed: safety.SafetyOutputs, elapsed_s: float
+    ) -> tuple[AfmSample, dict[str, Any]]:
+        """Return the sample with what is felt of the channel as its force, and what is published of that.
+
+        The guard judges the greater of both forces; a value that has left the branch is no force to it.
+        """
+        assert self._feel is not None and self._memory.felt is not None
+        channel, params = self._feel
+        value = getattr(self._driver, "channels", {}).get(channel, math.nan)
+        inputs = FeltInputs(value, sample.base_m, self._memory.place, allowed.mode == safety.MODE_RETRACTED)
+        self._memory.felt, felt = felt_step(params, self._memory.felt, inputs, elapsed_s)
+        left = felt.clamp == LEFT
+        self._memory.force_n = math.nan if left else max(self._memory.force_n, felt.force_n)
+        if left and not self._left:
+            self.event(
+                "fault", "warning", f"{channel} = {value:.6g} has left the branch of feel.table: the tip retracts"
+            )
+        self._left = left
+        said = {"felt_channel": channel, "felt_clamp": felt.clamp}
+        if math.isfinite(value):
+            said["felt_value"] = value
+        return sample._replace(force_n=felt.force_n), said
 
     def _step_program(self, elapsed_s: float, *, estop: bool) -> safety.SafetyOutputs:
         """Take a step of the program that runs, and see to its end."""
@@ -402,12 +446,17 @@ class AfmNode(Node):
         )
 
     def _publish_state(
-        self, allowed: safety.SafetyOutputs, sample: AfmSample, elapsed_s: float, report: DeviceReport | None
+        self,
+        allowed: safety.SafetyOutputs,
+        sample: AfmSample,
+        elapsed_s: float,
+        report: DeviceReport | None,
+        felt: dict[str, Any],
     ) -> None:
         command = self._memory.command
-        device: dict[str, Any] = {}
+        device = felt
         if report is not None:
-            device = {"device": report.status, "sample_age_s": report.age_s}
+            device = felt | {"device": report.status, "sample_age_s": report.age_s}
             device.update(output_v=report.output_v, input_v=report.input_v)
         self.publish(
             "afm/state",

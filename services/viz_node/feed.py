@@ -29,6 +29,8 @@ _STATE_KEYS = {
     "afm/program": ("program", "state", "text", "done_percent", "line", "lines"),
     "law/status": ("law", "switching", "passive", "heard", "silence_s", "dissipated_j", "left_j"),
 }
+# in afm/state, where what is felt is no force
+_FELT_KEYS = ("felt_channel", "felt_clamp")
 # the operator's time changes with each sample, and is shown with a tenth of a second
 _COARSE = {"session_s": 1, "silence_s": 1, "uptime_s": 0}
 _WAY_KEYS = ("profile", "settings", "queue_depth", "delay_mean_s", "delay_max_s", "delay_valid", "dropped")
@@ -103,7 +105,8 @@ class Feed:
             fields = self._loss.added(seen.fields) if stream.name == "link" else seen.fields
             self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
         if keys := _STATE_KEYS.get(seen.topic):
-            self._set_state(f"{seen.topic}/{site_of(seen.src)}", _facts(seen.fields, keys))
+            felt = tuple(key for key in _FELT_KEYS if key in seen.fields)
+            self._set_state(f"{seen.topic}/{site_of(seen.src)}", _facts(seen.fields, keys + felt))
         elif seen.topic == "link/status":
             ways = {way: _facts(seen.fields[way], _WAY_KEYS) for way in ("forward", "backward")}
             clock = seen.fields["clock"]

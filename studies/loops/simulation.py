@@ -17,6 +17,7 @@ from presets import find_scenario
 from proto.errors import ConfigError
 from recording.column_table import ColumnTable
 from services.afm_node.config import SAMPLES, AfmConfig
+from services.afm_node.over_map import read_params
 from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.step import AfmParams
@@ -251,10 +252,14 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
 def _instrument(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
     """Return what a node would simulate, for a run of that length [s]; ConfigError names what a lockstep has not."""
     disturbed = config.disturbances.any_enabled
+    if config.feel is not None:
+        raise ConfigError(f"{origin}: afm_node.feel: a lockstep feels the force of the tip; `up` can run it")
     if config.environment in SAMPLES.found:
         params = config.to_sample_params()
     elif config.environment == "spring":
         params = config.to_spring_params()
+    elif config.sample is not None and config.sample.map is not None:
+        params = config.to_params()._replace(plant=read_params(config)[0])
     else:
         params = config.to_params()
         if config.sample is None and disturbed:

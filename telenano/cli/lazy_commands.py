@@ -64,7 +64,7 @@ LAZY_COMMANDS = {
     "law": LazyCommand("telenano.cli.commands.law", "app", "List, show and check laws, those of packages included."),
     "new": LazyCommand("telenano.cli.commands.new", "new", "Make a package with a law, device, sample or program."),
     "sample": LazyCommand(
-        "telenano.cli.commands.sample", "sample", "Make or read a surface, and show what a round tip sees of it."
+        "telenano.cli.commands.sample", "app", "Make or read a surface as a round tip sees it; import recorded maps."
     ),
     "scan": LazyCommand(
         "telenano.cli.commands.scan", "scan", "Image a sample: tapping or contact mode, simulated time."

@@ -23,6 +23,7 @@ SHARED = {"session/control", "session/event", "node/health", "node/journal", "li
 UNIT = re.compile(r"_(m|s|ns|n|j|w|hz|rad|m_per_s|n_per_m|sqrt_w|bytes|percent|v)$")
 # numbers without a unit: counts and names of things
 UNITLESS = {
+    "felt_value": "SI unit of the channel",
     "seq": "number of a message",
     "position_raw": "counts of a device",
     "velocity_raw": "counts of a device a second",

@@ -122,6 +122,22 @@ def write_archive(path: Path) -> None:
         file.writestr("segments/0/segment-header.properties", "force-segment-header.num-points=4\n")
 
 
+def write_grid(path: Path) -> None:
+    """Write a recorded map: two columns of ten frequency shifts."""
+    axes = {"x": np.arange(2) * 1e-9, "y": np.zeros(1), "z": np.arange(10) * 1e-10}
+    np.savez(path, value=np.full((2, 1, 10), -3.0), unit="Hz", length_unit="m", **axes)
+
+
+def nanonis_grid() -> bytes:
+    head = (
+        'Grid dim="2 x 1"\r\nGrid settings=0;0;2E-9;1E-9;0\r\nSweep Signal="Z (m)"\r\n'
+        'Fixed parameters="Sweep Start;Sweep End"\r\nExperiment parameters="X (m);Z (m)"\r\n# Parameters (4 byte)=4\r\n'
+        'Points=10\r\nChannels="Frequency Shift (Hz)"\r\n:HEADER_END:\r\n'
+    )
+    curve = np.concatenate([[1e-9, 0.0, 0.0, 0.0], np.linspace(-1.0, -3.0, 10)])
+    return head.encode() + np.tile(curve, 2).astype(">f4").tobytes()
+
+
 def mcap_record(opcode: int, body: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(body)) + body
 
@@ -163,6 +179,8 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "curve.h5": write_hdf5,
     "curve.tab": write_table,
     "curve.jpk-force": write_archive,
+    "grid.npz": write_grid,
+    "grid.3ds": lambda path: path.write_bytes(nanonis_grid()),
     "session.mcap": lambda path: path.write_bytes(mcap_whole()),
     "scenario.yaml": lambda path: path.write_bytes(yaml()),
 }
@@ -205,6 +223,12 @@ def _read_map(path: Path) -> None:
     assert np.isfinite(surface.height_m).all()
 
 
+def _read_grid(path: Path) -> None:
+    from services.afm_node.physics.sample.map_files import Wanted, import_map
+
+    assert np.isfinite(import_map(path, Wanted({})).map.values).all()
+
+
 def _read_curve(path: Path) -> None:
     from studies.instrument.force_curve import read_measured
 
@@ -232,7 +256,7 @@ def _read_yaml(path: Path) -> None:
     validate(Scenario, read_yaml(path), str(path))
 
 
-READ = {"map": _read_map, "curve": _read_curve, "session": _read_mcap, "scenario": _read_yaml}
+READ = {"map": _read_map, "grid": _read_grid, "curve": _read_curve, "session": _read_mcap, "scenario": _read_yaml}
 
 
 def _main(kind: str, paths: list[str]) -> None:

@@ -57,6 +57,8 @@ class SimulatedInstrument:
         relief: What is known of the heights; None for nothing.
         cantilever: The cantilever of an instrument that can be disturbed.
         disturbances: The disturbances of the instrument.
+        about: What a person should know of the sample when the tip is armed, in words.
+        channel: What the part measures besides the deflection, a channel of `felt`; empty for nothing.
     """
 
     def __init__(
@@ -65,8 +67,11 @@ class SimulatedInstrument:
         relief: Relief | None = None,
         cantilever: Plant | None = None,
         disturbances: DisturbanceConfig = _QUIET,
+        about: str = "",
+        channel: str = "",
     ) -> None:
         self._params = params
+        self.about, self._channel = about, channel
         self._relief, self._cantilever = relief, cantilever
         self._motion = motion_of(params.plant)
         self.state = InstrumentState(
@@ -132,6 +137,16 @@ class SimulatedInstrument:
         if self._motion is None or state.part is None or state.inputs.amplitude_m == 0.0:
             return _AT_REST
         return self._motion.oscillation(state.part)
+
+    @property
+    def channels(self) -> dict[str, float]:
+        """Return what was measured at the last exchange besides the deflection: values in SI units by channel."""
+        found = {}
+        if self._motion is not None:
+            found = {"amplitude": self.oscillation.amplitude_m, "phase": self.oscillation.phase_rad}
+        if self._channel and self.state.part is not None:
+            found[self._channel] = self.state.part.value
+        return found
 
     @property
     def disturbances(self) -> DisturbanceConfig | None:

@@ -10,10 +10,12 @@ The answer is a line of JSON and the bytes of the arrays after it, in a file wit
 import importlib
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
@@ -56,7 +58,13 @@ def limits_for(size_bytes: int) -> Limits:
     return Limits(_MEMORY_BYTES + _MEMORY_PER_BYTE * size_bytes, cpu_s, _WALL_FACTOR * cpu_s)
 
 
-def read_in_child(function: str, path: Path, *arguments: str | None, limits: Limits | None = None) -> Answer:
+def read_in_child(
+    function: str,
+    path: Path,
+    *arguments: str | None,
+    limits: Limits | None = None,
+    watch: Callable[[float], None] | None = None,
+) -> Answer:
     """Call a function, given as `module:name`, with a path and texts in a child; return what it returns, an `Answer`.
 
     Args:
@@ -64,6 +72,8 @@ def read_in_child(function: str, path: Path, *arguments: str | None, limits: Lim
         path: Its first argument.
         *arguments: Its further arguments.
         limits: The limits of the child; None takes those for the size of the file.
+        watch: Called with the share that is done, from 0 to 1. The function then has one more argument, a descriptor to
+            which it writes a byte for each advance: how many percent are done.
 
     Raises:
         ImportError: A package is missing; the message names it.
@@ -74,19 +84,53 @@ def read_in_child(function: str, path: Path, *arguments: str | None, limits: Lim
     if size > LARGEST_FILE_BYTES:
         raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
     limits = limits or limits_for(size)
-    command = [sys.executable, "-P", "-m", __name__, function, json.dumps([limits, os.fspath(path), *arguments])]
+    command = [sys.executable, "-P", "-m", __name__, function]
+    given = [limits, os.fspath(path), *arguments]
     # A single thread is used, because each thread of a linear algebra library reserves memory.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     with _answer_file() as out:
         try:
-            done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
-                env=environment, timeout=limits.wall_s, check=False,
-            )  # fmt: skip
+            if watch is None:
+                code = subprocess.run(
+                    [*command, json.dumps(given)], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
+                    env=environment, timeout=limits.wall_s, check=False,
+                ).returncode  # fmt: skip
+            else:
+                code = _watched(command, given, out, environment, limits.wall_s, watch)
         except subprocess.TimeoutExpired as error:
             raise ValueError(f"it cannot be read within {limits.wall_s:g} s") from error
         out.seek(0)
-        return _answer(out, done.returncode, limits)
+        return _answer(out, code, limits)
+
+
+def _watched(
+    command: list[str],
+    given: list[Any],
+    out: BinaryIO,
+    environment: dict[str, str],
+    wall_s: float,
+    watch: Callable[[float], None],
+) -> int:
+    """Run a child that reports its advance, each within wall_s [s] of the one before; return its exit code."""
+    reader, writer = os.pipe()
+    try:
+        process = subprocess.Popen(
+            [*command, json.dumps([*given, writer])], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
+            env=environment, pass_fds=(writer,),
+        )  # fmt: skip
+    except BaseException:
+        os.close(reader)
+        raise
+    finally:
+        os.close(writer)
+    try:
+        while select.select([reader], [], [], wall_s)[0] and (advance := os.read(reader, 4096)):
+            watch(0.01 * advance[-1])
+        return process.wait(wall_s)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(reader)
 
 
 def _answer_file() -> BinaryIO:

@@ -1,12 +1,16 @@
-"""`telenano sample`: make or read the surface that the tip meets, and show what a round tip sees of it."""
+"""`telenano sample`: the surface that the tip meets, and what a round tip sees of it; recorded maps to feel."""
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from proto.errors import ConfigError
-from telenano.cli.options import JsonOption
+from services.runtime.settings.config import flag_overrides
+from telenano.cli.options import HELP_NAMES, JsonOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.sample_options import (
     ChannelOption,
@@ -18,9 +22,39 @@ from telenano.cli.sample_options import (
     sample_config,
 )
 
+if TYPE_CHECKING:
+    from services.afm_node.physics.sample.map_files import Imported
 
+
+app = typer.Typer(
+    context_settings=HELP_NAMES, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+FileArgument = Annotated[
+    Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, or force curves that afmformats reads.")
+]
+MembersOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="What the file lacks, such as stiffness_n_per_m=0.1 (repeatable)."),
+]
+MapChannelOption = Annotated[
+    str | None, typer.Option("--channel", metavar="NAME", help="Part of the name of a channel of a .3ds file.")
+]
+
+
+class Level(StrEnum):
+    """What the heights of curves count from."""
+
+    EACH = "each"
+    COMMON = "common"
+
+
+@app.callback(invoke_without_command=True)
 def sample(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for sample.gwy, sample.gsf, sample.png.")],
+    context: typer.Context,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder for sample.gwy, sample.gsf, sample.png.")
+    ] = None,
     name: SampleOption = "dots",
     size: SampleSizeOption = None,
     channel: ChannelOption = None,
@@ -31,7 +65,11 @@ def sample(
     as_json: JsonOption = False,
 ) -> None:
     """Write a sample and what a tip of this radius sees of it, as .gwy, .gsf and PNG."""
+    if context.invoked_subcommand is not None:
+        return
     with report_errors(as_json):
+        if out is None:
+            raise ConfigError("missing option '--out'")
         require("gwyfile")
         config = sample_config(name, size, channel, settings)
         from analysis.image_files import Image, write_gsf, write_gwy, write_png
@@ -65,3 +103,81 @@ def sample(
         "files": [str(out / name) for name in ("sample.gwy", "sample.gsf", "sample.png")],
     }
     print_document(document, str(out), as_json=as_json)
+
+
+@app.command("import")
+def import_map(
+    file: FileArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="MAP", help="The map to write, a .npz.")],
+    members: MembersOption = None,
+    channel: MapChannelOption = None,
+    level: Annotated[
+        Level, typer.Option("--level", help="Heights of curves: each from its own lowest point, or common to all.")
+    ] = Level.EACH,
+    points: Annotated[
+        int, typer.Option("--points", min=0, max=4096, help="Points of the height; 0: as the curves have.")
+    ] = 0,
+    baseline: Annotated[
+        float,
+        typer.Option("--baseline", min=0.0, max=50.0, help="Share of the approach whose mean force is taken as 0 [%]."),
+    ] = 10.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring a recorded map into a file that `afm_node.sample.map` feels."""
+    with report_errors(as_json):
+        if out.suffix.lower() != ".npz":
+            raise ConfigError(f"--out {out}: must be a .npz")
+        found = _read(file, members, channel, level.value, points, baseline, as_json)
+        from services.afm_node.physics.sample.force_map import write_map
+
+        write_map(out, found.map)
+    print_document({**_about(found), "file": str(out)}, str(out), as_json=as_json)
+
+
+@app.command()
+def info(
+    file: FileArgument, members: MembersOption = None, channel: MapChannelOption = None, as_json: JsonOption = False
+) -> None:
+    """Show what a recorded map is, or what it lacks to be felt."""
+    with report_errors(as_json):
+        found = _read(file, members, channel, Level.EACH.value, 0, 10.0, as_json)
+    print_document(_about(found), str(file), as_json=as_json)
+
+
+def _read(
+    file: Path, members: list[str] | None, channel: str | None, level: str, points: int, baseline: float, as_json: bool
+) -> "Imported":
+    from services.afm_node.physics.sample.force_map import MEMBERS
+    from services.afm_node.physics.sample.map_files import Wanted, import_map
+
+    given = flag_overrides(members or ())
+    if unknown := sorted(set(given) - set(MEMBERS)):
+        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(MEMBERS)}")
+    columns = (TextColumn(file.name), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+        task = bar.add_task("import", total=1.0)
+        wanted = Wanted(given, channel, level, points, 0.01 * baseline)
+        return import_map(file, wanted, lambda share: bar.update(task, completed=share))
+
+
+def _about(found: "Imported") -> dict[str, Any]:
+    from services.afm_node.physics.sample.force_map import SI_UNITS, gates
+
+    whole = found.map
+    onset, release = gates(whole)
+    contact = {"contact_m": [float(onset.min()), float(onset.max())]} if whole.quantity == "force" else {}
+    loop = {"loop_closed_m": [float(release.min()), float(release.max())]} if contact and len(whole.values) == 2 else {}
+    return {
+        "source": whole.source,
+        "quantity": f"{whole.quantity} [{SI_UNITS[whole.quantity]}]",
+        "branches": ["approach", "retract"][: len(whole.values)],
+        "points": list(whole.values.shape[1:]),
+        **{f"{name}_m": [float(axis[0]), float(axis[-1])] for name, axis in zip("xyz", whole[1:4], strict=True)},
+        "lowest": float(whole.values.min()),
+        "highest": float(whole.values.max()),
+        **({"stiffness_n_per_m": whole.stiffness_n_per_m} if whole.stiffness_n_per_m else {}),
+        **contact,
+        **loop,
+        "megabytes": round(whole.values.nbytes / 1e6, 3),
+        **({"notes": list(found.notes)} if found.notes else {}),
+    }

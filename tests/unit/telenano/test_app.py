@@ -45,7 +45,12 @@ def leaves(command: object, path: str) -> Iterator[tuple[str, object]]:
 COMMANDS = dict([next(leaves(typer.main.get_command(app), "telenano"))])
 for name in LAZY_COMMANDS:
     COMMANDS.update(leaves(load(name), f"telenano {name}"))
-GROUPS = {path for path in COMMANDS if any(other.startswith(f"{path} ") for other in COMMANDS)} - {"telenano"}
+# a group that does something by itself is a command as well
+GROUPS = {
+    path
+    for path, command in COMMANDS.items()
+    if any(other.startswith(f"{path} ") for other in COMMANDS) and not getattr(command, "invoke_without_command", False)
+}
 
 
 def documented_flags(path: str) -> set[str]:

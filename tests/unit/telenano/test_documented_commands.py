@@ -71,9 +71,10 @@ def context_of(arguments: list[str]) -> Any:
     command, context, rest = load(arguments[0]), None, arguments[1:]
     while True:
         context = command.make_context(command.name or arguments[0], list(rest), parent=context)
-        if not hasattr(command, "commands"):
+        left = [*context._protected_args, *context.args]
+        if not hasattr(command, "commands") or (command.invoke_without_command and not left):
             return context
-        _, command, rest = command.resolve_command(context, [*context._protected_args, *context.args])
+        _, command, rest = command.resolve_command(context, left)
         assert command is not None
 
 

@@ -74,6 +74,7 @@ ELSEWHERE = {
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
+    "sample import": "reads a file in a child that ends with it, and writes one file at the end by `whole_file`",
     "particles": "reads an image, and writes one file at the end by `whole_file`",
     "device accept": "reads a device for a minute, and then writes its files at once by `results_in`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",

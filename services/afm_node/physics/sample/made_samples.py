@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from proto.errors import ConfigError
 from services.afm_node.physics.particles.settings import ParticlesConfig
+from services.afm_node.physics.sample.force_map import Span, span_of
 from services.afm_node.physics.sample.surface import (
     MOST_PIXELS,
     Surface,
@@ -45,6 +46,12 @@ class SampleConfig(Settings):
         min_length=1,
         description="flat, dots, grating, a file (.gsf, .gwy, .ibw, .npy), or module:function of x and y [m].",
     )
+    map: str | None = Field(
+        None,
+        min_length=1,
+        description="A recorded map to feel in place of a surface: a .npz that `telenano sample import` has made; then"
+        " no other key is given.",
+    )
     size_m: Length | None = Field(
         None, description="Side of the square [m], 1e-9 to 1e-3; default 150e-9. A file but .npy says its own."
     )
@@ -64,6 +71,8 @@ class SampleConfig(Settings):
 
     @model_validator(mode="after")
     def _size_where_needed(self) -> Self:
+        if self.map is not None and (others := self.model_fields_set - {"map"}):
+            raise ValueError(f"map: {self.map} is all of the sample; it goes with no {', '.join(sorted(others))}")
         if self.is_file and self.size_m is not None and Path(self.name).suffix.lower() != ".npy":
             raise ValueError(f"size_m: {self.name} says its own size")
         if not self.is_file and "level" in self.model_fields_set:
@@ -79,12 +88,19 @@ class SampleConfig(Settings):
         """How the heights of a file are levelled, in words; empty for a sample that is no file."""
         return _LEVELLED[self.level] if self.is_file else ""
 
+    @property
+    def map_span(self) -> Span | None:
+        """What the recorded map says without its values; None where there is none, or not on this machine."""
+        return None if self.map is None else span_of(Path(self.map))
+
     def build(self) -> Surface:
         """Return the surface.
 
         Raises:
             ConfigError: The sample cannot be made; the message names it and what is wrong with it.
         """
+        if self.map is not None:
+            raise ConfigError(f"sample.map {self.map}: a recorded map has no surface; it is felt on a rig")
         if self.is_file:
             return _LEVELS[self.level](read_surface(Path(self.name), self.channel, self.size_m))
         size_m = 150e-9 if self.size_m is None else self.size_m

@@ -28,7 +28,7 @@ GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LONGEST_GSF_HEADER = 1 << 16
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 # metres in a unit of length, as files write it
-_METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
+METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 _HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
 
 
@@ -76,10 +76,10 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
 
 
 def _metres(unit: str, what: str) -> float:
-    if unit not in _METRES:
+    if unit not in METRES:
         said = f"{unit!r}" if unit else "none"
-        raise ValueError(f"the unit of {what} is {said}; it must be a length: {', '.join(_METRES)}")
-    return _METRES[unit]
+        raise ValueError(f"the unit of {what} is {said}; it must be a length: {', '.join(METRES)}")
+    return METRES[unit]
 
 
 def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
@@ -91,7 +91,7 @@ def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
         if not found:
             raise ValueError(f"has no channel {wanted!r}; it has: {names}")
         return found[0]
-    heights = [c for c in channels if c.unit_z in _METRES] or channels
+    heights = [c for c in channels if c.unit_z in METRES] or channels
     return next((c for c in heights if any(name in c.name.lower() for name in _HEIGHT_NAMES)), heights[0])
 
 

@@ -1,0 +1,157 @@
+"""Force maps by the libraries of the field (`afmformats`, `h5py`): called in a child process with limits."""
+
+import logging
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+# Of a segment so many points are kept at most; a finer curve is interpolated to them.
+MOST_POINTS = 4096
+_MOST_CURVES = 1 << 18
+# curves that are read at once
+_BLOCK = 64
+_MOST_UNPACKED_BYTES = 8 << 30
+
+Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
+
+
+def load_grid(path: str) -> Found:
+    """Return the members of a plain grid in HDF5: numbers and texts by name, then value, x, y and z."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        names = ("value", "x", "y", "z")
+        for name in names:
+            if not isinstance(file.get(name), h5py.Dataset):
+                raise ValueError(f"{name}: is missing; a plain grid has the datasets value, x, y and z")
+            if file[name].size * file[name].dtype.itemsize > 8 << 27:
+                raise ValueError(f"{name}: has {file[name].size} values, at most {1 << 27} are read")
+        facts = {key: _plain(value) for part in (file, file["value"]) for key, value in part.attrs.items()}
+        return facts, [np.asarray(file[name][()]) for name in names]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return value.item() if isinstance(value, np.generic) else value if isinstance(value, str) else str(value)
+
+
+def load_curves(path: str, stiffness: str | None, sensitivity: str | None, report: int) -> Found:
+    """Return the curves of a file that afmformats reads.
+
+    Facts: shape of the grid, its sides [m], spring constant [N/m] and imaging mode. Arrays: column and row of each
+    curve, points of its approach and its retraction, and all heights [m] and forces [N], one after another.
+
+    Args:
+        path: The file.
+        stiffness: The spring constant [N/m] in place of that of the file, as text.
+        sensitivity: The sensitivity [m/V] likewise.
+        report: The descriptor that takes the advance.
+    """
+    import afmformats
+    from afmformats.errors import MissingMetaDataError
+
+    # it reports with a traceback what it raises as well
+    logging.getLogger("afmformats").setLevel(logging.CRITICAL)
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(each.file_size for each in archive.infolist())
+        if unpacked > _MOST_UNPACKED_BYTES:
+            raise ValueError(f"it unpacks to {unpacked} bytes, at most {_MOST_UNPACKED_BYTES} are read")
+    names = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}
+    given = {"spring constant": stiffness, "sensitivity": sensitivity}
+    # other formats have forces that were computed before
+    is_raw = ".jpk-" in path.lower()
+    override = {key: float(value) for key, value in given.items() if value is not None and is_raw}
+    facts: dict[str, Any] = {}
+    places, counts, columns = [], [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for block, share in blocks_of(path, Path(folder)):
+            try:
+                curves = afmformats.load_data(block, meta_override=override)
+            except MissingMetaDataError as error:
+                missing = [ours for ours, theirs in names.items() if theirs in error.meta_keys]
+                text = f"is missing; give it to `telenano sample import` by --set {missing[0]}=…"
+                raise ValueError(f"{', '.join(missing)}: {text}") from error
+            for curve in curves:
+                facts = facts or _facts(curve.metadata)
+                places.append([int(curve.metadata.get(f"grid index {axis}", 0)) for axis in "xy"])
+                ways = _ways(curve)
+                counts.append([len(way[0]) for way in ways])
+                columns += [np.stack(way) for way in ways]
+            _tell(report, share)
+    if not 0 < len(places) <= _MOST_CURVES:
+        raise ValueError(f"it has {len(places)} curves; 1 to {_MOST_CURVES} are read")
+    heights, forces = np.concatenate(columns, axis=1)
+    return facts, [np.array(places), np.array(counts), heights, forces]
+
+
+def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:
+    """Yield archives with the curves of one, a block of them each, and the share that is done after it.
+
+    To afmformats each curve costs a look at all names of its archive.
+    """
+    numbers: dict[str, int | None] = {}
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            numbers = {name: _curve_of(name) for name in archive.namelist()}
+    of_curve: dict[int, list[str]] = {}
+    for name, number in numbers.items():
+        if number is not None:
+            of_curve.setdefault(number, []).append(name)
+    if len(of_curve) <= _BLOCK:
+        yield path, 1.0
+        return
+    shared, found = [name for name, number in numbers.items() if number is None], sorted(of_curve)
+    with zipfile.ZipFile(path) as archive:
+        for first in range(0, len(found), _BLOCK):
+            chosen = found[first : first + _BLOCK]
+            block = folder / f"{first}{Path(path).suffix}"
+            with zipfile.ZipFile(block, "w") as part:
+                for name in [*shared, *(name for number in chosen for name in of_curve[number])]:
+                    part.writestr(name, archive.read(name))
+            yield os.fspath(block), (first + len(chosen)) / len(found)
+            block.unlink()
+
+
+def _curve_of(name: str) -> int | None:
+    head, _, rest = name.partition("/")
+    number = rest.partition("/")[0]
+    return int(number) if head == "index" and number.isdecimal() else None
+
+
+def _facts(metadata: Any) -> dict[str, Any]:
+    return {
+        "shape": [int(metadata.get(f"grid shape {axis}", 1)) for axis in "xy"],
+        "sides": [float(metadata.get(f"grid size {axis}", 0.0)) for axis in "xy"],
+        "stiffness_n_per_m": float(metadata["spring constant"]) if "spring constant" in metadata else None,
+        "mode": str(metadata.get("imaging mode", "")),
+    }
+
+
+def _ways(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+    """Return heights [m] and forces [N] of the approach and of the retraction, with the points in order of height."""
+    height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
+    force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
+    found = []
+    for part in (segment == segment[0], segment == segment[-1]):
+        z, f = height[part], force[part]
+        sound = np.isfinite(z) & np.isfinite(f)
+        z, f = z[sound], f[sound]
+        order = np.argsort(z, kind="stable")
+        z, f = z[order], f[order]
+        if len(z) > MOST_POINTS:
+            even = np.linspace(z[0], z[-1], MOST_POINTS)
+            z, f = even, np.interp(even, z, f)
+        found.append((z, f))
+    return found
+
+
+def _tell(report: int, share: float) -> None:
+    os.write(report, bytes([min(int(100.0 * share), 100)]))

@@ -1,0 +1,75 @@
+"""The worked example of docs/instrument.md, *Recorded maps*: it runs as printed, and a bilateral session feels it."""
+
+import json
+import re
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from virtual_rig import record_session
+
+from analysis.rerun import rerun
+from recording.reader import Recording
+from telenano.cli.root import app
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "instrument.md"
+EXAMPLE = r"## Recorded maps.*?```python\n(.*?)```\s+```sh\n(.*?)```.*?```text\n(.*?)```"
+
+
+@pytest.fixture
+def example(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Run the example of the document but for the rig; return its arrays, its last command, and what was printed."""
+    found = re.search(EXAMPLE, PAGE.read_text("utf-8"), re.DOTALL)
+    assert found is not None
+    monkeypatch.chdir(tmp_path)
+    made: dict[str, Any] = {}
+    exec(found[1], made)
+    *commands, up = found[2].splitlines()
+    for line in commands:
+        result = CliRunner().invoke(app, shlex.split(line)[1:])
+        assert result.exit_code == 0, result.output
+    stated = dict(line.split() for line in found[3].splitlines())
+    for name, value in stated.items():
+        shown = re.search(rf"{name}[^-\w]+([-0-9.e]+)", result.output)
+        assert shown is not None and float(shown[1]) == pytest.approx(float(value), rel=1e-4, abs=0), name
+    return made, shlex.split(up)
+
+
+def test_a_bilateral_session_feels_the_curves_of_the_file(example: Any, tmp_path: Path) -> None:
+    made, up = example
+    assert up[:4] == ["telenano", "up", "--scenario", "fig12"]
+    path = record_session(tmp_path, 1, [up[5]], 2.0)
+    recording = Recording(path)
+    read: dict[str, list[Any]] = {
+        topic: [found.decode() for found in recording.messages((topic,))]
+        for topic in ("session/event", "afm/state", "haptic/command")
+    }
+    said = " ".join(event.text for event in read["session/event"])
+    assert re.search(r"map\.npz \([0-9a-f]{16}\): force \[N\], 9 x 9 x 451 points", said)
+    states = read["afm/state"]
+    # the hand of Fig. 12 stays in the middle of the map
+    z = 10e-9 + np.array([state.base_position_m[2] for state in states])
+    felt = np.array([state.tip_force_n[2] for state in states])
+    down, up_ = (np.interp(z, made["z"], made["value"][4, 4, :, branch]) for branch in (0, 1))
+    # a cubic through even points differs from straight lines between them where the file bends: in its jumps alone
+    jumps = np.min([np.abs(z - edge) for edge in (0.5e-9, 4e-9, 6e-9)], axis=0) < 0.3e-9
+    error = np.minimum(np.abs(felt - down), np.abs(felt - up_))
+    assert error[~jumps].max() < 1e-14
+    assert felt.max() > 1e-9
+    assert np.count_nonzero(~jumps) > 1000
+    # the master feels what the slave felt
+    assert max(abs(command.force_n[2]) for command in read["haptic/command"]) > 0.1
+    # the journal has the state of the branch
+    assert rerun(recording, "afm_node@slave").identical
+
+
+def test_the_document_says_what_json_says(example: Any) -> None:
+    result = CliRunner().invoke(app, ["sample", "info", "map.npz", "--json"])
+    found = json.loads(result.stdout)
+    assert found["branches"] == ["approach", "retract"]
+    assert found["points"] == [9, 9, 451]
+    assert sys.float_info.max > found["loop_closed_m"][1] > found["contact_m"][1]
