@@ -56,7 +56,11 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
     """
     read = _READERS.get(path.suffix.lower())
     if read is None:
-        raise ConfigError(f"{path}: is no height map that can be read; these are {', '.join(sorted(_READERS))}")
+        known = ", ".join(sorted(_READERS))
+        raise ConfigError(
+            f"{path}: is no height map that can be read; these are {known}. Gwyddion opens those of Bruker, JPK,"
+            " Nanosurf, Nanonis and others, and saves them as .gwy"
+        )
     if size_m is not None and path.suffix.lower() != ".npy":
         raise ConfigError(f"{path}: says its own size; a size is given for .npy files only")
     try:
