@@ -73,3 +73,29 @@ def test_the_document_says_what_json_says(example: Any) -> None:
     assert found["branches"] == ["approach", "retract"]
     assert found["points"] == [9, 9, 451]
     assert sys.float_info.max > found["loop_closed_m"][1] > found["contact_m"][1]
+
+
+def test_a_session_feels_a_frequency_shift_until_it_leaves_the_branch(tmp_path: Path) -> None:
+    z = np.linspace(0.0, 12e-9, 601)
+    # the minimum of -30 Hz is 2 nm above the bottom
+    shift = -30.0 * (z / 2e-9) * np.exp(1.0 - z / 2e-9)
+    place = {"x": np.zeros(1), "y": np.zeros(1), "z": z, "length_unit": "m"}
+    np.savez(tmp_path / "shift.npz", value=shift[None, None], unit="Hz", **place)
+    feel = {
+        "channel": "frequency_shift", "unit": "Hz", "table": [[-2.0, 0.0], [-28.0, 3e-9]], "tolerance": 0.1,
+        "slope_limit_n_per_unit": 1e-9,
+    }  # fmt: skip
+    settings = [f"afm_node.sample.map={tmp_path / 'shift.npz'}", f"afm_node.feel={json.dumps(feel)}"]
+    recording = Recording(record_session(tmp_path, 1, settings, 1.6))
+    states = [found.decode() for found in recording.messages(("afm/state",))]
+    height = 10e-9 + np.array([state.base_position_m[2] for state in states])
+    assert np.abs([state.felt_value for state in states] - np.interp(height, z, shift)).max() < 0.01
+    on_branch = [state for state in states if state.felt_clamp == "" and state.mode == "follow"]
+    assert len(on_branch) > 100
+    for state in on_branch:
+        assert state.felt_channel == "frequency_shift"
+        assert state.tip_force_n[2] == pytest.approx((-state.felt_value - 2.0) / 26.0 * 3e-9, rel=1e-6, abs=1e-15)
+    texts = " ".join(found.decode().text for found in recording.messages(("session/event",)))
+    assert "has left the branch of feel.table: the tip retracts" in texts
+    assert states[-1].mode in ("retracting", "retracted")
+    assert rerun(recording, "afm_node@slave").identical

@@ -35,9 +35,10 @@ def test_a_live_session_feels_the_curves_of_a_recorded_map(rig: Any, tmp_path: P
     error = np.min([np.abs(felt - np.interp(height, z, branch)) for branch in (down, up)], axis=0)
     jumps = np.min([np.abs(height - edge) for edge in (0.5e-9, 4e-9, 6e-9)], axis=0) < 0.3e-9
     assert error[~jumps].max() < 1e-14
-    # the hand of Fig. 12 presses, and pulls off
+    # the hand of Fig. 12 is drawn in, and presses to the end of the map
     assert felt.max() > 2e-9
-    assert felt.min() < -1e-9
+    assert felt.min() < -1e-10
+    assert any("the recorded map ends here" in event.text for event in messages(rig, "session/event"))
     assert max(abs(command.force_n[2]) for command in messages(rig, "haptic/command")) > 0.2
 
 
