@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.conditions import conditions, described, title
+from analysis.hand_cycles import cycles_of
 from analysis.holds import (
     ANSWERS,
     HAND,
@@ -282,6 +283,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
         "release_force_nn": _rounded(_mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s])),
         "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
+        "hand_cycles": cycles_of(series.hand_force_n),
         "loop_age_ms": _loop_age_ms(session),
         "overruns": traffic.overruns,
         "rate_hz": traffic.rates_hz(session.duration_s),

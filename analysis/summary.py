@@ -165,6 +165,10 @@ class Summary(_Part):
         description="Most negative force F_s on the tip in the session, 0 if it was never pulled [nN]; null without "
         "`afm/state`"
     )
+    hand_cycles: int = Field(
+        description="How often the hand pressed harder and then less again, each way by a tenth of its greatest force "
+        "and by 0.1 N: a law that loses some energy in each cycle may stand after a hundred, which fewer do not show"
+    )
     loop_age_ms: LoopAge | None = Field(
         description="Age of the first answer to each sample of the hand, on the hand's own clock; null if none came"
     )

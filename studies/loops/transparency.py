@@ -50,6 +50,8 @@ _LEAST_SETTLE_S, _LEAST_MEASURED_S = 2.0, 2.0
 _SHORT_CYCLES, _LONG_CYCLES, _LONG_POINTS_PER_PERIOD = 6, 200, 40
 # part of the hand's work that a loop takes in a cycle, below which its balance is not judged by six of them
 _DAMPED_SHARE = 0.5
+# what has to be left of the swing of the hand after the long run, so that there is something that could walk
+_KEPT_SWING = 0.5
 # a spring that nobody feels: its force over the motion of a run stays below a piconewton
 _NOTHING_N_PER_M = 1e-6
 
@@ -224,24 +226,29 @@ def _hybrid(free: _Tones, pressed: _Tones, omega: float) -> tuple[complex, compl
 
 
 def drift_m(cell: Cell) -> float | None:
-    """Return how far the hand walks in a cycle [m], pressing with 1 +- 0.3 N at 0.5 Hz; None where a guard ended it.
+    """Return how far the hand walks in a cycle [m], pressing with 1 +- 0.3 N at 0.5 Hz; None where nothing follows it.
 
     The balance of energy is judged first. A loop that takes more than `_DAMPED_SHARE` of what the hand gives in a cycle
     is as it stays: the slope of the mean of x_m over six cycles is its drift. One that takes less may live on what a
-    law was granted, which lasts for a hundred cycles: its drift is that of the last 100 of 200 cycles.
+    law was granted, which lasts for a hundred cycles: its drift is that of the last 100 of 200 cycles. A law that has
+    spent it all may stand, and walks no more: where the swing has fallen to half there is no drift to tell.
     """
     found = _walk_of(cell, _SHORT_CYCLES)
     if found is None or found.taken_share > _DAMPED_SHARE:
         return None if found is None else found.slope_m
     long = _walk_of(cell, _LONG_CYCLES)
-    return None if long is None else long.slope_m
+    return None if long is None or long.swing_m <= _KEPT_SWING * found.swing_m else long.slope_m
 
 
 class _Walk(NamedTuple):
-    """Way of the hand in a cycle [m], and the part of the work that it gives in a cycle that it does not get back."""
+    """Way of the hand in a cycle [m], and the part of the work that it gives in a cycle that it does not get back.
+
+    swing_m: how far it moves in the last cycle, from peak to peak [m].
+    """
 
     slope_m: float
     taken_share: float
+    swing_m: float
 
 
 def _walk_of(cell: Cell, cycles: int) -> _Walk | None:
@@ -259,7 +266,8 @@ def _walk_of(cell: Cell, cycles: int) -> _Walk | None:
     slope_m = sum(w * m for w, m in zip(weights, means, strict=True)) / sum(w * w for w in weights)
     work = np.diff(course.hand_energy_j[edges[0] : edges[-1]])
     given_j = float(work[work > 0.0].sum())
-    return _Walk(slope_m, float(work.sum()) / given_j if given_j > 0.0 else 0.0)
+    swing_m = float(np.ptp(course.hand_position_m[edges[-2] : edges[-1]]))
+    return _Walk(slope_m, float(work.sum()) / given_j if given_j > 0.0 else 0.0, swing_m)
 
 
 def _on_nothing(cell: Cell) -> Cell:

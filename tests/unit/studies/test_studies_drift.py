@@ -26,5 +26,10 @@ def test_a_law_that_lives_on_what_it_was_granted_is_seen_to_walk() -> None:
     assert abs(drift) > 1e-7
 
 
+def test_a_law_that_has_spent_its_grant_and_stands_has_no_drift_rather_than_one_of_nothing() -> None:
+    spent = {"law": "passivity", "environment": "spring", "stiffness_n_per_m": 0.5}
+    assert drift_m(Cell(round_trip_ms=120.0, settings=TIRED[:2], **spent)) is None
+
+
 def test_a_loop_that_no_guard_lets_finish_has_no_drift() -> None:
     assert drift_m(Cell(law="virtual_impedance", round_trip_ms=250.0, **SPRING)) is None

@@ -1,4 +1,5 @@
 import type { Cockpit, Panel } from "../cockpit";
+import { CycleCounter } from "../cycles";
 import { make } from "../dom";
 
 /** The law of the loop. Its parameters are among the settings. */
@@ -6,6 +7,7 @@ export class LawPanel implements Panel {
   private readonly select = make("select", { id: "law-name", "aria-label": "Law" });
   private readonly facts = make("span", { class: "quiet" });
   private shown = "";
+  private cycles = new CycleCounter();
 
   constructor(
     root: HTMLElement,
@@ -35,12 +37,16 @@ export class LawPanel implements Panel {
     if (law && law !== this.shown) {
       this.shown = law;
       this.select.value = law;
+      // what a law loses a little of in each cycle shows in many of its own
+      this.cycles = new CycleCounter();
     }
+    this.cycles.see(store.last("hand", "force"));
     const passive = store.fact("law/status/master", "passive");
     const age = store.last("hand", "loop_age");
     const words = [
       Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(1)} ms old`,
       passive === true ? "passive" : passive === false ? "not passive" : "",
+      `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"} of the hand seen`,
     ];
     const text = words.filter(Boolean).join(" · ");
     if (this.facts.textContent !== text) this.facts.textContent = text;

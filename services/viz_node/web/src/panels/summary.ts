@@ -15,6 +15,7 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["link_round_trip_ms", "Round trip of the link", (value: number) => `${value.toFixed(1)} ms`],
   ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
   ["overruns", "Deadlines missed", String],
+  ["hand_cycles", "Cycles of the hand", String],
   ["duration_s", "Duration", (value: number) => `${value.toFixed(1)} s`],
   ["version", "Version", String],
 ];
