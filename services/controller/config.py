@@ -98,15 +98,23 @@ class _OwnSections(Settings):
             limits.append(2.0 / (clamp.force_scale * clamp.reach_m_per_n))
         return float(min(limits)) * math.sin(math.pi / (4 * late + 2)) if limits else None
 
-    def stiffness_doubts(self, stiffness_n_per_m: float) -> str:
-        """Return why a sample [N/m] is too stiff for the law in force; empty where it is not."""
-        limit = self.stiffness_limit_n_per_m()
-        if limit is None or stiffness_n_per_m <= limit:
+    def stiffness_doubts(self, stiffness_n_per_m: float, latency_s: float = 0.0) -> str:
+        """Return why a sample [N/m] is too stiff for the law in force; empty where it is not.
+
+        Args:
+            stiffness_n_per_m: The stiffness that the base meets [N/m].
+            latency_s: By how much the instrument answers late [s]; a part of a period counts as a whole one.
+        """
+        prompt, late = self.stiffness_limit_n_per_m(), late_periods(latency_s, self.period_s)
+        limit = self.stiffness_limit_n_per_m(late)
+        if prompt is None or limit is None or stiffness_n_per_m <= limit:
             return ""
+        behind = f" with an instrument that answers {1e3 * latency_s:.4g} ms late ({prompt:.4g} N/m with a prompt one)"
+        remedy = "an instrument that answers sooner" if late else "a smaller controller.period_s"
         return (
-            f"law {self.law}: {stiffness_n_per_m:g} N/m is stiffer than the {limit:.4g} N/m that its slave half bears,"
-            " beyond which the force swings from period to period; a greater damper of the half, a smaller"
-            " controller.period_s or force_scale times position_scale raises that in proportion"
+            f"law {self.law}: {stiffness_n_per_m:g} N/m is stiffer than the {limit:.4g} N/m that its slave half bears"
+            f"{behind if late else ''}, beyond which the force swings and the sample gets energy that no hand has paid;"
+            f" {remedy}, a greater damper of the half, or a smaller force_scale times position_scale raises that"
         )
 
     @property
@@ -123,6 +131,11 @@ class _OwnSections(Settings):
         silence_s = self.law_config().silence_limit_s
         longest, local_ns = longest_pause_periods(silence_s, self.period_s), round(1e9 * silence_s)
         return TimingParams(round(1e9 * self.period_s), longest, local_ns if self.local_loop else 0)
+
+
+def late_periods(latency_s: float, period_s: float) -> int:
+    """Return the periods that an instrument answers late, where a part of one counts as a whole one."""
+    return math.ceil(latency_s / period_s - 1e-9)
 
 
 # Packages may not use the keys of the section, nor the methods of its class; laws of installed packages have the entry

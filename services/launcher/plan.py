@@ -22,7 +22,7 @@ from proto.nodes import (
     name_of,
     site_of,
 )
-from services.afm_node.config import AfmConfig
+from services.afm_node.config import AfmConfig, ModbusConfig
 from services.afm_node.devices.capabilities import refusal
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
@@ -165,10 +165,13 @@ class Plan:
 
     @property
     def stiffness_warning(self) -> str:
-        """Why the sample of the scenario is too stiff for its law; empty where it is not."""
-        stiffness = self.loaded.section("afm_node", AfmConfig).stiffest_n_per_m
+        """Why the sample of the scenario is too stiff for its law, or for how late its instrument is; else empty."""
+        afm = self.loaded.section("afm_node", AfmConfig)
         controller = self.loaded.section("controller", ControllerConfig)
-        return controller.stiffness_doubts(stiffness) if stiffness is not None else ""
+        stiffness, latency_s = afm.stiffest_n_per_m, 0.0
+        if afm.driver == "modbus":
+            stiffness, latency_s = _declared(afm.modbus, controller.period_s)
+        return controller.stiffness_doubts(stiffness, latency_s) if stiffness is not None else ""
 
     @property
     def fetches(self) -> bool:
@@ -226,6 +229,23 @@ class Plan:
                 self.scenario_file.write_text(yaml.safe_dump(self.loaded.document, sort_keys=False), encoding="utf-8")
         except OSError as error:
             raise RigError(f"{self.out}: cannot be written: {error.strerror}") from error
+
+
+def _declared(modbus: ModbusConfig | None, period_s: float) -> tuple[float | None, float]:
+    """Return the stiffness [N/m] that a real instrument meets at most, and its latency [s], by its calibration.
+
+    A sample is never felt stiffer than the cantilever. Where the file cannot be read there is no stiffness: it may be
+    on another machine, and the instrument's own node names what is wrong with it.
+    """
+    from services.afm_node.devices.converter_calibration import read_calibration
+    from services.afm_node.devices.register_map import read_map
+
+    try:
+        calibration = read_calibration(Path(modbus.calibration if modbus is not None else ""))
+        latency_s = calibration.declared_latency_s(read_map(calibration.instrument.map), period_s)
+    except ConfigError:
+        return None, 0.0
+    return calibration.cantilever.stiffness_n_per_m, latency_s
 
 
 def make_plan(request: UpRequest, default_out: Path) -> Plan:

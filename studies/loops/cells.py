@@ -160,6 +160,10 @@ class Cell(Conditions):
         """Return the greatest stiffness that the base can meet [N/m]: a body is met through its cantilever."""
         return CANTILEVER_N_PER_M if self.environment == "body" else self.stiffness_n_per_m
 
+    def stiffness_doubts(self) -> str:
+        """Return why the sample is too stiff for the law, all latency taken to be the instrument's; else empty."""
+        return self.controller().stiffness_doubts(self.felt_stiffness_n_per_m, 1e-3 * self.device_latency_ms)
+
     def controller(self) -> ControllerConfig:
         """Return the configuration of both halves; ConfigError names the law or key at fault."""
         if self.law not in LAWS:

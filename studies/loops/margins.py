@@ -7,6 +7,7 @@ least energy of two-port and device, and the force in the hold. The slave half's
 from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
+from services.controller.config import late_periods
 from services.controller.law_rules import known_law
 from studies.loops.cells import Cell, run_cell
 from studies.loops.theory import critical_link_delay_s, loop_model
@@ -18,8 +19,9 @@ class Margin(NamedTuple):
     """One variant of a law: what was changed, and what becomes of it.
 
     link_ms: the round trip of the link that the linear loop bears, from theory [ms], None for a law without one;
-    stiffness_n_per_m: the stiffest sample that the slave half bears, None without a loop of its own. Over the link that
-    was asked for: the verdict, the least energy [J], and the mean force in the hold [N], None where there is no hold.
+    stiffness_n_per_m: the stiffest sample that the slave half bears, were all the latency of the devices that of the
+    instrument, None without a loop of its own. Over the link that was asked for: the verdict, the least energy [J], and
+    the mean force in the hold [N], None where there is no hold.
     """
 
     changed: str
@@ -63,7 +65,7 @@ def _margin(changed: str, cell: Cell) -> Margin:
     if loop is not None:
         link_ms = max(0.0, 1e3 * critical_link_delay_s(loop, controller.period_s) - cell.device_latency_ms)
     result = run_cell(cell)
-    limit = controller.stiffness_limit_n_per_m()
+    limit = controller.stiffness_limit_n_per_m(late_periods(1e-3 * cell.device_latency_ms, controller.period_s))
     return Margin(changed, link_ms, limit, result.verdict, result.lowest_energy_j, result.tip_n)
 
 

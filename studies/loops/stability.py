@@ -57,7 +57,7 @@ class Axes(Conditions):
         doubts: list[str] = []
         for line in self.lines():
             cell = line.cell(max(self.delays_ms))
-            doubts.append(cell.controller().stiffness_doubts(cell.felt_stiffness_n_per_m))
+            doubts.append(cell.stiffness_doubts())
             cell.hold_s()
             cell.disturbed_instrument(0.0)
         return [text for text in dict.fromkeys(doubts) if text]

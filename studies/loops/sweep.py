@@ -30,6 +30,10 @@ def silent(done: int, total: int) -> None:
     """Show nothing."""
 
 
+def unheard(text: str) -> None:
+    """Tell nobody."""
+
+
 def run_batch(cells: Sequence[Cell]) -> list[CellResult]:
     """Run some cells one after the other: what a worker is asked to do."""
     return [run_cell(cell) for cell in cells]
@@ -73,17 +77,26 @@ class Journal:
 
 @dataclass
 class Sweep:
-    """Runs cells and remembers them. `workers`: processes on this machine; `scheduler`: a Dask cluster instead."""
+    """Runs cells and remembers them. `workers`: processes on this machine; `scheduler`: a Dask cluster instead.
+
+    `warn` gets a sentence, once, for each sample that is too stiff for its law.
+    """
 
     journal: Journal
     workers: int
     scheduler: str | None = None
     progress: Progress = silent
+    warn: Callable[[str], None] = unheard
     computed: int = field(default=0, init=False)
+    _warned: set[str] = field(default_factory=lambda: {""}, init=False)
 
     def run(self, cells: Sequence[Cell]) -> list[CellResult]:
         """Return the result of each cell, in order; those in the journal are not computed again."""
         keys = {cell: cell.key for cell in dict.fromkeys(cells)}
+        for text in dict.fromkeys(cell.stiffness_doubts() for cell in keys):
+            if text not in self._warned:
+                self._warned.add(text)
+                self.warn(text)
         missing = [cell for cell, key in keys.items() if key not in self.journal.results]
         done = len(keys) - len(missing)
         self.progress(done, len(keys))

@@ -88,3 +88,21 @@ def test_bursts_into_a_half_whose_instrument_is_late_make_no_energy(
     assert force.max() < most_n
     assert np.ptp(force[1100:]) < 0.06
     assert force[1100:].mean() == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.parametrize(("law", "least_j"), [("passivity", -2.0e-3), ("model_mediated", -2e-2)])
+def test_beyond_the_limit_of_a_late_instrument_energy_comes_out_and_below_it_none(
+    tmp_path: Path, law: str, least_j: float
+) -> None:
+    late, points = 4, ((0.02, 0.0), (0.2, 1.0))
+    limit = cell_of(law, 1.0).controller().stiffness_limit_n_per_m(late)
+    assert limit is not None
+    lowest = []
+    for stiffness in (0.9 * limit, 200.0):
+        cell = cell_of(law, stiffness)
+        course = course_of(tmp_path / f"{stiffness:g}", cell, points, 1.5, late_ns=late * PERIOD_NS)
+        lowest.append(float(energies_of(course, scales_of(cell.controller())).stored_j.min()))
+        # the warning is about what happens, and only that
+        assert (cell.controller().stiffness_doubts(stiffness, late * PERIOD_S) == "") is (stiffness < limit)
+    assert lowest[0] > -1e-5
+    assert lowest[1] < least_j

@@ -1,5 +1,6 @@
 """Calibration of an instrument behind converters (`stage.yaml`): volts of stage and deflection in SI units."""
 
+import math
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -149,6 +150,22 @@ class InstrumentCalibration(Settings):
         force = self.cantilever.stiffness_n_per_m * zeta
         sample = AfmSample(self.base_m(output_v), zeta, force, input_v, 0.0, False, force > self.contact_force_n, False)
         return Readings(sample, in_range)
+
+    def declared_latency_s(self, registers: RegisterMap, period_s: float) -> float:
+        """Return what the device is declared to add to the round trip [s]: from a command to its sample, in the mean.
+
+        Its cycle takes n whole periods of the loop: the sample that a command is answered by comes after n of them, and
+        is (n - 1) / 2 older when it is used, in the mean. Commands in between are overtaken by the next one.
+
+        Args:
+            registers: The map of the device.
+            period_s: The period of the loop [s].
+        """
+        if self.latency_s is not None:
+            return self.latency_s
+        requests = 3 if registers.exchange == "write_then_read" else 1
+        periods = requests * math.ceil(registers.device_cycle_s / requests / period_s)
+        return (3 * periods - 1) / 2 * period_s
 
     def check(self, limits: SafetyParams, registers: RegisterMap) -> list[str]:
         """Return what does not fit between this file, the limits of the node and the map; empty if all does."""

@@ -4,7 +4,6 @@ A tick takes the answer if it is there, and then sends the next request if none 
 retract, read back) is a generator of requests that opening runs to its end, and a reconnection one step a tick.
 """
 
-import math
 import time
 from collections.abc import Callable
 from enum import Enum
@@ -156,16 +155,7 @@ class ModbusAfm:
 
     @property
     def latency_s(self) -> float:
-        """Return what the device is declared to add to the round trip [s]: from a command to its sample, in the mean.
-
-        Its cycle takes n whole periods of the loop: the sample that a command is answered by comes after n of them, and
-        is (n - 1) / 2 older when it is used, in the mean. Commands in between are overtaken by the next one.
-        """
-        if self._calibration.latency_s is not None:
-            return self._calibration.latency_s
-        requests = 3 if self._map.exchange == "write_then_read" else 1
-        periods = requests * math.ceil(self._map.device_cycle_s / requests / self._period_s)
-        return (3 * periods - 1) / 2 * self._period_s
+        return self._calibration.declared_latency_s(self._map, self._period_s)
 
     def open(self) -> None:
         """Connect, identify, set up, retract and take a first sample.

@@ -2,7 +2,7 @@
 
 What it cannot do. A round trip T over a sample that the hand feels as K acts like a damper of -K sin(w T) / w, and the
 hand feels what makes up for it: up to 375 N s/m on a stiff sample at 300 ms and 0.5 Hz. From about K T = 2 B_v on a
-swing is answered with up to 1.7 times its size. A motion at v against F needs F v T in the stores, of which each holds
+swing is answered with up to 1.5 times its size. A motion at v against F needs F v T in the stores, of which each holds
 5 mJ at most and 1 mJ as a rule: what is faster is followed late. A hand of constant force comes to rest with
 B_v / (alpha_f alpha_p K), which is 6.7 s on 0.1 N/m. Samples stiffer than `stiffness_limit_n_per_m`, 800 N/m, are
 beyond the loop of the base: what it makes there comes out of the store, and it jumps.

@@ -65,19 +65,22 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        from services.controller.law_rules import broken_rules, known_law, stiffness_limit_n_per_m
+        from services.controller.law_rules import LATE_PERIODS, broken_rules, known_law, stiffness_limit_n_per_m
 
         known_law(law)
         if not as_json:
             typer.echo("trying the rules; the first time the steps are compiled, up to a minute", err=True)
         broken = broken_rules(law)
-        limit = stiffness_limit_n_per_m(law)
+        limit, *behind = (stiffness_limit_n_per_m(law, late) for late in range(LATE_PERIODS + 1))
     if as_json:
-        kept = not any(broken.values())
-        print_json({"law": law, "rules": broken, "keeps_all": kept, "stiffness_limit_n_per_m": limit})
+        limits = {"stiffness_limit_n_per_m": limit, "late_stiffness_limits_n_per_m": behind}
+        print_json({"law": law, "rules": broken, "keeps_all": not any(broken.values()), **limits})
     else:
         if limit is not None:
-            typer.echo(f"bears samples of up to {limit:.4g} N/m as it comes")
+            late = (
+                f"{', '.join(f'{value:.4g}' for value in behind)} where the instrument is 1 to {LATE_PERIODS} ms late"
+            )
+            typer.echo(f"bears samples of up to {limit:.4g} N/m as it comes; {late}")
         for rule, faults in broken.items():
             typer.echo(f"{'broken' if faults else 'kept  '}  {rule}")
             for fault in faults:

@@ -30,7 +30,7 @@ from studies.pages.page import Page, write_images
 from telenano.cli.commands.study_gallery import gallery_command
 from telenano.cli.commands.study_options import OutOption, SchedulerOption, WorkersOption
 from telenano.cli.commands.study_promises import promises
-from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
+from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, warn_of, write_study
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, command_group
@@ -52,11 +52,6 @@ app.command()(promises)
 app.command("gallery")(gallery_command)
 
 
-def _warn_of(doubts: list[str]) -> None:
-    for text in doubts:
-        typer.echo(f"telenano: warning: {text}", err=True)
-
-
 @app.command()
 @with_options(Axes)
 def stability(
@@ -73,7 +68,7 @@ def stability(
         from studies.pages.stability_page import write_stability
 
         axes = validated(Axes, given)
-        _warn_of(axes.check())
+        axes.check()
         with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
         summary = write_stability(results, out, command_line(), figure_options(formats, style))
@@ -103,7 +98,7 @@ def transparency(
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
     with report_errors(as_json):
         axes = validated(Feel, given)
-        _warn_of(axes.check())
+        warn_of(*axes.check())
         rows = measure_all(axes, axes.delays_ms, for_delay=axes.tuned)
         spectra = spectra_of(axes, axes.delays_ms, axes.frequencies_hz, for_delay=axes.tuned)
         options = figure_options(formats, style)
@@ -216,7 +211,7 @@ def validate(
         from studies.loops.validate import SEEDS, TOLERANCE_SHARE, Bus, bus_edges, scenario_of, validate_cells
 
         axes = validated(Axes, given)
-        _warn_of(axes.check())
+        warn_of(*axes.check())
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
         for cell in cells:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
@@ -32,7 +33,14 @@ def sweep_in(out: Path, workers: int | None, scheduler: str | None, *, shown: bo
             workers or os.cpu_count() or 1,
             scheduler,
             lambda done, total: bar.update(task, completed=done, total=total),
+            warn_of,
         )
+
+
+def warn_of(*doubts: str) -> None:
+    """Print what makes the result of a study doubtful."""
+    for doubt in doubts:
+        typer.echo(f"telenano: warning: {doubt}", err=True)
 
 
 def command_line() -> str:

@@ -2,11 +2,14 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
+from studies.loops import lockstep
+from studies.loops.cells import Cell, trajectory_of
 
 PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)
 
@@ -66,3 +69,22 @@ def test_clamp_alone_holds_position_force_at_any_delay(run_loop: Any) -> None:
         held[enabled] = 1e8 * run.force_n[-500:]
     assert held[True] == pytest.approx(1.0, rel=0.01, abs=0.0)
     assert held[False].max() > 10.0
+
+
+@pytest.mark.parametrize(("hand", "swing_n"), [("force", 0.6), ("ordinary", 0.4)])
+def test_a_clamp_bounds_the_force_and_does_not_end_the_swing_of_the_law(
+    monkeypatch: pytest.MonkeyPatch, hand: Any, swing_n: float
+) -> None:
+    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    cell = Cell(
+        law="position_force",
+        environment="spring",
+        hand=hand,
+        round_trip_ms=200.0,
+        stiffness_n_per_m=20.0,
+        settings=(("clamp.enabled", True),),
+        session_s=5.0,
+    )
+    force = 1e8 * trajectory_of(cell).tip_force_n[-2500:]
+    assert force.max() < 1.11
+    assert np.ptp(force) == pytest.approx(swing_n, rel=0.2, abs=0.0)

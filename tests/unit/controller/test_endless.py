@@ -72,6 +72,13 @@ def test_a_free_hand_on_a_soft_sample_takes_its_own_time_to_settle_with_and_with
         assert later.last == pytest.approx(run.last, rel=1e-3, abs=0.0)
 
 
+def test_a_swing_is_answered_with_more_than_its_size_where_the_document_says() -> None:
+    swings = {K: endless("passivity", K, 300, seconds=50.0).first.swing for K in (4.0, 10.0, 400.0)}
+    # a share of the force that is intended, of which the swing is 0.3: 4 N/m are felt as 430 N/m, 10 as 750
+    assert swings[4.0] < 0.3 < swings[10.0]
+    assert swings[400.0] == pytest.approx(1.5 * 0.3, rel=0.03, abs=0.0)
+
+
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 @pytest.mark.parametrize(
     "key",

@@ -105,6 +105,18 @@ def test_a_sample_beyond_the_limit_is_named_with_the_remedy() -> None:
     assert config_of("virtual_impedance").stiffness_doubts(1e6) == ""
 
 
+def test_a_late_instrument_is_named_with_both_limits() -> None:
+    config = config_of("model_mediated")
+    assert config.stiffness_doubts(69.0, 4e-3) == config.stiffness_doubts(399.0) == ""
+    text = config.stiffness_doubts(70.0, 4e-3)
+    assert text.startswith("law model_mediated: 70 N/m is stiffer than the 69.46 N/m that its slave half bears with")
+    assert "an instrument that answers 4 ms late (400 N/m with a prompt one)" in text
+    # a part of a period counts as a whole one, and a sample beyond both limits is one of them still
+    assert config.stiffness_doubts(70.0, 3.1e-3) == text.replace("4 ms", "3.1 ms")
+    assert "4 ms late" in config.stiffness_doubts(500.0, 4e-3)
+    assert config_of("virtual_impedance").stiffness_doubts(1e6, 0.1) == ""
+
+
 def test_the_base_meets_nothing_stiffer_than_its_spring_or_its_cantilever() -> None:
     assert AfmConfig().stiffest_n_per_m == AfmConfig().cantilever.stiffness_n_per_m
     spring = AfmConfig.model_validate({"environment": "spring", "spring": {"stiffness_n_per_m": 500.0}})
@@ -123,6 +135,20 @@ def test_a_law_that_never_touches_breaks_a_rule(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(LAWS, "model_mediated", replace(LAWS["model_mediated"], slave_receive=standing))
     faults = list(rule.broken_by("model_mediated"))
     assert "presses with 0 N on average" in faults[0]
+
+
+def test_a_law_that_overlooks_what_a_late_instrument_still_has_to_do_breaks_a_rule(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    law = LAWS["model_mediated"]
+
+    def hasty(params: Any, state: Any, signal: PortSignal, tip: TipMeasurement, dt: float) -> tuple[Any, Any]:
+        """Press with twice the force that the guard has left, which a prompt instrument bears at half the limit."""
+        return law.slave_receive(params, state, signal, tip._replace(force_n=2.0 * tip.force_n), dt)
+
+    rule = next(rule for rule in RULES if rule.name.startswith("touches a wall"))
+    monkeypatch.setitem(LAWS, "model_mediated", replace(law, slave_receive=hasty))
+    assert any("tells the law of it 4 ms later" in fault for fault in rule.broken_by("model_mediated"))
 
 
 @pytest.mark.parametrize("name", LOCAL)

@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,25 @@ def test_a_sample_that_is_too_stiff_for_the_law_is_named(tmp_path: Path) -> None
     assert stiff.stiffness_warning.startswith("law wave: 500 N/m is stiffer than the 444.4 N/m")
     # a tip over a sample is felt through its cantilever
     assert make_plan(request(tmp_path, settings=("controller.law=wave",)), tmp_path).stiffness_warning == ""
+
+
+@pytest.mark.parametrize(
+    ("latency_ms", "stiffness", "warned"), [(4.0, 70.0, True), (4.0, 69.0, False), (0.0, 70.0, False)]
+)
+def test_a_real_instrument_that_is_too_late_for_its_cantilever_is_named(
+    tmp_path: Path, latency_ms: float, stiffness: float, warned: bool
+) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "devices.md").read_text("utf-8")
+    (stage,) = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(schema: 1\ninstrument:.*?)```", text, re.S))
+    stage["cantilever"]["stiffness_n_per_m"] = stiffness
+    (tmp_path / "stage.yaml").write_text(yaml.safe_dump({**stage, "latency_s": 1e-3 * latency_ms}))
+    driver = f"afm_node.modbus={{calibration: {tmp_path / 'stage.yaml'}}}"
+    settings = ("controller.law=model_mediated", "afm_node.driver=modbus", driver)
+    warning = make_plan(request(tmp_path, settings=settings), tmp_path).stiffness_warning
+    assert ("answers 4 ms late (400 N/m with a prompt one)" in warning) is warned
+    # a file that is on the other machine is that machine's affair
+    (tmp_path / "stage.yaml").unlink()
+    assert make_plan(request(tmp_path, settings=settings), tmp_path).stiffness_warning == ""
 
 
 def test_overwrite_clears_an_earlier_session_and_nothing_else(tmp_path: Path) -> None:

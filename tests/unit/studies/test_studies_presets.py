@@ -47,6 +47,17 @@ def test_fig12_is_stable_without_delay_and_at_50_ms_as_theory_has_it(law: str, e
     no_withdrawn_tip(late)
 
 
+@pytest.mark.parametrize("round_trip_ms", [0.0, 20.0, 100.0])
+def test_passivity_needs_a_longer_first_hold_in_fig12_at_any_delay(round_trip_ms: float) -> None:
+    """The damper of the base is in free motion as well, and the tip meets the sample late, whatever the link."""
+    session = telenano.simulate("fig12", law="passivity", round_trip_ms=round_trip_ms)
+    assert [hold.verdict for hold in session.holds] == ["stable", "settling", "stable", "stable"]
+    corners = [(0.8, 0.0), (1.2, 1.0), (3.0, 1.0), (3.3, 2.0), (4.9, 2.0), (5.0, 0.0)]
+    operator = {"kind": "force_profile", "points": [{"time_s": t, "force_n": f} for t, f in corners]}
+    longer = telenano.simulate("fig12", law="passivity", round_trip_ms=round_trip_ms, operator=operator)
+    assert longer.verdict == "stable", longer.reason
+
+
 def test_a_guard_that_acted_in_a_simulation_comes_first() -> None:
     session = telenano.simulate("fig12", law="virtual_impedance", environment="spring", round_trip_ms=50.0)
     assert session.reason.startswith(

@@ -3,10 +3,17 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from services.controller.config import LAWS
+from studies.loops.advice import Question, cells_of
+from studies.loops.cells import Cell, run_cell
 from studies.loops.theory import critical_delay_s, loop_model
 from studies.loops.tuning import tuned
+from studies.option_values import Jitter
 
+# the networks of the README: constant, with a little loss, and bad
+NETWORKS = ({}, {"loss": 0.03}, {"loss": 0.2, "jitter": Jitter(0.5, True)})
 ROOT = Path(__file__).resolve().parents[3]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 STUDIES = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
@@ -37,6 +44,45 @@ def test_the_critical_delays_of_theory_are_those_of_the_readme() -> None:
         assert stated == [round(delay_ms, 2) for delay_ms in found]
     # the others close no linear loop through the link
     assert all(loop_model(law, LAWS[law].config(), 38.0) is None for law in LAWS if law not in rows)
+
+
+@pytest.mark.endurance
+@pytest.mark.stack
+@pytest.mark.parametrize(
+    ("law", "clamp", "environment", "delays_ms", "least"),
+    [
+        ("model_mediated", True, "wall", (50.0, 120.0, 250.0), 0.95),
+        ("model_mediated", True, "contact", (50.0, 120.0, 250.0), 0.95),
+        ("smith", True, "contact", (50.0, 120.0), 0.94),
+        ("position_force", False, "wall", (50.0, 120.0, 250.0), 0.99),
+    ],
+)
+def test_laws_that_the_readme_recommends_hold_over_its_networks(
+    law: str, clamp: bool, environment: str, delays_ms: tuple[float, ...], least: float
+) -> None:
+    for delay_ms in delays_ms:
+        for network in NETWORKS:
+            question = Question(
+                round_trip_ms=delay_ms,
+                environment=environment,
+                stiffness_n_per_m=40.0 if environment == "contact" else 80.0,
+                **network,
+            )
+            level_n = 2.0 if environment == "contact" else 1.0
+            for result in map(run_cell, cells_of(question, law, clamp)):
+                assert result.verdict == "stable", (delay_ms, network, result.reason)
+                if result.cell.hand == "force":
+                    assert result.tip_n is not None and result.tip_n / level_n >= least
+
+
+@pytest.mark.endurance
+@pytest.mark.stack
+@pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated", "smith"])
+def test_laws_without_a_critical_delay_hold_the_springs_up_to_half_a_second(law: str) -> None:
+    for stiffness in (10.0, 20.0, 38.0):
+        for delay_ms in (50.0, 100.0, 200.0, 350.0, 500.0):
+            cell = Cell(law=law, environment="spring", round_trip_ms=delay_ms, stiffness_n_per_m=stiffness)
+            assert run_cell(cell).verdict == "stable", (stiffness, delay_ms)
 
 
 def test_the_price_of_the_damping_is_that_of_the_document() -> None:

@@ -265,6 +265,27 @@ def test_two_workers_give_what_one_gives(tmp_path: Path, results: list[LineResul
     assert two.run(cells) == [cell for result in results for cell in result.cells]
 
 
+def test_a_sweep_warns_once_of_a_sample_that_is_too_stiff_for_so_late_an_instrument(tmp_path: Path) -> None:
+    heard: list[str] = []
+    warned = Sweep(Journal(tmp_path / "journal.jsonl"), workers=1, warn=heard.append)
+    cell = Cell(
+        law="virtual_impedance",
+        environment="spring",
+        round_trip_ms=0.0,
+        stiffness_n_per_m=60.0,
+        settings=(("clamp.enabled", True),),
+        device_latency_ms=4.0,
+        session_s=2.0,
+    )
+    warned.run([cell, cell.model_copy(update={"seed": 1})])
+    assert heard == []
+    stiff = cell.model_copy(update={"stiffness_n_per_m": 80.0})
+    for _ in range(2):
+        warned.run([stiff, stiff.model_copy(update={"seed": 1}), stiff.model_copy(update={"device_latency_ms": 0.0})])
+    assert len(heard) == 1
+    assert "80 N/m is stiffer than the 69.46 N/m" in heard[0]
+
+
 def test_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Cluster:
         @staticmethod
