@@ -275,8 +275,7 @@ def slave_passed_over(timing: SlaveTiming) -> SlaveTiming:
 def slave_stepped(timing: SlaveTiming, params: TimingParams, now_ns: int, elapsed: int) -> SlaveTiming:
     """Return the timing with the step that the half has to make now; elapsed: periods of a signal, 0 without one."""
     heard = timing.heard
-    silent_ns = silence_ns(heard, now_ns)
-    silent = 0 if silent_ns < params.period_ns else silent_ns // params.period_ns
+    silent = silence_ns(heard, now_ns) // params.period_ns
     behind, step = paced(timing.pacing.behind, elapsed, _ENDLESS if heard.received_ns < 0 else silent)
     c = timing.commands
     begins_ns = max(c.lasts_ns, now_ns) if c.newest > c.carried_out else now_ns

@@ -221,6 +221,12 @@ def test_a_slave_that_understands_no_signal_makes_the_longest_step() -> None:
     assert (other.hand.sampled_ns, other.pacing.elapsed) == (BEGIN_NS + MS, 1)
 
 
+def test_a_signal_counts_that_came_when_the_clock_began() -> None:
+    timing, _ = slave_signalled(slave_begin(), SLAVE, 0, 0, True)
+    settled = slave_measured(slave_commanded(slave_stepped(timing, SLAVE, 0, 1), 7, True), SLAVE, 0, 7, False, True)[0]
+    assert slave_measured(settled, SLAVE, 2 * MS, 7, False, True)[1].what == GO_ON
+
+
 def test_the_last_signal_counts_for_a_nanosecond_where_that_is_the_setting() -> None:
     timing, _ = measured(signalled(slave_begin(), 0, 7), 0, 7)
     found = [
@@ -248,7 +254,9 @@ def test_a_signal_of_a_burst_is_passed_over_until_the_instrument_or_half_a_perio
     two = slave_commanded(slave_stepped(timing, SLAVE, half_ns, 1), 8, True)
     assert [slave_passes_over(two, SLAVE, half_ns + MS + ns) for ns in (-1, 0)] == [True, False]
     # a step of before counts no more when the instrument has carried out all, or a pause was longer
-    assert not slave_passes_over(measured(two, 0.5, 8)[0], SLAVE, half_ns)
+    prompt = measured(two, 0.5, 8)[0]
+    assert not slave_passes_over(prompt, SLAVE, half_ns)
+    assert slave_stepped(prompt, SLAVE, half_ns + MS // 10, 1).commands.lasts_ns == half_ns + MS // 10 + MS
     later = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 9 * MS, 1), 8, True)
     assert later.commands.lasts_ns == BEGIN_NS + 10 * MS
     # a half that follows a reference has no force to wait for
@@ -270,8 +278,7 @@ def test_a_half_whose_instrument_is_late_goes_on_in_a_silence_without_a_step_of_
         assert measured(timing, ms, 7, follows=follows)[1] == Settled(ANSWER, 1, True, goes_on)
     # one that has answered in time makes its own steps
     own = slave_commanded(slave_stepped(timing, SLAVE, BEGIN_NS + 3 * MS, 0), 8, False)
-    assert not measured(own, 3.4, 8)[1].goes_on
-    assert measured(own, 4.5, 8)[1].goes_on
+    assert [measured(own, ms, 8)[1].goes_on for ms in (3.4, 3.49, 3.5, 4.5)] == [False, False, True, True]
 
 
 def test_nothing_is_owed_after_a_stall() -> None:

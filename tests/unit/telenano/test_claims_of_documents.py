@@ -123,7 +123,7 @@ README: dict[str, tuple[str, ...]] = {
     "`smith` can be taken as well up to 120 ms": (
         "test_studies_readme.py::test_laws_that_the_readme_recommends_hold_over_its_networks",
     ),
-    "gives the exact force, at the price of heavy free motion": (
+    "gives the exact force where the delay is constant, at the price of heavy free motion": (
         "test_studies_readme.py::test_laws_that_the_readme_recommends_hold_over_its_networks",
         "test_studies_readme.py::test_the_price_of_the_damping_is_that_of_the_document",
     ),
