@@ -225,6 +225,10 @@ def test_a_signal_counts_that_came_when_the_clock_began() -> None:
     timing, _ = slave_signalled(slave_begin(), SLAVE, 0, 0, True)
     settled = slave_measured(slave_commanded(slave_stepped(timing, SLAVE, 0, 1), 7, True), SLAVE, 0, 7, False, True)[0]
     assert slave_measured(settled, SLAVE, 2 * MS, 7, False, True)[1].what == GO_ON
+    # and one that is not understood counts for an endless silence then as well
+    assert slave_stepped(slave_signalled(slave_begin(), SLAVE, 0, 0, False)[0], SLAVE, 0, 1).pacing.step == (
+        MOST_PERIODS_A_STEP
+    )
 
 
 def test_the_last_signal_counts_for_a_nanosecond_where_that_is_the_setting() -> None:
