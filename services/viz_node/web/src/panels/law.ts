@@ -46,7 +46,7 @@ export class LawPanel implements Panel {
     const words = [
       Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(1)} ms old`,
       passive === true ? "passive" : passive === false ? "not passive" : "",
-      `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"} of the hand seen`,
+      `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"} seen`,
     ];
     const text = words.filter(Boolean).join(" · ");
     if (this.facts.textContent !== text) this.facts.textContent = text;
