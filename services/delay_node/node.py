@@ -13,7 +13,8 @@ from proto.ranges import limited
 from proto.topics import output_name
 from services.delay_node.config import LinkSettings, Setting, changed, flattened
 from services.delay_node.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
-from services.delay_node.engine import DirectionEngine, LinkEngine, LinkState
+from services.delay_node.direction import DirectionEngine
+from services.delay_node.engine import LinkEngine, LinkState
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus.bus import Received
 from services.runtime.bus.ends import publish_end

@@ -40,7 +40,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_zap_enforcement.py",
         "tests/unit/runtime/test_runtime_transport.py",
     ),
-    "services/delay_node/engine.py": (
+    "services/delay_node/direction.py": (
         "tests/unit/delay_node/test_link_order.py",
         "tests/unit/delay_node/test_link_state.py",
     ),
@@ -90,7 +90,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "services/runtime/security/zap_authenticator.py": {
         "ZapAuthenticator.prepare: socket.set(zmq.ZAP_ENFORCE_DOMAIN, 1) [1 => 2]": "libzmq takes any number but 0",
     },
-    "services/delay_node/engine.py": {
+    "services/delay_node/direction.py": {
         "DirectionEngine.restore: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
         " [0 => 1]": "every time in the pipeline is restored a few lines later",
         "DirectionEngine._schedule: self._pushed += 1 [1 => 2]": "only the order of these numbers counts",

@@ -8,7 +8,8 @@ import pytest
 
 from proto.errors import ConfigError
 from services.delay_node.config import parse_settings
-from services.delay_node.engine import DirectionEngine, fates_of
+from services.delay_node.direction import DirectionEngine
+from services.delay_node.engine import fates_of
 from services.delay_node.fate import Fate
 
 MS, NS = 1_000_000, 1_000_000_000

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from proto.errors import ConfigError
 from services.delay_node.config import Impairment, changed, parse_settings
-from services.delay_node.engine import DirectionEngine, LinkEngine, fates_of
+from services.delay_node.direction import DirectionEngine
+from services.delay_node.engine import LinkEngine, fates_of
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from services.delay_node.config import changed, parse_settings
-from services.delay_node.engine import DirectionEngine, LinkEngine, fates_of
+from services.delay_node.direction import DirectionEngine
+from services.delay_node.engine import LinkEngine, fates_of
 from services.delay_node.fate import Fate, Release
 
 MS = 1_000_000

@@ -1,0 +1,435 @@
+"""One direction of the link: messages with arrival times in, messages with release times out.
+
+No clock, no socket. All times are integer nanoseconds of one clock that the caller reads. What happens to a message
+is decided by the settings, the seed and the sequence of (arrival time, topic, size) alone, not by when the caller asks
+for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
+"""
+
+from collections.abc import Callable, Sequence
+from heapq import heappop, heappush
+from pathlib import Path
+from typing import NamedTuple
+
+from services.delay_node.config import DirectionSettings, LinkSettings
+from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
+from services.delay_node.models.queueing import ServedQueue, Waiting
+from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
+from services.runtime.loop.node_state import FindInput
+
+# The limit is a day: no setting asks for more than an hour, but a heavy tail may draw anything.
+_LONGEST_DELAY_NS = 86_400_000_000_000
+
+
+class Queued(NamedTuple):
+    """A message that waits in a queue, as `InFlight` describes it; its payload only where bits of it were flipped."""
+
+    topic: str
+    size_bytes: int
+    order: int
+    seq: int
+    copy: int
+    damaged: bytes
+    arrived_ns: int
+    ready_ns: int
+    delay_ns: int
+    gated: bool
+    duplicated: bool
+    corrupted: bool
+    src: str
+
+
+class DirectionState(NamedTuple):
+    """The state of a direction.
+
+    topics: those that it has had messages of; in_flight: when a message is released [ns], its place among those of that
+    time, its payload only where bits of it were flipped, and its fate, which has its name; waiting: by the pattern of a
+    block.
+    """
+
+    now_ns: int
+    arrivals: int
+    pushed: int
+    figures: Figures
+    topics: list[str]
+    pipeline: PipelineState
+    fates: list[Fate]
+    in_flight: list[tuple[int, int, bytes, Fate]]
+    waiting: dict[str, list[Queued]]
+
+
+class DirectionEngine:
+    """One direction of the link.
+
+    Times given to it should not decrease from call to call: a message stamped earlier than the one before it counts as
+    arriving together with that one.
+    """
+
+    def __init__(
+        self,
+        direction: Direction,
+        settings: LinkSettings,
+        start_ns: int,
+        *,
+        folder: Path = Path(),
+        keep_fates: bool = True,
+    ) -> None:
+        """Start with the settings; files they name are sought in `folder`, start_ns is the origin of their times.
+
+        With `keep_fates` the caller has to call `take_fates` regularly.
+
+        Raises:
+            ConfigError: A file cannot be used; the message names file and line.
+        """
+        self._direction: Direction = direction
+        self._folder = folder
+        self._fates: list[Fate] | None = [] if keep_fates else None
+        self._heap: list[tuple[int, int, Release]] = []
+        self._now_ns = start_ns
+        self._arrivals = 0
+        self._pushed = 0
+        self._figures = Figures()
+        self._pipeline = Pipeline(direction, settings, self.files_of(settings), start_ns)
+        self._topic_pipelines: dict[str, TopicPipeline] = {}
+        self._queues = self._all_queues()
+
+    def submit(self, now_ns: int, topic: str, payload: bytes, seq: int, src: str = "") -> Sequence[Release]:
+        """Accept a message that arrived at now_ns [ns] and return all that is due now, in order."""
+        if now_ns < self._now_ns:
+            now_ns = self._now_ns
+        self._now_ns = now_ns
+        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
+        self._figures.messages_in += 1
+        self._figures.bytes_in += len(payload)
+        self._arrivals += 1
+        if self._queues:
+            self._advance(now_ns)
+        if pipeline.constant_ns is None:
+            self._impair(pipeline, now_ns, payload, seq, src)
+        elif (release := self._delay(pipeline, now_ns, payload, seq, src)) is not None:
+            return (release,)
+        heap = self._heap
+        return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
+
+    def due(self, now_ns: int) -> list[Release]:
+        """Return the messages whose release time has come, in the order of release."""
+        if self._queues:
+            self._advance(now_ns)
+        heap = self._heap
+        released: list[Release] = []
+        while heap and heap[0][0] <= now_ns:
+            release = heappop(heap)[2]
+            self._figures.count_release(release.fate.delay_ns, release.fate.size_bytes)
+            released.append(release)
+        return released
+
+    def next_release_ns(self) -> int | None:
+        """Return when to call `due` next, or None if nothing is in flight. Nothing can be due earlier."""
+        times_ns = [queue.leave_ns for queue in self._queues if queue.leave_ns is not None]
+        if self._heap:
+            times_ns.append(self._heap[0][0])
+        return min(times_ns) if times_ns else None
+
+    def take_fates(self) -> list[Fate]:
+        """Return the fates decided since the last call, in the order of decision, and forget them."""
+        if self._fates is None:
+            return []
+        taken, self._fates = self._fates, []
+        return taken
+
+    def stats(self) -> DirectionStats:
+        """Return the live figures; the delays begin anew with each call."""
+        return self._figures.take(sum(len(queue) for queue in self._queues), len(self._heap))
+
+    def files_of(self, settings: LinkSettings) -> dict[str, Files]:
+        """Read the files that the settings name: the first half of a change, the one that may fail.
+
+        Raises:
+            ConfigError: A file cannot be used; the message names file and line.
+        """
+        direction: DirectionSettings = getattr(settings, self._direction)
+        return read_files(direction, self._folder, self._direction)
+
+    def adopt(self, settings: LinkSettings, files: dict[str, Files], now_ns: int) -> None:
+        """Apply settings to the messages that arrive from now on; the second half, which cannot fail.
+
+        Messages in flight keep their fate. A model whose own settings stay the same goes on as if nothing had
+        happened; one that is new or changed begins its course (outage schedule, trace, slots) now.
+        """
+        now_ns = self._now_ns = max(self._now_ns, now_ns)
+        self._advance(now_ns)
+        old = self._pipeline.shared_models
+        self._pipeline.adopt(settings, files, now_ns)
+        # The pipelines open again at once: the state of a topic after a change follows from the settings and from its
+        # state before.
+        self._topic_pipelines = {topic: self._pipeline.of_topic(topic) for topic in self._topic_pipelines}
+        self._pipeline.forget_unused()
+        self._queues = self._all_queues()
+        for pattern, shared in old.items():
+            if shared.queue is not None and all(shared.queue is not queue for queue in self._queues):
+                self._empty(shared.queue, now_ns)
+                follower = (
+                    self._pipeline.shared_models[pattern].queue if pattern in self._pipeline.shared_models else None
+                )
+                if follower is not None:
+                    follower.wait_until(shared.queue.free_ns)
+
+    def begin_session(self, now_ns: int) -> None:
+        """Count the schedules that are given in session time from now on [ns]."""
+        self._pipeline.begin_session(now_ns)
+
+    def capture(self) -> DirectionState:
+        """Return the state; ValueError while a message waits that came under an order or slots no longer in force."""
+        return DirectionState(
+            now_ns=self._now_ns,
+            arrivals=self._arrivals,
+            pushed=self._pushed,
+            figures=self._figures,
+            topics=list(self._topic_pipelines),
+            pipeline=self._pipeline.capture(),
+            fates=self._fates or [],
+            in_flight=[
+                (release_ns, pushed, release.payload if release.fate.corrupted else b"", release.fate)
+                for release_ns, pushed, release in self._heap
+            ],
+            waiting={
+                pattern: [self._captured(entry.item) for entry in shared.queue.waiting]
+                for pattern, shared in self._pipeline.shared_models.items()
+                if shared.queue is not None
+            },
+        )
+
+    def restore(self, state: DirectionState, settings: LinkSettings, find: FindInput) -> None:
+        """Go on from a state, which had these settings.
+
+        Raises:
+            ConfigError: A file cannot be used.
+            KeyError: The state is not one of this engine; ValueError and TypeError mean the same.
+        """
+        files = self.files_of(settings)
+        pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)
+        for topic in state.topics:
+            pipeline.of_topic(topic)
+        pipeline.restore(state.pipeline, settings, files)
+        self._topic_pipelines = {topic: pipeline.of_topic(topic) for topic in state.topics}
+        self._queues = self._all_queues()
+        self._now_ns, self._arrivals, self._pushed = state.now_ns, state.arrivals, state.pushed
+        self._figures, self._fates = state.figures, state.fates
+        # The entries keep the order of the heap, so that the list is a heap again.
+        self._heap = []
+        for release_ns, pushed, damaged, fate in state.in_flight:
+            payload = damaged or find(fate.topic, fate.src, fate.seq, fate.arrived_ns, fate.size_bytes)
+            self._heap.append((release_ns, pushed, Release(fate.topic, payload, fate)))
+        for pattern, waiting in state.waiting.items():
+            queue = pipeline.shared_models[pattern].queue
+            if queue is None:
+                raise ValueError(f"{pattern or 'the direction'} has no queue")
+            queue.refill(_waiting(self._restored(message, find)) for message in waiting)
+
+    def _captured(self, message: InFlight) -> Queued:
+        pipeline, order, seq, copy, payload, *rest = message
+        topic, now = pipeline.topic, self._topic_pipelines[pipeline.topic]
+        # The way of a message from the queue on depends on these settings only.
+        if (pipeline.ordered, pipeline.shared.slot_gate) != (now.ordered, now.shared.slot_gate):
+            raise ValueError(f"a message on {topic} waits under an order or slots that are no longer in force")
+        damaged = payload if message.corrupted else b""
+        return Queued._make((topic, len(payload), order, seq, copy, damaged, *rest))
+
+    def _restored(self, queued: Queued, find: FindInput) -> InFlight:
+        topic, size_bytes, *rest = queued
+        message = InFlight._make((self._topic_pipelines[topic], *rest))
+        payload = message.payload or find(topic, message.src, message.seq, message.arrived_ns, size_bytes)
+        return message._replace(payload=payload)
+
+    def _empty(self, queue: ServedQueue[InFlight], now_ns: int) -> None:
+        """Decide the fate of all that waits in a queue which new settings have replaced."""
+        while queue.leave_ns is not None:
+            message, sent_ns = queue.pop()
+            self._schedule(message, sent_ns, now_ns)
+
+    def _all_queues(self) -> list[ServedQueue[InFlight]]:
+        return [shared.queue for shared in self._pipeline.shared_models.values() if shared.queue is not None]
+
+    def _open(self, topic: str) -> TopicPipeline:
+        pipeline = self._topic_pipelines[topic] = self._pipeline.of_topic(topic)
+        return pipeline
+
+    def _delay(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> Release | None:
+        """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
+
+        The case of a plain bridge, kept short: it has to carry 6000 messages a second.
+        """
+        delay_ns = pipeline.constant_ns or 0
+        release_ns = now_ns + delay_ns
+        latest_release = pipeline.latest_release
+        # The delay may have become shorter with messages in flight.
+        reordered = release_ns < latest_release.latest_ns
+        if reordered:
+            self._figures.reordered += 1
+        else:
+            latest_release.latest_ns = release_ns
+            latest_release.order = self._arrivals
+        size_bytes = len(payload)
+        fate = delayed(
+            direction=self._direction,
+            topic=pipeline.topic,
+            seq=seq,
+            size_bytes=size_bytes,
+            arrived_ns=now_ns,
+            release_ns=release_ns,
+            delay_ns=delay_ns,
+            reordered=reordered,
+            src=src,
+        )
+        if self._fates is not None:
+            self._fates.append(fate)
+        release = Release(pipeline.topic, payload, fate)
+        heap = self._heap
+        if delay_ns == 0 and not (heap and heap[0][0] <= now_ns):
+            self._figures.count_release(0, size_bytes)
+            return release
+        self._pushed += 1
+        heappush(heap, (release_ns, self._pushed, release))
+        return None
+
+    def _impair(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> None:
+        # All draws come first: whether one model draws may not depend on what another has decided.
+        applies = pipeline.applies is None or pipeline.applies()
+        number = pipeline.next_number()
+        lost_by = pipeline.lost_by(now_ns, number)
+        corrupted = pipeline.corruptor is not None and pipeline.corruptor.happens() and len(payload) > 0
+        duplicated = pipeline.duplicates is not None and pipeline.duplicates()
+        overtakes = pipeline.overtakes is not None and pipeline.overtakes()
+        fixed_ns = pipeline.fixed_delay_ns(now_ns, number)
+        delay_ns = _random_delay_ns(fixed_ns, pipeline.jitter)
+        copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
+
+        shared = pipeline.shared
+        message = InFlight(
+            pipeline=pipeline,
+            order=self._arrivals,
+            seq=seq,
+            copy=0,
+            payload=payload,
+            arrived_ns=now_ns,
+            ready_ns=now_ns,
+            src=src,
+        )
+        if not applies:
+            self._enqueue(message, bypass=True)
+            return
+        end_ns = None if shared.outages is None else shared.outages.end_ns(now_ns)
+        if end_ns is not None and shared.settings.outage.mode == "drop" and not pipeline.reliable:
+            lost_by = "outage"
+        if lost_by:
+            self._drop(message, lost_by)
+            return
+        if corrupted and pipeline.corruptor is not None:
+            payload = pipeline.corruptor.corrupt(payload)
+        message = message._replace(
+            payload=payload,
+            ready_ns=now_ns if end_ns is None else end_ns,
+            delay_ns=0 if overtakes else delay_ns,
+            gated=True,
+            duplicated=duplicated,
+            corrupted=corrupted,
+        )
+        self._figures.corrupted += corrupted
+        self._figures.duplicated += duplicated
+        self._enqueue(message, bypass=overtakes)
+        if duplicated:
+            self._enqueue(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
+
+    def _enqueue(self, message: InFlight, *, bypass: bool) -> None:
+        """Put a message into the queue, or schedule it at once where it bypasses the queue."""
+        pipeline = message.pipeline
+        queue = pipeline.shared.queue
+        # With order, no message leaves the line, not even one that passes untouched.
+        if queue is None or (bypass and not pipeline.ordered):
+            past_queue = queue is not None and queue.holds_before(pipeline.topic, message.order)
+            self._schedule(message, message.ready_ns, message.arrived_ns, past_queue=past_queue)
+            return
+        for dropped in queue.push(_waiting(message)):
+            self._drop(dropped, "queue")
+        self._advance(message.arrived_ns)
+
+    def _advance(self, now_ns: int) -> None:
+        """Decide the fate of every message that has left its queue by now, in the order of leaving."""
+        while True:
+            # The earliest first, whatever queue it waits in: the record must not depend on how often this is called.
+            foremost, reached_ns = None, now_ns
+            for queue in self._queues:
+                leave_ns = queue.leave_ns
+                if leave_ns is not None and (leave_ns < reached_ns or (leave_ns == reached_ns and foremost is None)):
+                    foremost, reached_ns = queue, leave_ns
+            if foremost is None:
+                return
+            message, sent_ns = foremost.pop()
+            self._schedule(message, sent_ns, reached_ns)
+
+    def _schedule(self, message: InFlight, sent_ns: int, reached_ns: int, *, past_queue: bool = False) -> None:
+        """Fix the release of a message sent at sent_ns; none that comes later can be sent before reached_ns.
+
+        `past_queue`: it has left messages of its topic behind in the queue.
+        """
+        pipeline = message.pipeline
+        release_ns = sent_ns + message.delay_ns
+        for before in pipeline.ordered:
+            release_ns = max(release_ns, before.latest_ns)
+        if pipeline.shared.slot_gate is not None and message.gated:
+            release_ns = pipeline.shared.slot_gate.slot_ns(reached_ns, release_ns, len(message.payload))
+        reordered = past_queue or (
+            release_ns < pipeline.latest_release.latest_ns and pipeline.latest_release.order < message.order
+        )
+        self._figures.reordered += reordered
+        if release_ns > pipeline.latest_release.latest_ns:
+            pipeline.latest_release.latest_ns, pipeline.latest_release.order = release_ns, message.order
+        for before in pipeline.ordered:
+            before.latest_ns = release_ns
+        fate = _fate(self._direction, message)._replace(
+            release_ns=release_ns,
+            delay_ns=release_ns - message.arrived_ns,
+            queue_ns=sent_ns - message.ready_ns,
+            held_ns=message.ready_ns - message.arrived_ns,
+            reordered=reordered,
+        )
+        if self._fates is not None:
+            self._fates.append(fate)
+        self._pushed += 1
+        heappush(self._heap, (release_ns, self._pushed, Release(pipeline.topic, message.payload, fate)))
+
+    def _drop(self, message: InFlight, cause: str) -> None:
+        self._figures.dropped[cause] += 1
+        if self._fates is not None:
+            self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
+
+
+def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
+    # No network delivers before it has received: a delay that a wide jitter takes below zero stays at zero.
+    return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter())), _LONGEST_DELAY_NS)
+
+
+def _waiting(message: InFlight) -> Waiting[InFlight]:
+    topic, reliable = message.pipeline.topic, message.pipeline.reliable
+    return Waiting(
+        ready_ns=message.ready_ns,
+        size_bytes=len(message.payload),
+        topic=topic,
+        reliable=reliable,
+        order=message.order,
+        item=message,
+    )
+
+
+def _fate(direction: Direction, message: InFlight) -> Fate:
+    """Return what is known of a message before its release is decided."""
+    return Fate(
+        direction=direction,
+        topic=message.pipeline.topic,
+        seq=message.seq,
+        copy=message.copy,
+        size_bytes=len(message.payload),
+        arrived_ns=message.arrived_ns,
+        duplicated=message.duplicated,
+        corrupted=message.corrupted,
+        src=message.src,
+    )
