@@ -160,6 +160,8 @@ def _trace(
         arrived = number[~lost]
         lately = arrived[sent_ns[~lost] >= sent_ns[~lost].max() - SETTLE_NS]
         absent = np.setdiff1d(np.arange(lately.min(), lately.max()), number)
+        for before, after in _left_out(reports):
+            absent = absent[(absent <= before) | (absent >= after)]
         order = np.argsort(np.concatenate([number, absent]), kind="stable")
         number = np.concatenate([number, absent])[order]
         lost = np.concatenate([lost, np.ones(len(absent), dtype=bool)])[order]
@@ -183,6 +185,23 @@ def _trace(
         reports[-1].late - reports[0].late,
         max(report.clock.uncertainty_s for report in reports) if line is None else 0.5e-9 * line.round_trip_ns,
     )
+
+
+def _left_out(reports: Sequence[LinkNetwork]) -> list[tuple[int, int]]:
+    """Return between which numbers reports left out what became of datagrams, as they do over a line that is full."""
+    found: list[tuple[int, int]] = []
+    newest, begin, counted = -1, None, reports[0].arrived
+    for report in reports:
+        came = report.number.to_numpy()[report.lost_flag.to_numpy() == 0]
+        if report.arrived - counted > len(came) and begin is None:
+            begin = newest
+        counted = report.arrived
+        if came.size:
+            if begin is not None:
+                found.append((begin, int(came.min())))
+                begin = None
+            newest = max(newest, int(came.max()))
+    return found
 
 
 def write_traces(traces: Mapping[Direction, NetworkTrace], folder: Path) -> dict[str, Any]:

@@ -107,6 +107,20 @@ def test_what_was_lost_in_the_last_second_counts_before_it_is_reported() -> None
     assert np.allclose(found.sent_s, expected.sent_s, rtol=0.0, atol=1e-6)
 
 
+def test_what_a_report_left_out_over_a_full_line_is_not_counted_as_lost() -> None:
+    whole, arrived = reports("forward"), 0
+    for place, report in enumerate(whole):
+        arrived += int((report.lost_flag.to_numpy() == 0).sum())
+        whole[place] = report.model_copy(update={"arrived": arrived})
+    names = ("number", "arrived_ns", "delay_ns", "lost_flag")
+    told = [*whole]
+    told[-2] = whole[-2].model_copy(
+        update={name: Array.from_numpy(getattr(whole[-2], name).to_numpy()[:0]) for name in names}
+    )
+    expected, found = (traces_of(given)["forward"] for given in (whole, told))
+    assert expected.lost.sum() - 30 <= found.lost.sum() <= expected.lost.sum()
+
+
 AHEAD_S, DRIFT = 0.3, 2e-4
 
 
