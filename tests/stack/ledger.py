@@ -50,6 +50,8 @@ FAULTS = {
     "the line becomes 1 Mbit/s in a session": "named with its queue; samples are left out until the queue is gone",
     "a line of 256 kbit/s": "`up` refuses, with the numbers",
     "UDP is blocked in a session, 20 ms each way": "the loop goes on over TCP, and stands still for at most 100 ms",
+    "TCP is cut between the sites, and UDP is not": "no sample counts where no emergency stop could cross: tip holds, "
+    "then withdraws, hand let go",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
     "the relay is killed and started again": "hand let go, tip holds, then withdraws; joined again without a restart "

@@ -41,6 +41,13 @@ NOT_NEEDED = {
     "slave": ["law/*", "teleop/*"],
 }
 
+_TCP_DROPPED = """
+table inet cut {{
+  chain in {{ type filter hook input priority 0; iifname "{device}" meta l4proto tcp drop; }}
+  chain out {{ type filter hook output priority 0; oifname "{device}" meta l4proto tcp drop; }}
+}}
+"""
+
 
 def why_not() -> str:
     """Return why there can be no namespaces here; empty when there can."""
@@ -90,6 +97,11 @@ class Cable:
     def plug(self) -> None:
         """Plug it in again."""
         self.ip("slave", "link", "set", self.ends["slave"], "up")
+
+    def drop_tcp(self, *, dropped: bool) -> None:
+        """Have a firewall at the slave drop all TCP between the sites, and nothing else, or no longer."""
+        rules = _TCP_DROPPED.format(device=self.ends["slave"]) if dropped else "delete table inet cut"
+        subprocess.run(self.inside("slave", ["nft", "-f", "-"]), input=rules, text=True, check=True)
 
     def close(self) -> None:
         """Take the namespaces away, and the cable with them."""

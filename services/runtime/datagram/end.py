@@ -1,10 +1,7 @@
 """One end of the link between two machines: sends the newest samples as sealed datagrams, and takes those that arrive.
 
 It stands beside the subscriber that receives the same topics over TCP, and hands it what arrives: decoding, roles of
-the other machine and tracking of numbers are the same on both ways. Who receives decides: while datagrams arrive, the
-topics are not subscribed over TCP; when none has come for a moment they are again, and datagrams are tried further on.
-At first they are not either: the keys come over TCP, and on a network that loses packets a thousand samples a second,
-which nobody needs once there are keys, would hold them up for as long as they are sent.
+the other machine and tracking of numbers are the same on both ways (`reception.py` chooses).
 The loop of the node calls it like a subscriber; nothing here runs in a thread, and each call does a bounded amount.
 """
 
@@ -28,8 +25,10 @@ from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import Outgoing
 from services.runtime.datagram.pacing import NETWORK_BYTES
 from services.runtime.datagram.play_out import PlayOut
+from services.runtime.datagram.reception import Reception, Way
 from services.runtime.datagram.report import network_report
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener, RejectedError
+from services.runtime.datagram.touch import Touch
 from services.runtime.loop.clock import NEVER_NS, Clock
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from services.runtime.relay.path import RelayPath
@@ -41,21 +40,8 @@ _REPORT_NS = 500_000_000
 # Due work waits for so long for a turn in which nothing has arrived; a node that is asked in every turn has many of
 # those.
 _PUT_OFF_NS = 20_000_000
-# After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
-SILENCE_NS = 300_000_000
-TRIED_NS = 500_000_000
-# Through a relay: after so long without a connection to the other machine no sample is sent or taken.
-_OUT_OF_TOUCH_NS = 1_000_000_000
-# TCP is subscribed to after a silence of the first, where samples come as often as the second says, and the line is not
-# known to carry less than the third [bit/s], which would have no room for it.
-MISSED_NS, _CLOSE_NS, _ROOM = 35_000_000, 4_000_000, 8_000_000
-# A mean follows some twenty datagrams.
-_NEWEST_SHARE = 0.05
-# The first datagrams may take so long from the first word of the other machine, or from the last change of keys.
-FIRST_NS = 3_000_000_000
 # After so long without an acknowledgement only a few datagrams are sent, to find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
-_UNOFFERED_NS = 5_000_000_000
 # The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
 # datagrams flow. An end that is started anew falls silent first.
 _OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
@@ -70,10 +56,6 @@ _NARROW = 600_000
 # payloads of the other end that a repetition is compared with
 _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
-_REMIND_NS = 60_000_000_000
-
-
-Way = Literal["datagram", "stream"]
 Address = tuple[Any, ...]
 
 
@@ -157,21 +139,12 @@ class DatagramEnd:
         self.outgoing = Outgoing(settings, now)
         self.incoming = Incoming(machine)
         self.offset = OffsetFilter(_CLOCK_WINDOW)
-        self.receiving: Way = "stream"
-        # It is true while the topics are subscribed over TCP, as they are when a subscriber is made.
-        self._streaming = True
-        # The topics are subscribed over TCP at this time if no datagram has come by then; None until something of the
-        # other machine was received.
-        self._stream_at_ns: int | None = None
         self._clock = clock
         self._place = place
         self._is_master = is_master
-        self._falls_back = settings.transport == "auto"
         self._offers: list[LinkKey] = []
         self._is_allowed = is_allowed
-        self._is_connected = is_connected
-        # With a relay samples count only while commands, an emergency stop above all, could cross as well.
-        self._in_touch, self._connected_ns = True, now
+        self._touch = Touch(is_connected, machine, now)
         self._outlets = outlets
         self._agreement = Agreement(now, is_master=is_master)
         self._peer = place.peer
@@ -179,23 +152,20 @@ class DatagramEnd:
         self._events: list[ConnectionEvent] = []
         incoming: Literal["forward", "backward"] = "backward" if is_master else "forward"
         self._incoming = incoming
-        self._received_topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
+        topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
+        falls_back, peer = settings.transport == "auto", (machine, place.port)
         self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
         self._recent: list[bytes] = [b""] * _REMEMBERED
         self._recent_place = 0
         # The newest datagram that arrived: its own time of sending, and when it came.
         self._heard = (0, 0)
-        self._arrived_ns = self._sent_ns = now
+        self._sent_ns = now
         self._acknowledged_ns = now - 2 * _UNHEARD_NS
-        self._tried_since_ns: int | None = None
         self._expected = 0
         self._acknowledged_counts = (0, 0)
         self._maintain_ns = self._report_ns = now
         self._offered_ns = now - _CALM_OFFER_NS
-        self._next_reminder_ns = now + _UNOFFERED_NS
         self._kernel_drops = 0
-        # When a silence is long enough to subscribe over TCP, when that was done last, the mean time between datagrams.
-        self._missed_ns, self._early_ns, self._gap_ns = NEVER_NS, now, 0.0
         # How often the other end is still to be told that this one inflates samples.
         self._greetings = 0
         # How many trains are still to be sent at the start.
@@ -213,7 +183,12 @@ class DatagramEnd:
         if self._relay is not None:
             self._relay.send = self._send_plain
         subscriber.set_aside("link/key", self._hear_offer)
-        self._subscribe(streaming=False)
+        self._reception = Reception(subscriber, topics, peer, self._tell, falls_back=falls_back, now_ns=now)
+
+    @property
+    def receiving(self) -> Way:
+        """The way by which samples are received at the moment."""
+        return self._reception.way
 
     # --- sending ---
 
@@ -226,7 +201,7 @@ class DatagramEnd:
         """Send a sample that was published, at once, if it is one of those that cross as datagrams."""
         if topic not in self._sent_topics or self._agreement.sealer is None or self._peer is None:
             return
-        if not self._in_touch:
+        if not self._touch.is_kept:
             return
         now = self._clock.monotonic_ns()
         if now - self._acknowledged_ns > _UNHEARD_NS:
@@ -270,8 +245,8 @@ class DatagramEnd:
                 found = self.subscriber.take(waiting)
         if self._held and now >= self._held[0][0]:
             found = self.subscriber.take(self._released(now))
-        if now >= self._missed_ns:
-            self._subscribe_early(now)
+        if now >= self._reception.missed_ns:
+            self._reception.subscribe_early(now)
         self._set_due()
         # Arrived messages come first, because a report takes half a millisecond.
         if now >= self._maintain_ns + (_PUT_OFF_NS if found else 0):
@@ -318,7 +293,7 @@ class DatagramEnd:
                 self._refuse(error.cause, address)
                 continue
             self._note(opener, number, found, len(datagram), address, now)
-            if not self._in_touch:
+            if not self._touch.is_kept:
                 continue
             # the oldest first, each once
             for topic, payload in reversed(found.samples):
@@ -344,12 +319,7 @@ class DatagramEnd:
         return released
 
     def _set_due(self) -> None:
-        self.due_ns = min(self._missed_ns, self._held[0][0] if self._held else NEVER_NS)
-
-    def _subscribe_early(self, now_ns: int) -> None:
-        """Subscribe over TCP at a short silence, before it is known what it means: the first sample takes a while."""
-        self._missed_ns, self._early_ns = NEVER_NS, now_ns
-        self._subscribe(streaming=True)
+        self.due_ns = min(self._reception.missed_ns, self._held[0][0] if self._held else NEVER_NS)
 
     def _refuse(self, cause: str, address: Address) -> None:
         self.rejected[cause] = self.rejected.get(cause, 0) + 1
@@ -359,14 +329,7 @@ class DatagramEnd:
         """Note what an authentic datagram of a size [bytes] tells beside its samples."""
         report = body.report
         monotonic_ns = now_ns - self._clock.epoch_offset_ns
-        if self._tried_since_ns is None or monotonic_ns - self._arrived_ns > SILENCE_NS:
-            self._tried_since_ns = monotonic_ns
-        self._gap_ns += _NEWEST_SHARE * (monotonic_ns - self._arrived_ns - self._gap_ns)
-        self._arrived_ns = monotonic_ns
-        if self.receiving == "datagram" and not self._streaming and self._falls_back:
-            # A line without room for TCP's thousand samples a second would only be filled by them.
-            roomy = self._gap_ns < _CLOSE_NS and not 0 < self.incoming.capacity < _ROOM
-            self._missed_ns = monotonic_ns + MISSED_NS if roomy else NEVER_NS
+        self._reception.record(monotonic_ns, self.incoming.capacity)
         if opener is not self._agreement.opener:
             return
         self.arrivals.record(number, report.sent_ns, now_ns)
@@ -395,17 +358,8 @@ class DatagramEnd:
         self._peer = address
 
     def _steer(self, relay: RelayPath, now_ns: int) -> None:
-        """Send where the relay, or the other end by its answers, says; samples wait while no command could cross."""
-        if self._is_connected():
-            self._connected_ns = now_ns
-        if self._in_touch != (now_ns - self._connected_ns < _OUT_OF_TOUCH_NS):
-            self._in_touch = not self._in_touch
-            if self._in_touch:
-                self._tell("info", f"{self.machine} is connected through the relay again: the link's datagrams go on")
-            else:
-                text = "no command can cross, and the link's datagrams wait"
-                self._tell("warning", f"{self.machine} is no longer connected through the relay: {text}")
-        relay.maintain(now_ns, now_ns - self._arrived_ns)
+        """Send where the relay, or the other end by its answers, says."""
+        relay.maintain(now_ns, self._reception.silence_ns(now_ns))
         if relay.peer != self._peer and relay.peer is not None:
             self._peer = relay.peer
             way = f"directly to {self._peer[0]} port {self._peer[1]}" if relay.is_direct else "through the relay"
@@ -415,12 +369,15 @@ class DatagramEnd:
 
     def maintain(self, now_ns: int) -> None:
         """Exchange keys, send a sign of life, choose the way to receive by, and report."""
+        told = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns))
+        if told is not None:
+            self._tell(*told)
         if self._relay is not None:
             self._steer(self._relay, now_ns)
         self._exchange_keys(now_ns)
         if self._agreement.sealer is not None and now_ns - self._sent_ns >= _MAINTAIN_NS:
             self._send(b"", now_ns)
-        self._choose(now_ns)
+        self._reception.choose(now_ns, has_peer_key=bool(self._agreement.peer_public))
         self.arrivals.settle(now_ns)
         self._adapt(now_ns)
         if now_ns >= self._report_ns:
@@ -465,7 +422,7 @@ class DatagramEnd:
 
     def _exchange_keys(self, now_ns: int) -> None:
         agreement = self._agreement
-        silent = now_ns - self._arrived_ns > SILENCE_NS
+        silent = self._reception.is_silent(now_ns)
         changed = agreement.maintain(now_ns, silent=silent)
         offers, self._offers = self._offers, []
         for message in offers if self._is_allowed() else ():
@@ -479,7 +436,7 @@ class DatagramEnd:
                 self.outgoing.forget_reports(new_process=silent)
                 self._greetings = _GREETINGS
                 self._expected = 0
-                self._stream_at_ns = now_ns + FIRST_NS
+                self._reception.begin_keys(now_ns)
             changed = changed or new
         if changed:
             self._admit()
@@ -514,49 +471,9 @@ class DatagramEnd:
                 self.last_error = f"{dropped} datagrams that no key fits were dropped before they were read"
                 self._kernel_drops = dropped
 
-    def _choose(self, now_ns: int) -> None:
-        silence_ns = now_ns - self._arrived_ns
-        if silence_ns > SILENCE_NS:
-            self._tried_since_ns = None
-        tried_ns = 0 if self._tried_since_ns is None else now_ns - self._tried_since_ns
-        if not self._streaming and self.receiving == "stream" and self._tried_since_ns is None:
-            if self._stream_at_ns is None and self.subscriber.trackers:
-                self._stream_at_ns = now_ns + FIRST_NS
-            if self._stream_at_ns is not None and now_ns >= self._stream_at_ns:
-                self._subscribe(streaming=True)
-        if self.receiving == "stream" and tried_ns >= TRIED_NS:
-            self.receiving = "datagram"
-            self._subscribe(streaming=False)
-            self._tell("info", f"the link receives from {self.machine} as datagrams (UDP port {self._place.port})")
-            self._next_reminder_ns = now_ns
-        elif self.receiving == "datagram" and self._tried_since_ns is None:
-            self.receiving, self._missed_ns = "stream", NEVER_NS
-            self._subscribe(streaming=True)
-            self._warn(now_ns, f"no datagram has come from {self.machine} for {silence_ns * 1e-9:.1f} s")
-        elif self.receiving == "datagram" and now_ns - self._early_ns >= TRIED_NS and silence_ns < _MAINTAIN_NS:
-            self._subscribe(streaming=False)
-        # Nothing is wrong yet before TCP replaces the datagrams.
-        elif self.receiving == "stream" and now_ns >= self._next_reminder_ns and self._streaming == self._falls_back:
-            offered = bool(self._agreement.peer_public)
-            what = "is blocked on the way" if offered else "may be in use by no link there: it has offered no key"
-            self._warn(now_ns, f"UDP port {self._place.port} between here and {self.machine} {what}")
-
-    def _warn(self, now_ns: int, what: str) -> None:
-        self._next_reminder_ns = now_ns + _REMIND_NS
-        goes_on = "the link goes on over TCP, and tries again" if self._falls_back else "link.transport allows no TCP"
-        self._tell("warning", f"{what}: {goes_on}")
-
     def _tell(self, level: str, text: str) -> None:
         data: Mapping[str, bool | float | str] = {"peer": self.machine, "transport": self.receiving}
         self._events.append(ConnectionEvent(level, text, dict(data)))
-
-    def _subscribe(self, *, streaming: bool) -> None:
-        if streaming == self._streaming or (streaming and not self._falls_back):
-            return
-        self._streaming = streaming
-        change = self.subscriber.socket.subscribe if streaming else self.subscriber.socket.unsubscribe
-        for topic in self._received_topics:
-            change(topic.encode())
 
     # --- as one that looks after the network ---
 
@@ -576,7 +493,8 @@ class DatagramEnd:
         now = self._clock.monotonic_ns()
         self._agreement.forget(now)
         self._admit()
-        self._tried_since_ns, self._expected = None, 0
+        self._reception.forget()
+        self._expected = 0
         self._tell("warning", f"the link's datagrams with {self.machine} have ended: its key is no longer allowed")
 
     def close(self) -> None:

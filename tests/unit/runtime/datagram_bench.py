@@ -69,7 +69,7 @@ class Side:
         place = Place(
             family, (host, master_port if is_master else 0), None if is_master else (host, master_port), master_port
         )
-        self.allowed = True
+        self.allowed = self.connected = True
         self.end = DatagramEnd(
             self.clock,
             place,
@@ -79,6 +79,7 @@ class Side:
             machine="slave" if is_master else "master",
             is_master=is_master,
             is_allowed=lambda: self.allowed,
+            is_connected=lambda: self.connected,
         )
         self.received: list[Received] = []
         self.seq = 0

@@ -14,8 +14,8 @@ from network_bench import payload
 from services.runtime.datagram.agreement import REKEY_NS, Agreement
 from services.runtime.datagram.arrivals import SETTLE_NS, ArrivalRecord
 from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, packed, parse
-from services.runtime.datagram.end import FIRST_NS
 from services.runtime.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
+from services.runtime.datagram.reception import FIRST_NS
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
 from services.runtime.datagram.sealing import (
     HEADER,
@@ -597,27 +597,51 @@ class RelayAlone:
         """Do nothing."""
 
 
-def test_through_a_relay_no_sample_counts_while_no_command_could_cross(ends: Pair) -> None:
-    connected = [True]
-    for side in ends.sides:
-        side.end._relay = RelayAlone()  # type: ignore[assignment]
-        side.end._is_connected = lambda: connected[0]
-    ends.master.end._peer = ("127.0.0.1", ends.slave.port)
+@pytest.mark.parametrize("relayed", [False, True])
+def test_no_sample_counts_while_no_command_could_cross(ends: Pair, relayed: bool) -> None:
+    if relayed:
+        for side in ends.sides:
+            side.end._relay = RelayAlone()  # type: ignore[assignment]
+        ends.master.end._peer = ("127.0.0.1", ends.slave.port)
     ends.joined()
     before = len(ends.slave.seqs)
     ends.turns(10)
     assert len(ends.slave.seqs) - before == 10
-    connected[0] = False
+    for side in ends.sides:
+        side.connected = False
     ends.turns(120)
     before = [len(side.seqs) for side in ends.sides]
     ends.turns(50)
     assert [len(side.seqs) for side in ends.sides] == before
     # signs of life go on, so that nothing has to be found again
     assert [side.end.receiving for side in ends.sides] == ["datagram", "datagram"]
-    connected[0] = True
+    for side in ends.sides:
+        side.connected = True
     # Turns of 10 ms look like a queue to signs of life alone, so that fewer samples are sent at first.
     ends.turns(60)
     assert min(len(side.seqs) - count for side, count in zip(ends.sides, before, strict=True)) >= 10
     texts = [event.text for side in ends.sides for event in side.events]
     assert sum("no command can cross" in text for text in texts) == 2
     assert sum("the link's datagrams go on" in text for text in texts) == 2
+
+
+@pytest.mark.parametrize("lost", ["master", "slave"])
+def test_one_end_that_no_command_could_reach_is_enough(ends: Pair, lost: str) -> None:
+    ends.joined()
+    getattr(ends, lost).connected = False
+    ends.turns(120)
+    before = [len(side.seqs) for side in ends.sides]
+    ends.turns(50)
+    # It neither sends nor takes, so the loop is open; the other one sends on, to nobody who acts on it.
+    assert [len(side.seqs) for side in ends.sides] == before
+
+
+def test_a_connection_that_is_made_again_at_once_costs_no_sample_and_no_word(ends: Pair) -> None:
+    ends.joined()
+    before = len(ends.slave.seqs)
+    for turn in range(300):
+        for side in ends.sides:
+            side.connected = turn % 100 >= 90
+        ends.turn()
+    assert len(ends.slave.seqs) - before == 300
+    assert [event.text for side in ends.sides for event in side.events if "command" in event.text] == []

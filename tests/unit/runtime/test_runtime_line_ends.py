@@ -21,9 +21,9 @@ from services.runtime.datagram.body import (
     packed,
     parse,
 )
-from services.runtime.datagram.end import MISSED_NS, SILENCE_NS
 from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS
+from services.runtime.datagram.reception import MISSED_NS, SILENCE_NS
 from services.runtime.datagram.replay_window import ReplayWindow
 from services.runtime.datagram.sealing import RejectedError
 
