@@ -2,6 +2,8 @@
 
 import sys
 
+from proto import TOPICS
+from proto.ends import END_TOPIC
 from proto.nodes import FAR_RECORDER, site_of
 from services.recorder.config import RecorderConfig, is_bulk
 from services.recorder.intake import Intake
@@ -20,8 +22,10 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
     intake = begin(wiring, config)
     sources = listeners(wiring, config)
     held_s = accept_batches(sources, wiring, config)
-    bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network)
-    intake.obeys_link = wiring.book.spans_machines and site_of(wiring.key) == "slave"
+    is_far = wiring.book.spans_machines and site_of(wiring.key) == "slave"
+    # What it reports crosses to the master, beside the loop.
+    bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network, is_brief=is_far)
+    intake.obeys_link = is_far
     own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
     return RecorderNode(wiring.context(bus), config, intake, sites=own, on_end=bus.end, held_s=held_s), bus
 
@@ -30,7 +34,8 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     """Connect to each node for all that is to be recorded of it; at the slave to its own site only.
 
     What the slave receives of the master's comes through the link, and a network between must not carry it a second
-    time. What a node on another machine sends fast is recorded there, where that site has a recorder (ADR 0075).
+    time. What a node on another machine sends fast is recorded there, where that site has a recorder (ADR 0075), and
+    what the link brings to the master anyway, such as the health of the slave's nodes, is recorded from the link.
     """
     site, book = site_of(wiring.key), wiring.book
     sites = SITES if site == "master" or not book.spans_machines else (site,)
@@ -38,7 +43,9 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
 
     def wanted(topic: str, node: str) -> bool:
         is_near = not is_shared or book.machine_of(node) == wiring.network.machine
-        return config.subscribes(topic, site_of(node)) and (is_near or not is_bulk(topic))
+        # Events say where a node's messages ended, and are few.
+        is_brought = site_of(node) != site and TOPICS[topic].bridged == "backward" and topic != END_TOPIC
+        return config.subscribes(topic, site_of(node)) and (is_near or not (is_bulk(topic) or is_brought))
 
     return [*connect(wiring, sites, wanted), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
 

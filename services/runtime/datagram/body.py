@@ -2,6 +2,7 @@
 
 An end that has said so (`HELLO`) takes samples that are deflated with a dictionary of what every sample has: 60 to 110
 bytes instead of 250 to 300. Ends of earlier versions do not, refuse `HELLO` as malformed, and get samples as they are.
+One that has said so as well takes short reports: the time of sending alone, with its highest bit set.
 """
 
 import struct
@@ -21,10 +22,11 @@ DATAGRAMS_OF = {
 }
 NUMBERS = {topic: number for number, topic in enumerate(DATAGRAM_TOPICS)}
 _FRAMES = tuple(topic.encode() for topic in DATAGRAM_TOPICS)
-REPORT = struct.Struct("!QQQQQ")
+REPORT, SHORT_REPORT = struct.Struct("!QQQQQ"), struct.Struct("!Q")
 SAMPLE = struct.Struct("!BH")
 # Times [ns] and counts below this (the year 2116) leave room in 64 bits for the difference of any two of them.
 BOUND = 2**62
+_SHORT = 2**63
 # A datagram has so much room for samples.
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
 # This is added to the number of a topic whose sample is deflated.
@@ -32,6 +34,8 @@ _DEFLATED = 0x80
 # These stand where a sample does and carry nothing: this end inflates; a train, of which the sender measures how fast
 # the line carries it; a train that is to be answered with one.
 HELLO, TRAIN, ASKING_TRAIN = 0xFF, 0xFE, 0xFD
+# What `HELLO` carries of an end that takes short reports too; earlier ones carry nothing, and look at nothing there.
+TAKES_SHORT = b"\x01"
 # This one carries what the line carries that the other end sends over [bit/s].
 CARRIES = 0xFC
 # Raw deflate with a window of 4 KiB, which costs little memory and is more than any sample has.
@@ -77,13 +81,20 @@ class Report(NamedTuple):
 class Body(NamedTuple):
     """A body: its report, its samples (topic, payload), the marks that stand among them (`HELLO` and others).
 
-    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say.
+    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say; `takes_short`,
+    whether it says that it takes short reports.
     """
 
     report: Report
     samples: Sequence[tuple[bytes, bytes]]
     marks: Sequence[int]
     carries: int = 0
+    takes_short: bool = False
+
+
+def short_report(sent_ns: int) -> bytes:
+    """Return a report that says only when it was sent [ns]."""
+    return SHORT_REPORT.pack(_SHORT | sent_ns)
 
 
 def packed(topic: str, payload: bytes, *, deflated: bool = False) -> bytes:
@@ -120,17 +131,20 @@ def parse(body: bytes) -> Body:
         RejectedError: It is no body (`malformed`), or its report has a time (`time`) or a count (`count`) that no
             sender can have. An authentic sender may be wrong as well, and its figures are summed up here.
     """
-    if len(body) < REPORT.size:
+    if is_short := len(body) >= SHORT_REPORT.size and body[0] >= 0x80:
+        report = Report(SHORT_REPORT.unpack_from(body)[0] - _SHORT, 0, 0, 0, 0)
+    elif len(body) >= REPORT.size:
+        report = Report(*REPORT.unpack_from(body))
+    else:
         raise RejectedError("malformed")
-    report = Report(*REPORT.unpack_from(body))
     if max(report.sent_ns, report.heard_sent_ns, report.heard_ns) >= BOUND:
         raise RejectedError("time")
     if not report.arrived <= report.expected < BOUND:
         raise RejectedError("count")
     samples: list[tuple[bytes, bytes]] = []
     marks: list[int] = []
-    carries = 0
-    place = REPORT.size
+    carries, takes_short = 0, False
+    place = SHORT_REPORT.size if is_short else REPORT.size
     while place < len(body):
         if place + SAMPLE.size > len(body):
             raise RejectedError("malformed")
@@ -140,10 +154,12 @@ def parse(body: bytes) -> Body:
             raise RejectedError("malformed")
         if number >= CARRIES:
             marks.append(number)
-            carries = int.from_bytes(body[place - length : place][:8], "big") if number == CARRIES else carries
+            content = body[place - length : place]
+            carries = int.from_bytes(content[:8], "big") if number == CARRIES else carries
+            takes_short = takes_short or (number == HELLO and content == TAKES_SHORT)
             continue
         payload, topic = body[place - length : place], number & ~_DEFLATED
         if topic >= len(DATAGRAM_TOPICS):
             raise RejectedError("malformed")
         samples.append((_FRAMES[topic], _inflated(payload) if number & _DEFLATED else payload))
-    return Body(report, samples, marks, carries)
+    return Body(report, samples, marks, carries, takes_short)

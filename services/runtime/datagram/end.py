@@ -20,7 +20,20 @@ from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.datagram import flood_filter
 from services.runtime.datagram.agreement import Agreement
 from services.runtime.datagram.arrivals import ArrivalRecord
-from services.runtime.datagram.body import ASKING_TRAIN, CARRIES, DATAGRAMS_OF, HELLO, REPORT, Body, Report, mark, parse
+from services.runtime.datagram.body import (
+    ASKING_TRAIN,
+    CARRIES,
+    DATAGRAMS_OF,
+    HELLO,
+    REPORT,
+    SHORT_REPORT,
+    TAKES_SHORT,
+    Body,
+    Report,
+    mark,
+    parse,
+    short_report,
+)
 from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import Outgoing
 from services.runtime.datagram.pacing import NETWORK_BYTES
@@ -214,7 +227,11 @@ class DatagramEnd:
         sealer, peer = self._agreement.sealer, self._peer
         if sealer is None or peer is None:
             return
-        report = REPORT.pack(now_ns + self._clock.epoch_offset_ns, *self._heard, *self.arrivals.of_keys)
+        sent_ns = now_ns + self._clock.epoch_offset_ns
+        if samples and self.outgoing.leaves_report_out(now_ns):
+            report = short_report(sent_ns)
+        else:
+            report = REPORT.pack(sent_ns, *self._heard, *self.arrivals.of_keys)
         datagram = sealer.seal(report + samples)
         try:
             self.socket.sendto(datagram, peer)
@@ -282,7 +299,7 @@ class DatagramEnd:
                     continue
                 if len(datagram) > MOST_BYTES:
                     raise RejectedError("oversized")
-                if len(datagram) < OVERHEAD_BYTES + REPORT.size:
+                if len(datagram) < OVERHEAD_BYTES + SHORT_REPORT.size:
                     raise RejectedError("truncated")
                 opener = openers.get(datagram[:TAG_BYTES])
                 if opener is None:
@@ -336,6 +353,7 @@ class DatagramEnd:
         self.incoming.record(size, now_ns, body.marks)
         if body.marks:
             self.outgoing.deflates = True
+            self.outgoing.shortens = self.outgoing.shortens or body.takes_short
         if body.carries:
             self.outgoing.control.known_bytes_per_s = body.carries / 8.0
         if number == opener.window.newest:
@@ -398,7 +416,7 @@ class DatagramEnd:
             self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
             if self._greetings:
                 self._greetings -= 1
-                self._send(mark(HELLO), now_ns)
+                self._send(mark(HELLO, TAKES_SHORT), now_ns)
             if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or self._seems_narrow()):
                 self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
         if self.incoming.wants_train:

@@ -18,6 +18,9 @@ LEAST_HZ = 50.0
 # Over a full line a report of the law goes along with a sample, and no more often than this [ns].
 _REPORTS_NS = 100_000_000
 _REPORTED = "law/status"
+# Over a full line a datagram says what was heard from the other end no more often than this [ns]: some ten times within
+# the time over which a queue is judged.
+_WHOLE_REPORT_NS = 9_000_000
 # A train: so many datagrams of so many bytes of padding, back to back.
 TRAIN_DATAGRAMS, _PADDING_BYTES = 40, 400
 # No more than one train in this time, whoever asks for it [ns].
@@ -43,10 +46,13 @@ class Outgoing:
         self.repeats = Repeats(settings.repeats)
         # It is true once the other end has said that it inflates samples.
         self.deflates = False
+        # Likewise once it has said that it takes reports that say only when they were sent.
+        self.shortens = False
         self.bytes = self.datagrams = self.unsent = 0
         self._budget = SendBudget(settings.budget_kbit_per_s, now_ns)
         self._delivery = Delivery()
         self._beside, self._beside_ns = b"", now_ns
+        self._whole_report_ns = now_ns
         self._seen = Sent(now_ns, 0, 0)
         # The mean size of a datagram [bytes], and what is sent in a second.
         self._bytes_each, self._bytes_per_s = 400.0, 0.0
@@ -72,6 +78,13 @@ class Outgoing:
         if self._beside and len(found) + len(self._beside) <= MOST_SAMPLE_BYTES:
             found, self._beside = found + self._beside, b""
         return found
+
+    def leaves_report_out(self, now_ns: int) -> bool:
+        """Return whether a sample goes without what was heard from the other end: 32 bytes of a line that is full."""
+        if not self.shortens or self.control.mode == "free" or now_ns - self._whole_report_ns >= _WHOLE_REPORT_NS:
+            self._whole_report_ns = now_ns
+            return False
+        return True
 
     def record_sent(self, size_bytes: int) -> None:
         """Record a datagram that was sent."""
@@ -131,4 +144,4 @@ class Outgoing:
         self._delivery = Delivery()
         if new_process:
             self.line.forget()
-            self.deflates = False
+            self.deflates = self.shortens = False

@@ -319,6 +319,40 @@ def stage(site_file: Path) -> Iterator[Callable[..., Stage]]:
             each.close()
 
 
+@pytest.mark.parametrize("far", ["fetch", "stream"])
+def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(
+    scenario_file: Path, config: RecorderConfig, far: str
+) -> None:
+    site_file = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
+    book = AddressBook.model_validate({**yaml.safe_load(site_file.read_text()), "insecure": True})
+    clock = SystemClock()
+    with zmq.Context() as context:
+        wiring = Wiring(
+            key="recorder@master",
+            book=book,
+            site_file=site_file,
+            scenario_file=scenario_file,
+            clock=clock,
+            log=StructuredLog(NODE),
+            network=Transport(context, clock, book, "master"),
+            wake_descriptor=-1,
+        )
+        found = listeners(wiring, config.model_copy(update={"far": far}))
+        asked = {(each.publisher, topic) for each in found for topic in each.subscriber.topics}
+        for each in found:
+            each.subscriber.close()
+        wiring.resources.close()
+        wiring.network.close()
+    assert {("delay_node@master", "node/health"), ("afm_node@slave", "session/event")} <= asked
+    assert ("delay_node@master", "link/network") in asked
+    directly = {
+        ("afm_node@slave", "node/health"),
+        ("controller@slave", "link/network"),
+        ("afm_node@slave", "afm/state"),
+    }
+    assert asked & directly == (directly if far == "stream" else set())
+
+
 def test_everything_on_real_sockets_is_received_at_its_place(
     site_file: Path, scenario_file: Path, config: RecorderConfig, stage: Callable[..., Stage]
 ) -> None:
@@ -355,12 +389,18 @@ def test_everything_on_real_sockets_is_received_at_its_place(
             others.publishers["launcher@master"].send("session/control", encode(session_control(others.sent)))
             loop.turn()
             found = {stream.channel_topic for each in bus._listeners.values() for stream in each.streams.values()}
+        rows = {(row.topic, row.src) for row in bus.input_health()}
+        bus._is_brief = True
+        brief = {(row.topic, row.src) for row in bus.input_health()}
         node.context.request_stop()
         loop.run()
         wiring.resources.close()
         wiring.network.close()
     os.close(reader)
     os.close(writer)
+    # What crosses to another machine leaves out what is sent on change, and keeps what readiness is judged by.
+    assert brief == {row for row in rows if TOPICS[row[0]].rate_hz}
+    assert len(brief) < len(rows)
     recording = Recording(config.directory / config.file_name)
     info = recording.info()
     assert info.complete

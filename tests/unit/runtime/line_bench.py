@@ -1,8 +1,9 @@
 """A line in virtual time: a bottleneck with a queue, our end before it, and perhaps a TCP transfer beside us."""
 
+import itertools
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from services.runtime.datagram.line import Line
@@ -95,6 +96,11 @@ class Ending:
     sent_ns: list[int]
 
 
+def _thirds() -> Iterator[float]:
+    """Yield shares of a period that put messages apart: multiples of the golden ratio."""
+    return ((0.618 * place) % 1.0 for place in itertools.count(1))
+
+
 def run(
     line: Bottleneck,
     seconds: float,
@@ -110,8 +116,13 @@ def run(
     change: Callable[[float, Bottleneck], None] = lambda at_s, line: None,
     seed: int = 1,
     back_ns: int = 20 * MS,
+    beside: Sequence[tuple[float, int]] = (),
 ) -> Ending:
-    """Send samples of a size [bytes] over a line, at the rate that the control allows."""
+    """Send samples of a size [bytes] over a line, at the rate that the control allows.
+
+    Beside them the messages of nodes cross by TCP: `beside` has the period [s] and the size [bytes] of each.
+    """
+    next_message_s = [draw_s * period_s for draw_s, (period_s, _) in zip(_thirds(), beside, strict=False)]
     draw = random.Random(seed)
     most = 750_000.0
     control, seen_line, delivery, budget = RateControl(most), Line(), Delivery(), SendBudget(most / 125.0, 0)
@@ -132,6 +143,11 @@ def run(
         change(now * 1e-9, line)
         if tcp_from is not None and tcp_from <= now * 1e-9 < tcp_until:
             tcp.turn(now)
+        for place, (period_s, message_bytes) in enumerate(beside):
+            if now * 1e-9 >= next_message_s[place]:
+                next_message_s[place] += period_s
+                for first in range(0, message_bytes, SEGMENT):
+                    line.offer(now, min(SEGMENT, message_bytes - first), "nodes")
         if budget.left_bytes(now) >= size - 48:
             budget.spend(size - 48)
             numbers[now] = number
@@ -148,7 +164,7 @@ def run(
             elif owner is tcp:
                 tcp.acknowledged()
                 tcp_bytes += SEGMENT
-            else:
+            elif owner == "us":
                 at_ns += round(abs(draw.gauss(0.0, jitter_ms)) * MS)
                 arrived += 1
                 newest = max(newest, numbers.pop(offered_ns))

@@ -3,6 +3,7 @@
 import hashlib
 import zlib
 from collections.abc import Iterator
+from statistics import median
 
 import datagram_bench
 import pytest
@@ -17,9 +18,11 @@ from services.runtime.datagram.body import (
     HELLO,
     REPORT,
     SAMPLE,
+    SHORT_REPORT,
     mark,
     packed,
     parse,
+    short_report,
 )
 from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS
@@ -51,9 +54,47 @@ def test_a_sample_is_deflated_to_a_third_and_comes_back_as_it_was() -> None:
         [(b"teleop/forward", FORWARD)],
         [HELLO],
         0,
+        False,
     )
     # both ends need the very same bytes: another dictionary would be another wire format
     assert hashlib.sha256(DICTIONARY).hexdigest() == "0acc65774425ceb5ca0e71552a3cd51364049f19fa05ead41eaa95ff98029c39"
+
+
+def test_a_short_report_says_when_it_was_sent_and_nothing_else() -> None:
+    sample = packed("teleop/forward", FORWARD, deflated=True)
+    found = parse(short_report(1_792_000_000_000_000_000) + sample)
+    assert found.report == (1_792_000_000_000_000_000, 0, 0, 0, 0)
+    assert found.samples == [(b"teleop/forward", FORWARD)]
+    with pytest.raises(RejectedError, match="time"):
+        parse(short_report(2**62))
+
+
+@pytest.mark.parametrize("takes_short", [True, False])
+def test_over_a_full_line_most_datagrams_go_without_a_report_to_an_end_that_takes_that(
+    ends: Pair, takes_short: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not takes_short:
+        # an earlier end greets without that
+        monkeypatch.setattr("services.runtime.datagram.end.TAKES_SHORT", b"")
+    ends.joined()
+    monkeypatch.setattr(datagram_bench, "STEP_NS", 2 * MS)
+    outgoing = ends.master.end.outgoing
+
+    def usual_size() -> float:
+        sizes = []
+        for _ in range(500):
+            before = outgoing.bytes
+            ends.turn()
+            sizes.append(outgoing.bytes - before)
+        return median(sizes)
+
+    whole = usual_size()
+    outgoing.control.mode = "full"
+    monkeypatch.setattr(outgoing, "update", lambda *_: None)
+    assert whole - usual_size() == (REPORT.size - SHORT_REPORT.size if takes_short else 0)
+    # What each hears of the other is enough for its rate.
+    assert [side.end.acknowledged for side in ends.sides] == [True, True]
+    assert ends.slave.seqs[-1] == ends.master.seq - 1
 
 
 @pytest.mark.parametrize("what", ["bomb", "cut", "more", "noise"])
