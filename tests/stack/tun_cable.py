@@ -17,6 +17,9 @@ With `rate_bit_per_s` it has a bottleneck each way: packets wait for it in a que
 are dropped. With `fair` each flow (protocol and ports) has a queue of its own, and they are served by turns, byte for
 byte.
 
+With `jitter_s` the delay of each packet is drawn evenly from so much less to so much more; with `in_order` no packet is
+delivered before one that was sent earlier. With `burst` losses come in runs of so many packets on the mean (Gilbert).
+
 With `tamper` it is the attacker on the line as well: of that share of the datagrams it delivers, by turns, a second
 copy, a changed one, a cut one, one that is too long, and one that begins with no known key, all from the sender's
 address; or it holds the genuine one back until others have overtaken it.
@@ -68,6 +71,9 @@ class Impairment:
     rate_bit_per_s: float = 0.0
     queue_bytes: int = 64_000
     fair: bool = False
+    jitter_s: float = 0.0
+    in_order: bool = False
+    burst: float = 1.0
 
 
 class Bottleneck:
@@ -203,6 +209,8 @@ class Cable:
         self._ends = ends
         self._draws = (random.Random(f"{seed} there"), random.Random(f"{seed} back"))
         self._attacks = tuple(random.Random(f"{seed} attacks {place}") for place in range(2))
+        self._jitter = tuple(random.Random(f"{seed} jitter {place}") for place in range(2))
+        self._losing, self._latest_ns = [False, False], [0, 0]
         self._by_turns = tuple(itertools.cycle([*ATTACKS, REORDERED]) for _ in range(2))
         self._under_way: list[tuple[int, int, int, bytes]] = []
         self._order = itertools.count()
@@ -258,7 +266,7 @@ class Cable:
             counts.taken += 1
             counts.bytes_taken[place] += len(packet)
             # drawn for every packet, so that a change of one rule does not change the draws of the others
-            lost = self._draws[place].random() < rules.loss
+            lost = self._is_lost(place)
             if lost or rules.cut or (rules.block_udp and is_udp(packet)):
                 counts.dropped += 1
                 continue
@@ -270,7 +278,22 @@ class Cable:
                 due_ns += self._tamper(place, packet, due_ns)
             self._send(place, packet, due_ns)
 
+    def _is_lost(self, place: int) -> bool:
+        draw, rules = self._draws[place].random(), self.impairment
+        if rules.burst <= 1.0:
+            return draw < rules.loss
+        # A run of losses ends with the first chance, and begins with the one that gives the share of losses.
+        ends = 1.0 / rules.burst
+        begins = min(1.0, ends * rules.loss / (1.0 - rules.loss))
+        self._losing[place] = draw >= ends if self._losing[place] else draw < begins
+        return self._losing[place]
+
     def _send(self, place: int, packet: bytes, due_ns: int) -> None:
+        rules = self.impairment
+        if rules.jitter_s:
+            due_ns += round(self._jitter[place].uniform(-rules.jitter_s, rules.jitter_s) * 1e9)
+        if rules.in_order:
+            due_ns = self._latest_ns[place] = max(due_ns, self._latest_ns[place])
         heapq.heappush(self._under_way, (due_ns, next(self._order), 1 - place, packet))
 
     def _tamper(self, place: int, packet: bytes, due_ns: int) -> int:

@@ -4,6 +4,13 @@
 
 runs `fig12` once at both sites and prints what became of it as a line of JSON.
 
+    python tests/stack/wide_area.py --delay-ms 20 --loss 0 --rate-mbit 1 [--queue-bytes 64000]
+    python tests/stack/wide_area.py --delay-ms 20 --loss 0.05 --burst 30
+    python tests/stack/wide_area.py --delay-ms 20 --loss 0.02 --jitter-ms 10 [--in-order]
+
+do so over a line of a rate, with losses in bursts, and with jitter. With a rate each site records its own, and the
+slave's recording is fetched over a line of any width after the session.
+
     python tests/stack/wide_area.py --table cells.jsonl --laws all --delays-ms 10,50 --losses 0,0.02,0.05
 
 runs each law over the cable, over a perfect cable with the same network injected, and in lockstep with as many draws
@@ -22,6 +29,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -163,19 +171,24 @@ def fig12(
     probe_into: Path | None = None,
     measured: Path | None = None,
     duration_s: float = DURATION_S,
+    rules: Mapping[str, float | bool] | None = None,
 ) -> dict[str, Any]:
     """Run fig12 at both sites and give what became of it.
 
     Parameters: injected, the network is perfect and the link injects delay and loss in its place; seed, of the losses;
-    probe_into, folder for what `telenano link probe` makes meanwhile; measured, such a folder, injected in their place.
+    probe_into, folder for what `telenano link probe` makes meanwhile; measured, such a folder, injected in their place;
+    rules, further ones of the cable.
     """
     injected = injected or measured is not None
     folder.mkdir(parents=True, exist_ok=True)
     cable = WideAreaCable(0.0 if injected else delay_ms * 1e-3, 0.0 if injected else loss, seed)
     rig = TwoSites(folder, cable=cable, transport=transport)
     # over a network that loses packets TCP would take a minute to fetch what the slave recorded
-    law_of = ["--set", f"controller.law={law}", "--set", "recorder.far=stream"]
+    rules = dict(rules or {})
+    far = "fetch" if rules.get("rate_bit_per_s") else "stream"
+    law_of = ["--set", f"controller.law={law}", "--set", f"recorder.far={far}"]
     chosen = {site: [*law_of, "--set", f"recorder.exclude={json.dumps(EXCLUDED[site])}"] for site in EXCLUDED}
+    cable.change(**rules)
     network = {
         f"{way}.{key}": value
         for way in ("forward", "backward")
@@ -205,8 +218,11 @@ def fig12(
             done = rig.master.telenano("link", "probe", "--duration", "3", "--out", str(probe_into))
             assert done.returncode == 0, done.stderr
         assert rig.master.process is not None
+        if far == "fetch":
+            # The recording that is fetched after the session is no part of the measurement.
+            rig.wait_until(lambda: "fetching what" in rig.master.log.read_text(), "the end of the session", 60.0)
+        counts = cable.change(rate_bit_per_s=0.0)
         rig.master.process.wait(timeout=60.0)
-        counts = cable.change()
         cable_late = lateness(counts, before, begin_ns, time.time_ns())
         rig.slave.stop()
         summary = rig.master.summary()
@@ -217,6 +233,7 @@ def fig12(
         return {
             "delay_ms": delay_ms,
             "loss": loss,
+            "rules": rules,
             "law": law,
             "seed": seed,
             "network": "injected" if injected else transport,
@@ -317,6 +334,12 @@ def main() -> None:
     parser.add_argument("--delay-ms", type=float, default=50.0)
     parser.add_argument("--loss", type=float, default=0.02)
     parser.add_argument("--law", default="passivity")
+    parser.add_argument("--rate-mbit", type=float, default=0.0, help="what the line carries each way [Mbit/s]")
+    parser.add_argument("--queue-bytes", type=int, default=64_000)
+    parser.add_argument("--jitter-ms", type=float, default=0.0)
+    parser.add_argument("--in-order", action="store_true")
+    parser.add_argument("--burst", type=float, default=1.0, help="mean run of losses in packets")
+    parser.add_argument("--duration", type=float, default=DURATION_S)
     parser.add_argument("--transport", default="auto")
     parser.add_argument("--injected", action="store_true")
     parser.add_argument("--seed", type=int, default=1)
@@ -344,6 +367,14 @@ def main() -> None:
             given.transport,
             injected=given.injected,
             seed=given.seed,
+            duration_s=given.duration,
+            rules={
+                "rate_bit_per_s": given.rate_mbit * 1e6,
+                "queue_bytes": given.queue_bytes,
+                "jitter_s": given.jitter_ms * 1e-3,
+                "in_order": given.in_order,
+                "burst": given.burst,
+            },
         )
     sys.stdout.write(json.dumps(found) + "\n")
 
