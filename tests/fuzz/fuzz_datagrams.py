@@ -17,6 +17,7 @@ from services.runtime.datagram.body import (
     TRAIN,
     mark,
     packed,
+    short_report,
 )
 from services.runtime.datagram.replay_window import WINDOW
 from services.runtime.datagram.sealing import Sealer
@@ -63,6 +64,8 @@ class Datagrams:
         counts = [self._extreme(10**4) if rng.random() < 0.1 else rng.randrange(10**4) for _ in range(2)]
         if rng.random() < 0.9:
             counts.sort(reverse=True)
+        if rng.random() < 0.2:
+            return short_report(times[0] % 2**63)
         return REPORT.pack(*times, *counts)
 
     def _extreme(self, usual: int) -> int:

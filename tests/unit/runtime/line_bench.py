@@ -86,7 +86,10 @@ class Bottleneck:
 
 @dataclass
 class Ending:
-    """What became of a run: queue that our datagrams waited in [ms] and our rate [1/s], second by second; the rest."""
+    """What became of a run: queue that our datagrams waited in [ms] and our rate [1/s], second by second; the rest.
+
+    `waits_ns` has by the time of sending of each sample that arrived how long it waited.
+    """
 
     queue_ms: list[float]
     rate_hz: list[float]
@@ -94,6 +97,7 @@ class Ending:
     line: Line
     tcp_bytes: int
     sent_ns: list[int]
+    waits_ns: dict[int, int]
 
 
 def _thirds() -> Iterator[float]:
@@ -137,6 +141,7 @@ def run(
     waits: list[float] = []
     sent_now = sent_then = 0
     sent_ns: list[int] = []
+    waits_ns: dict[int, int] = {}
     next_update = next_second = 0
     for tick in range(int(seconds * hz)):
         now = tick * step_ns
@@ -168,7 +173,8 @@ def run(
                 at_ns += round(abs(draw.gauss(0.0, jitter_ms)) * MS)
                 arrived += 1
                 newest = max(newest, numbers.pop(offered_ns))
-                waits.append((at_ns - offered_ns - line.delay_ns) / MS)
+                waits_ns[offered_ns] = at_ns - offered_ns - line.delay_ns
+                waits.append(waits_ns[offered_ns] / MS)
                 there = round(at_ns * (1.0 + drift)) + OFFSET_NS
                 home_ns = at_ns + back_ns + round(abs(draw.gauss(0.0, jitter_ms)) * MS)
                 reports.append((home_ns, Exchange(offered_ns, there, there, home_ns), newest + 1, arrived))
@@ -189,4 +195,4 @@ def run(
             queue_ms.append(max(waits, default=0.0))
             rate_hz.append(sent_now - sent_then)
             waits, sent_then = [], sent_now
-    return Ending(queue_ms[1:], rate_hz[1:], control, seen_line, tcp_bytes, sent_ns)
+    return Ending(queue_ms[1:], rate_hz[1:], control, seen_line, tcp_bytes, sent_ns, waits_ns)
