@@ -118,9 +118,14 @@ def events_of_session(recording: Path) -> list[dict[str, Any]]:
     return [event for event in found if event["t_ns"] < ended - 500_000_000]
 
 
+def recording_of(folder: Path) -> Path:
+    """Give what a site recorded of the session: a recorder that is fetched from begins a file with it."""
+    return max(folder.glob("session*.mcap"), key=lambda path: path.stat().st_size)
+
+
 def one_way_ms(folder: Path) -> dict[str, float]:
     """Give what the end at a site measured of the direction that it receives."""
-    (recording,) = sorted(folder.glob("session*.mcap"))
+    recording = recording_of(folder)
     # the master's recorder has what the slave's end reports as well
     own: list[Any] = [
         message.decode()
@@ -149,7 +154,7 @@ def one_way_ms(folder: Path) -> dict[str, float]:
 
 def injected_ms(folder: Path) -> dict[str, list[float]]:
     """Give by direction the quantiles of the delays that the link applied to the samples of the loop [ms]."""
-    (recording,) = sorted(folder.glob("session*.mcap"))
+    recording = recording_of(folder)
     found: dict[str, list[float]] = {}
     for message in Recording(recording).messages():
         if message.topic == "link/fates":
@@ -226,7 +231,7 @@ def fig12(
         cable_late = lateness(counts, before, begin_ns, time.time_ns())
         rig.slave.stop()
         summary = rig.master.summary()
-        (recording,) = sorted(rig.slave.out.glob("session*.mcap"))
+        recording = recording_of(rig.slave.out)
         events = events_of_session(recording)
         deadlines = [event for event in events if "command_deadline" in str(event["data"].get("reason", ""))]
         delays = {site.name: one_way_ms(site.out) for site in (rig.master, rig.slave)}
