@@ -387,7 +387,8 @@ class DatagramEnd:
 
     def maintain(self, now_ns: int) -> None:
         """Exchange keys, send a sign of life, choose the way to receive by, and report."""
-        told = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns))
+        loss_share = max(self.arrivals.lost / max(1, self.arrivals.settled), self.outgoing.repeats.loss_share)
+        told = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
         if told is not None:
             self._tell(*told)
         if self._relay is not None:

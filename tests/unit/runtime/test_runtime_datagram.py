@@ -27,6 +27,7 @@ from services.runtime.datagram.sealing import (
     RejectedError,
     Sealer,
 )
+from services.runtime.datagram.touch import Touch
 
 KEYS = DirectionKeys(bytes(range(32)), b"abcd")
 
@@ -636,6 +637,21 @@ def test_one_end_that_no_command_could_reach_is_enough(ends: Pair, lost: str) ->
     ends.turns(50)
     # It neither sends nor takes, so the loop is open; the other one sends on, to nobody who acts on it.
     assert [len(side.seqs) for side in ends.sides] == before
+
+
+@pytest.mark.parametrize(("loss_share", "kept_ms"), [(0.0, 1000), (0.009, 1000), (0.02, 4000)])
+def test_where_the_network_loses_datagrams_a_connection_has_longer_to_come_back(
+    loss_share: float, kept_ms: int
+) -> None:
+    connected = [True]
+    touch = Touch(lambda: connected[0], "slave", 0)
+    touch.look(0, arriving=True, loss_share=loss_share)
+    connected[0] = False
+    kept = 0
+    while touch.is_kept:
+        kept += 50
+        touch.look(kept * 1_000_000, arriving=True, loss_share=loss_share)
+    assert kept == kept_ms
 
 
 def test_a_connection_that_is_made_again_at_once_costs_no_sample_and_no_word(ends: Pair) -> None:
