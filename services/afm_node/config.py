@@ -35,6 +35,7 @@ from services.afm_node.physics.sample.surface import Surface, dilated
 from services.afm_node.physics.sample_models import checked_sample
 from services.afm_node.physics.spring import spring_params
 from services.afm_node.physics.step import AfmParams
+from services.afm_node.physics.torsion import TorsionConfig
 from services.afm_node.programs.lateral import LateralParams
 from services.afm_node.programs.settings import InstrumentRequest
 from services.runtime.settings.config import Settings
@@ -261,6 +262,7 @@ class _OwnSections(Settings):
         None, description="A measured channel that is felt in place of the force, by a table; none: the force."
     )
     friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
+    torsion: TorsionConfig = Field(TorsionConfig(), description="How the lateral force is measured, errors included.")
     rest_distance_m: float = Field(
         10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
     )
@@ -341,6 +343,8 @@ class _OwnSections(Settings):
             self._check_particles(self.sample.particles)
         if self.sample is not None and self.sample.map is not None:
             require_feelable(self, self.sample.map)
+        if self.torsion != TorsionConfig():
+            self._check_torsion()
         # Some combinations have no model (E7): that belongs to reading the file, not to the first tick.
         self.to_params()
         return self
@@ -369,6 +373,15 @@ class _OwnSections(Settings):
                     f"safety.{name} = {base_m:g} m does not clear the highest particle: with a radius of"
                     f" {particles.kind.radius_m:g} m it must be {math.floor(needed * 1e9) * 1e-9:.4g} m or less"
                 )
+
+    def _check_torsion(self) -> None:
+        if self.driver != "simulated" or self.environment != "tip_sample":
+            raise ValueError("torsion is for driver simulated and environment tip_sample")
+        if self.torsion.most_n <= self.safety.lateral_limit_n:
+            raise ValueError(
+                f"torsion.factor_n_per_v times torsion.range_v = {self.torsion.most_n:g} N must be above"
+                f" safety.lateral_limit_n = {self.safety.lateral_limit_n:g} N, or the guard never sees that limit"
+            )
 
     def to_lateral_params(self) -> LateralParams:
         return LateralParams(self.lateral.reach_m, self.lateral.speed_m_per_s)
@@ -402,6 +415,10 @@ class _OwnSections(Settings):
             return 2.0 * span.half_x_m, 2.0 * span.half_y_m
         surface = self.sample.build()
         return surface.width_m, surface.depth_m
+
+    def measured_by_torsion(self, part: Any) -> Any:
+        """Return the parameters of a part whose lateral force the torsion channel measures, if that has errors."""
+        return part if self.torsion == TorsionConfig() else self.torsion.around(part, self.cantilever.stiffness_n_per_m)
 
     def to_particle_layer(self, within: Any, surface: Surface | None) -> Any:
         """Return the parameters of the particles around a part over a surface, the part where there are none.

@@ -15,6 +15,7 @@ from services.afm_node.config import (
 )
 from services.afm_node.driver import AfmDriver
 from services.afm_node.over_map import read_params
+from services.afm_node.physics.sample.surface import Surface
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.programs.feedback import remaining
 from services.afm_node.programs.program import Instrument
@@ -45,13 +46,18 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     if config.model == "dynamic":
         return dynamic_afm(config)
     return simulated_afm(
-        config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances, **_particles(config)
+        config.to_params(), config.to_surface(), config.to_friction_params(), config.disturbances, **_layers(config)
     )
 
 
-def _particles(config: AfmConfig) -> dict[str, Any]:
+def _layers(config: AfmConfig) -> dict[str, Any]:
+    """Return what is around the tip over the surface: the particles, and the channel that measures what is lateral."""
     particles = None if config.sample is None else config.sample.particles
-    return {} if particles is None else {"layer": config.to_particle_layer, "above_m": particles.highest_m}
+
+    def layer(part: Any, surface: Surface | None) -> Any:
+        return config.measured_by_torsion(config.to_particle_layer(part, surface))
+
+    return {"layer": layer, "above_m": 0.0 if particles is None else particles.highest_m}
 
 
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
@@ -75,7 +81,7 @@ def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
         tip = dynamic_params(config.to_params().plant, driven, resting)
     except ValueError as error:
         raise ConfigError(f"afm_node.model: {error}") from error
-    return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip, **_particles(config))
+    return simulated_afm(config.to_params(), surface, friction, config.disturbances, tip, **_layers(config))
 
 
 def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
@@ -169,5 +175,6 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
         can_vibrate=driver.vibration is not None,
         lag=remaining(period_s, c.resonance_hz, c.quality),
         reach=reach,
+        lateral_uncertainty=config.torsion.gain_uncertainty,
     )
     return ProgramRunner(instrument)

@@ -32,7 +32,7 @@ class Instrument(NamedTuple):
     limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m]; stiffness_n_per_m,
     of the cantilever; period_s, of the node; can_vibrate, the base can be driven; lag, what is left of a change of the
     amplitude after a period; reach, of the base over a surface whose heights are known, None for an instrument that
-    has to find the surface.
+    has to find the surface; lateral_uncertainty, relative, of the calibration of the lateral force.
     """
 
     limits: SafetyParams
@@ -43,6 +43,7 @@ class Instrument(NamedTuple):
     can_vibrate: bool = False
     lag: float = 0.0
     reach: Reach | None = None
+    lateral_uncertainty: float = 0.0
 
     def approach_limit_s(self, speed_m_per_s: float) -> float:
         """Return the time after which an approach at a speed [m/s] has certainly found no surface [s]."""
@@ -161,7 +162,7 @@ class Program(ABC, Generic[S, P, T]):
 
     settings: the model of its section, with units, bounds and defaults; title: what the page calls it; about: one line
     for a person; label: its name in sentences, where it differs from the one in the table; can_pause: it can stand
-    where it is, and go on.
+    where it is, and go on; leaves_tip: the stage stays where the program ends, for a hand that goes on from there.
     """
 
     settings: type[S]
@@ -169,6 +170,7 @@ class Program(ABC, Generic[S, P, T]):
     about: ClassVar[str]
     label: ClassVar[str] = ""
     can_pause: ClassVar[bool] = False
+    leaves_tip: ClassVar[bool] = False
 
     @classmethod
     def kinds(cls) -> tuple[type[P], type[T]]:

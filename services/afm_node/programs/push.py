@@ -97,6 +97,7 @@ class PushPlan(NamedTuple):
     start: Place
     way_m: float
     stiffness_n_per_m: float
+    lateral_uncertainty: float
     clear_m: float
     approach_s: float
     speed_m_per_s: float
@@ -108,9 +109,10 @@ class PushState(NamedTuple):
     """Phase, time in it [s], base at the touch [m]; what was felt and where the particle is believed to be.
 
     gone_m: way of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size
-    since the particle moves; peak_n: the largest. quiet: count, mean and sum of squared deviations of the lateral force
-    before contact. steps_n: steps above the threshold; faint_m: way without force. line: of a sweep. why: how it ended.
-    aside_rad: the angle from the motion of the tip to the particle.
+    since the particle moves; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations
+    of the lateral force before contact, which is what the channel reads without a particle: crosstalk, the friction of
+    the tip, noise. All other forces are less that mean. steps: steps above the threshold; faint_m: way without force.
+    line: of a sweep. why: how it ended. aside_rad: the angle from the motion of the tip to the particle.
     """
 
     phase: int
@@ -121,7 +123,7 @@ class PushState(NamedTuple):
     force_y_n: float
     plateau_n: float
     peak_n: float
-    quiet: tuple[int, float, float]
+    quiet: tuple[int, float, float, float]
     steps: int
     faint_m: float
     believed: Place
@@ -141,6 +143,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
     settings = PushSettings
     title, about = "Push", "A particle that the tip pushes."
     can_pause = True
+    leaves_tip = True
 
     def begin(self, settings: PushSettings, instrument: Instrument, place: Place) -> Begun[PushPlan, PushState]:
         s, limits = settings, instrument.limits
@@ -171,6 +174,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
             start=start,
             way_m=way + (_BEHIND - 1.0) * distance,
             stiffness_n_per_m=instrument.stiffness_n_per_m,
+            lateral_uncertainty=instrument.lateral_uncertainty,
             clear_m=limits.retract_position_m,
             approach_s=instrument.approach_limit_s(s.approach_m_per_s),
             speed_m_per_s=min(s.speed_m_per_s, fastest),
@@ -185,7 +189,7 @@ class Push(Program[PushSettings, PushPlan, PushState]):
             if fault := fault or instrument.reach.retracted_fault(here):
                 raise RefusedError(f"push: {fault}")
         state = PushState(
-            RISE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0, 0.0, 0.0), 0, 0.0, Place(s.x0_m, s.y0_m), start, 0, ""
+            RISE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, (0, 0.0, 0.0, 0.0), 0, 0.0, Place(s.x0_m, s.y0_m), start, 0, ""
         )
         return Begun(plan, state, f"the tip pushes a particle {way:.3g} m, {s.mode}")
 
@@ -212,14 +216,18 @@ class Push(Program[PushSettings, PushPlan, PushState]):
     def progress(self, plan: PushPlan, state: PushState) -> Progress:
         felt = "pushing" if state.in_contact else "on the way to the particle"
         texts = (*WAY_TEXTS, "the tip goes to its height", felt, state.why or "done")
+        felt_once = state.plateau_n > 0.0
         values: dict[str, Scalar] = {
             "in_contact": state.in_contact,
             "why": state.why,
             "plateau_n": state.plateau_n,
             "peak_n": state.peak_n,
+            # that of its size by the calibration and the noise; the direction has that of the noise, and so the place
+            "plateau_error_n": math.hypot(plan.lateral_uncertainty * state.plateau_n, _noise_n(state)),
             "aside_rad": state.aside_rad,
             "believed_x_m": state.believed.x_m,
             "believed_y_m": state.believed.y_m,
+            "believed_error_m": plan.distance_m * min(_noise_n(state) / state.plateau_n, 1.0) if felt_once else 0.0,
         }
         return Progress(texts[state.phase], min(state.gone_m / plan.way_m, 1.0), values=values)
 
@@ -241,14 +249,17 @@ def _base_m(plan: PushPlan, state: PushState, inputs: Inputs, dt: float) -> floa
 
 def _felt(plan: PushPlan, state: PushState, inputs: Inputs) -> PushState:
     """Take what was felt across the tip at the last step."""
-    place, (force_x, force_y) = inputs.place, inputs.lateral_n
+    place, (count, rest_x, rest_y, squares) = inputs.place, state.quiet
+    force_x, force_y = inputs.lateral_n[0] - rest_x, inputs.lateral_n[1] - rest_y
     way, size = math.dist(place, state.place), math.hypot(force_x, force_y)
     state = state._replace(place=place, gone_m=state.gone_m + way, peak_n=max(state.peak_n, size))
     if not state.in_contact:
-        count, mean, squares = state.quiet
-        if count < _QUIET_STEPS or size <= mean + _CONTACT_DEVIATIONS * math.sqrt(squares / count) + _LEAST_N:
-            after = mean + (size - mean) / (count + 1)
-            return state._replace(quiet=(count + 1, after, squares + (size - mean) * (size - after)), steps=0)
+        if count < _QUIET_STEPS or size <= _CONTACT_DEVIATIONS * _noise_n(state) + _LEAST_N:
+            share = 1.0 / (count + 1)
+            squares += (1.0 - share) * size * size
+            return state._replace(
+                quiet=(count + 1, rest_x + share * force_x, rest_y + share * force_y, squares), steps=0
+            )
         state = state._replace(steps=state.steps + 1, force_x_n=force_x, force_y_n=force_y, plateau_n=size)
     if size < _LOST_SHARE * state.plateau_n:
         return state._replace(faint_m=state.faint_m + way)
@@ -266,6 +277,11 @@ def _felt(plan: PushPlan, state: PushState, inputs: Inputs) -> PushState:
         faint_m=0.0,
         believed=Place(place.x_m - reach * mean_x, place.y_m - reach * mean_y),
     )
+
+
+def _noise_n(state: PushState) -> float:
+    """Return the standard deviation of the lateral force without a particle [N]."""
+    return math.sqrt(state.quiet[3] / max(state.quiet[0], 1))
 
 
 def _ended(plan: PushPlan, state: PushState, size_n: float) -> str:

@@ -1,0 +1,112 @@
+"""The torsion channel: how the lateral force on the tip is measured; a part around any other.
+
+The photodiode gives a voltage that belongs to the torsion of the cantilever, and with it a share of its bending
+(crosstalk), because diode and cantilever are never quite parallel. The calibration factor C [N/V] makes a force of it,
+and is wrong by an error e:
+
+    F = clip((1 + e) (F_lateral + c k zeta), +-C U),  U the range of the read-out
+
+c k zeta is the lateral force that a bent cantilever seems to have. What comes after this part (guard, programs, hand,
+images) knows the measured force only; the particles obey the true one.
+"""
+
+from typing import Any, NamedTuple
+
+from pydantic import Field
+
+from services.afm_node.physics.part import (
+    AfmSample,
+    Motion,
+    Oscillation,
+    Part,
+    PlantInputs,
+    motion_of,
+    part_start,
+    part_step,
+    register,
+)
+from services.numerics.compiled import compiled
+from services.runtime.settings.config import Settings
+
+_CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta, -1 to 1."
+
+
+class TorsionConfig(Settings):
+    """How the lateral force is measured, with the errors of the channel."""
+
+    factor_n_per_v: float = Field(
+        2e-6, gt=0.0, le=1e-3, description="Calibration factor of the torsion channel [N/V], up to 0.001."
+    )
+    range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of its read-out, either way [V], up to 1000.")
+    gain_error: float = Field(
+        0.0, ge=-0.9, le=9.0, description="Relative error of the factor, -0.9 to 9: 0.2 reads a fifth too much."
+    )
+    gain_uncertainty: float = Field(
+        0.0, ge=0.0, le=1.0, description="Relative standard uncertainty that the calibration states, 0 to 1."
+    )
+    crosstalk_x: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="x"))
+    crosstalk_y: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="y"))
+
+    @property
+    def most_n(self) -> float:
+        """The greatest lateral force along an axis that can be read [N]."""
+        return self.factor_n_per_v * self.range_v
+
+    def around(self, part: Any, stiffness_n_per_m: float) -> Any:
+        """Return the parameters of a part whose lateral force this channel measures; k of the cantilever [N/m]."""
+        cross = stiffness_n_per_m * self.crosstalk_x, stiffness_n_per_m * self.crosstalk_y
+        return TorsionParams(part, 1.0 + self.gain_error, *cross, self.most_n)
+
+
+class TorsionParams(NamedTuple):
+    """The part within; gain 1 + e; apparent lateral force for a deflection [N/m]; greatest force that is read [N]."""
+
+    within: Any
+    gain: float
+    cross_x_n_per_m: float
+    cross_y_n_per_m: float
+    most_n: float
+
+
+@compiled
+def _read(params: TorsionParams, force_n: float, cross_n_per_m: float, deflection_m: float) -> float:
+    """Return what the channel reads along an axis [N]."""
+    return min(max(params.gain * (force_n + cross_n_per_m * deflection_m), -params.most_n), params.most_n)
+
+
+@compiled
+def _step(params: TorsionParams, state: Any, inputs: PlantInputs, dt: float) -> tuple[Any, AfmSample]:
+    within, sample = part_step(params.within, state, inputs, dt)
+    return within, AfmSample(
+        base_m=sample.base_m,
+        deflection_m=sample.deflection_m,
+        force_n=sample.force_n,
+        bridge_voltage_v=sample.bridge_voltage_v,
+        distance_m=sample.distance_m,
+        distance_valid=sample.distance_valid,
+        in_contact=sample.in_contact,
+        meniscus=sample.meniscus,
+        lateral_x_n=_read(params, sample.lateral_x_n, params.cross_x_n_per_m, sample.deflection_m),
+        lateral_y_n=_read(params, sample.lateral_y_n, params.cross_y_n_per_m, sample.deflection_m),
+    )
+
+
+def _start(params: TorsionParams, inputs: PlantInputs) -> Any:
+    return part_start(params.within, inputs)
+
+
+def _motion(params: TorsionParams) -> Motion | None:
+    inner = motion_of(params.within)
+    if inner is None:
+        return None
+
+    def settle(params: TorsionParams, state: Any, inputs: PlantInputs) -> tuple[Any, bool]:
+        return inner.settle(params.within, state, inputs)
+
+    def oscillation(state: Any) -> Oscillation:
+        return inner.oscillation(state)
+
+    return Motion(settle, oscillation)
+
+
+register(TorsionParams, Part(_start, _step, motion=_motion))
