@@ -238,12 +238,20 @@ class TeleopBackward(_Teleop):
     in_contact: bool = Field(description="The tip touches the sample")
 
 
-class AfmCommand(Message, _HandSample):
+class AfmCommand(_Extended, _HandSample):
     """What the slave half of the law asks of the AFM."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"lateral_m": 2}
 
     mode: Literal["position", "hold", "retract"] = Field(description="Follow base_position_m, stay, or withdraw")
     base_position_m: PositionVector = Field(
         description="Base reference in the AFM frame [m]; z = -x_s, 0 is the rest point"
+    )
+    lateral_m: tuple[PositionM, PositionM] | None = Field(
+        default=None,
+        description="Where a hand that moves the tip across the sample wants the stage, x and y in the AFM frame [m]; "
+        "absent while it does not",
     )
 
 

@@ -313,7 +313,10 @@ class AfmNode(Node):
                 reference_m=self._memory.guard.base_m, command_age_s=0.0, action=safety.ACTION_RETRACT
             )
         wanted = self._memory.pointer
-        if command is not None:
+        if command is not None and command.lateral_m is not None:
+            # A hand that moves the tip across has the stage, and where it leaves the tip, the tip stays.
+            wanted = self._memory.pointer = Place(*command.lateral_m)
+        elif command is not None:
             x, y, _ = command.base_position_m
             if x or y:
                 wanted = Place(wanted.x_m + x, wanted.y_m + y)
@@ -413,6 +416,8 @@ class AfmNode(Node):
             if is_over:
                 level = "info" if programs.state == "finished" else "warning"
                 self.event("mode", level, report.text, program=report.program, program_state=report.state)
+                if programs.leaves_tip:
+                    self._memory.pointer = self._memory.place
                 programs.end()
                 if vibrating is not None:
                     vibrating.vibrate(0.0)

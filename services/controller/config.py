@@ -12,6 +12,8 @@ from proto.messages import Scalar
 from services.controller.clamp import ClampConfig, ClampParams
 from services.controller.deadband import DeadbandConfig
 from services.controller.integration import TimingParams
+from services.controller.lateral import LateralParams
+from services.controller.lateral_settings import LateralConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from services.controller.laws.model_mediated import MODEL_MEDIATED, ModelMediatedConfig
 from services.controller.laws.passivity import PASSIVITY, PassivityConfig
@@ -52,6 +54,7 @@ class _OwnSections(Settings):
     )
     deadband: DeadbandConfig = Field(default=DeadbandConfig(), description="Dead band in front of any law")
     clamp: ClampConfig = Field(default=ClampConfig(), description="Force clamp of the slave, for any law")
+    lateral: LateralConfig = Field(default=LateralConfig(), description="How the hand moves the tip across the sample")
     virtual_impedance: VirtualImpedanceConfig = Field(
         default=VirtualImpedanceConfig(), description="Parameters of the paper's law"
     )
@@ -84,6 +87,10 @@ class _OwnSections(Settings):
         section = self.law_config()
         scales = section.position_scale, section.force_scale
         return self.clamp.to_params(section.to_params(self.period_s), *scales, self.period_s)
+
+    def lateral_params(self) -> LateralParams:
+        """Return the constants of the lateral path."""
+        return self.lateral.to_params()
 
     def stiffness_limit_n_per_m(self, late: int = 0) -> float | None:
         """Return the stiffest sample [N/m] that the slave half bears; None where it closes no loop of its own.

@@ -13,6 +13,7 @@ from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import DeadbandState, deadband, initial_deadband_state
 from services.controller.integration import Heard, TimingParams, silence_ns
+from services.controller.lateral import NO_STORE, Store
 from services.controller.law import (
     NO_SIGNAL,
     EnergyAccount,
@@ -45,6 +46,7 @@ class HalfState(NamedTuple):
     signal: PortSignal
     lateral_m: tuple[float, float]
     far_lateral: tuple[float, float]
+    far_place: tuple[float, float]
     switching: bool
     port: energy.Port
     hand_stamp: tuple[int, int]
@@ -76,7 +78,8 @@ class ControllerHalf(Node):
         self.signal: PortSignal = NO_SIGNAL
         # x and y, which no law knows: the values that this half reports of its device [m], and those that the other one
         # sent last.
-        self.lateral_m = self.far_lateral = ZERO_XY
+        self.lateral_m = self.far_lateral = self.far_place = ZERO_XY
+        self.lateral = config.lateral_params()
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
         self.timing_params = self.timing_of(config)
@@ -150,6 +153,8 @@ class ControllerHalf(Node):
         changed = changed_config(self.config, control.parameters)
         if changed.law in self._failing:
             raise RefusedError(self._failing[changed.law])
+        if changed.lateral.mode == "direct" and self.config.lateral.mode != "direct":
+            raise RefusedError("lateral.mode=direct cannot be returned to: the tip would jump to the place of the hand")
         switched = changed.law != self.config.law
         if not switched and self.law_state is not None:
             self.law_state = self.retuned(self.params, changed.params())
@@ -161,6 +166,7 @@ class ControllerHalf(Node):
     def _adopt(self, config: ControllerConfig) -> None:
         self.config, self.params, self.timing_params = config, config.params(), self.timing_of(config)
         self._band = config.deadband.to_params()
+        self.lateral = config.lateral_params()
 
     def _switch(self) -> None:
         self.signal = NO_SIGNAL
@@ -186,6 +192,7 @@ class ControllerHalf(Node):
             signal=self.signal,
             lateral_m=self.lateral_m,
             far_lateral=self.far_lateral,
+            far_place=self.far_place,
             switching=self.switching,
             port=self.port,
             hand_stamp=self._hand_stamp,
@@ -201,13 +208,22 @@ class ControllerHalf(Node):
             self._adopt(state.config)
         self.law_state = None if state.law is None else state.law.like(self.started())
         self.signal, self.switching, self.port, self.steps = state.signal, state.switching, state.port, state.steps
-        self.lateral_m, self.far_lateral, self._hand_stamp = state.lateral_m, state.far_lateral, state.hand_stamp
+        self.lateral_m, self.far_lateral, self.far_place = state.lateral_m, state.far_lateral, state.far_place
+        self._hand_stamp = state.hand_stamp
         self._reported_j, self._band_state = state.reported_j, state.band
         self.freshness.restore(state.freshness)
 
     @abstractmethod
     def energy_account(self) -> EnergyAccount:
         """Return what this half of the law knows of energy."""
+
+    def lateral_account(self) -> Store:
+        """Return the energy at the port across: none where this half has no such port."""
+        return NO_STORE
+
+    def _is_passive_across(self, across: Store) -> bool:
+        """Return whether no more has left across than was granted."""
+        return across.entered_j + self.lateral.feel.granted_j >= -energy.TOLERANCE_J
 
     def receive_signal(self, message: TeleopForward | TeleopBackward) -> bool:
         """Take a signal of the other half; one of another law is not understood and counts as silence."""
@@ -219,8 +235,8 @@ class ControllerHalf(Node):
         # this.
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
-            # the master's half: the lateral force on the tip [N]
-            self.far_lateral = message.force_n[:2]
+            # the master's half: the lateral force on the tip [N], and where the stage is [m]
+            self.far_lateral, self.far_place = message.force_n[:2], message.position_m[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
         else:
             # the slave's half: where the hand wants the tip over the sample [m]
@@ -272,21 +288,27 @@ class ControllerHalf(Node):
         if self.steps % self._status_ticks or self.law_state is None:
             return
         account: EnergyAccount = self.energy_account()
+        if self.lateral.depth.enabled:
+            account = account._replace(granted_j=account.granted_j + 0.5 * self.lateral.feel.granted_j)
         known = other_energy_j is not None
-        net_j = self.port.energy_j + (other_energy_j or 0.0)
+        across = self.lateral_account()
+        port_j = self.port.energy_j + across.entered_j
+        net_j = port_j + (other_energy_j or 0.0)
         round_trip_s, measured = self.round_trip_s()
-        entered_j, self._reported_j = self.port.energy_j - self._reported_j, self.port.energy_j
+        entered_j, self._reported_j = port_j - self._reported_j, port_j
         offered = self._band_state.offered
         self._status = {
             "law": self.law.name,
             "switching": self.switching,
-            "port_energy_j": self.port.energy_j,
+            "port_energy_j": port_j,
             "port_power_w": entered_j / (self._status_ticks * self.config.period_s),
             "net_valid": known,
             "net_energy_j": net_j if known else 0.0,
             "left_j": account.remaining_j,
-            "dissipated_j": account.dissipated_j,
-            "passive": bool(energy.is_passive(net_j, known, account)),
+            "dissipated_j": account.dissipated_j + across.spilled_j,
+            # Each is judged by itself, so that what enters across hides nothing of the law.
+            "passive": bool(energy.is_passive(net_j - across.entered_j, known, account))
+            and self._is_passive_across(across),
             "saved_percent": 100.0 * (offered - self._band_state.sent) / offered if offered else 0.0,
             "heard": self.heard.received_ns >= 0,
             "silence_s": self._silence_s() if self.heard.received_ns >= 0 else 0.0,

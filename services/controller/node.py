@@ -44,6 +44,22 @@ from services.controller.integration import (
     slave_stepped,
     slave_unanswered,
 )
+from services.controller.lateral import (
+    DIRECT,
+    LOST,
+    MET,
+    NO_NEWS,
+    LateralFar,
+    LateralHand,
+    LateralMasterState,
+    LateralSlaveState,
+    Store,
+    hand_moves,
+    lateral_at_rest,
+    lateral_master_step,
+    lateral_slave_at_rest,
+    lateral_slave_step,
+)
 from services.controller.law import (
     NO_SIGNAL,
     NO_TIP,
@@ -71,12 +87,19 @@ _MOST_OUTSTANDING = 7
 _FOLLOWING_DEVICE = (None, "ok")
 # The hand comes to rest like a free virtual mass while this half waits for the other one.
 _COASTING_S = 0.005
+# A way of the tip across the sample that is worth a signal of its own [m].
+_LEAST_SENT_M = 1e-10
+_NEWS = {
+    MET: "met: the tip has met something across the sample, {force:.3g} N",
+    LOST: "lost: the tip has lost what it pushed, {force:.3g} N are left",
+}
 
 
 class MasterState(NamedTuple):
     """The state of the master half.
 
-    hand, reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
+    across: the lateral path, where it has a mode of its own, and sent_m, its reference as it was sent last [m]; hand,
+    reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
     switch_s: time since a change of law [s]; answered: number and time stamp [ns] of the sample of the hand that the
     newest answer descends from.
     """
@@ -89,6 +112,8 @@ class MasterState(NamedTuple):
     switch_s: float
     answered: tuple[int, int]
     slave_status: LawStatus | None
+    across: LateralMasterState
+    sent_m: tuple[float, float]
 
 
 class SlaveState(NamedTuple):
@@ -110,6 +135,7 @@ class SlaveState(NamedTuple):
     instrument_ns: int
     instrument_lost: bool
     occupied_until_ns: int
+    across: LateralSlaveState
 
 
 class MasterController(ControllerHalf):
@@ -131,6 +157,8 @@ class MasterController(ControllerHalf):
         self.timing = master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
+        self._across = lateral_at_rest()
+        self._sent_m = ZERO_XY
 
     def capture(self) -> MasterState:
         return MasterState(
@@ -142,6 +170,8 @@ class MasterController(ControllerHalf):
             switch_s=self._switch_s,
             answered=self._answered_hand_stamp,
             slave_status=self._slave_status,
+            across=self._across,
+            sent_m=self._sent_m,
         )
 
     def restore(self, state: MasterState, find: FindInput) -> None:
@@ -149,6 +179,7 @@ class MasterController(ControllerHalf):
         self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
         self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
         self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
+        self._across, self._sent_m = state.across, state.sent_m
 
     def started(self) -> Any:
         return self.law.master_start(self.params, self.hand)
@@ -215,14 +246,14 @@ class MasterController(ControllerHalf):
         commanded, repeated = self._settle(), message.device == "stale"
         self.timing, found = master_sampled(self.timing, self.timing_params, message.t_ns, repeated, commanded)
         if not repeated:
-            self._take_sample(message, begins=found.begins)
+            self._take_sample(message, found.periods * self.config.period_s, begins=found.begins)
         if found.repeats:
             self._send_reference()
         if found.periods:
             self._send_signal(found.periods * self.config.period_s)
 
-    def _take_sample(self, message: HapticState, *, begins: bool) -> None:
-        """Take up where the hand is, and count the work that it did on its way."""
+    def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
+        """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on its way."""
         self._hand_stamp = (message.seq, message.t_ns)
         following = self.hand.following
         self.hand = HandSample(
@@ -232,7 +263,12 @@ class MasterController(ControllerHalf):
             message.mode != "off" and message.device in _FOLLOWING_DEVICE,
         )
         x, y, _ = message.position_m
-        self.lateral_m = self._at_the_tip(x, y) if x or y else ZERO_XY
+        if self.lateral.motion.mode != DIRECT:
+            self._move_across(message, dt_s)
+        elif x or y:
+            self.lateral_m = self._at_the_tip(x, y)
+        else:
+            self.lateral_m = ZERO_XY
         if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)
         if begins:
@@ -243,10 +279,12 @@ class MasterController(ControllerHalf):
         self.port = count(self.port, self.hand.position_m, self.hand.force_n)
 
     def _send_signal(self, dt_s: float) -> None:
-        hand = self.hand._replace(following=False) if self.switching else self.hand
+        hand = self.hand._replace(following=False) if self.switching else self._guided_hand()
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, dt_s)
         self._tip_reference_m = signal.position_m
-        if self.passes_deadband(signal, dt_s):
+        # What the hand moves across is sent whether or not the dead band passes the law's signal.
+        if self.passes_deadband(signal, dt_s) or self._has_moved_across():
+            self._sent_m = self.lateral_m
             self.publish("teleop/forward", **self.signal_fields(signal), force_n=to_site_frame(signal.force_n))
         self.steps += 1
         slave = self._slave_status
@@ -257,8 +295,42 @@ class MasterController(ControllerHalf):
         scale = self.config.law_config().position_scale
         return scale * x_m, scale * y_m
 
+    def _move_across(self, message: HapticState, dt_s: float) -> None:
+        """Take the hand's way across, in a mode of its own, and say what it has met or lost."""
+        if dt_s <= 0.0:
+            return
+        x, y, _ = message.position_m
+        speed_x, speed_y, _ = message.velocity_m_per_s
+        follows = self.hand.following and not self.switching
+        hand = LateralHand(x, y, self.hand.position_m, speed_x, speed_y, self.hand.velocity_m_per_s, following=follows)
+        known = self.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
+        far = LateralFar(*self.far_lateral, *self.far_place, known=known)
+        self._across = lateral_master_step(self.lateral, self._across, hand, far, dt_s)
+        travel = self._across.travel
+        self.lateral_m = travel.x_m, travel.y_m
+        if self._across.news != NO_NEWS:
+            force_n = math.sqrt(self.far_lateral[0] ** 2 + self.far_lateral[1] ** 2)
+            text = _NEWS[self._across.news]
+            self.event("mode", "info", text.format(force=force_n), lateral=text.split(":")[0], force_n=force_n)
+
+    def _has_moved_across(self) -> bool:
+        if self.lateral.motion.mode == DIRECT:
+            return False
+        (x, y), (sent_x, sent_y) = self.lateral_m, self._sent_m
+        return abs(x - sent_x) + abs(y - sent_y) >= _LEAST_SENT_M
+
+    def _guided_hand(self) -> HandSample:
+        """Return the hand with the force of the hold of its depth, as a law takes it."""
+        force_n = self._across.force_n[2]
+        return self.hand._replace(force_n=self.hand.force_n + force_n) if force_n else self.hand
+
+    def lateral_account(self) -> Store:
+        return self._across.store
+
     def _lateral_force(self) -> tuple[float, float]:
         """Return the lateral force of the sample at the hand's scale [N]."""
+        if self.lateral.motion.mode != DIRECT:
+            return self._across.force_n[:2]
         x, y = self.far_lateral
         scale = self.config.law_config().force_scale if x or y else 0.0
         return scale * x, scale * y
@@ -287,7 +359,9 @@ class MasterController(ControllerHalf):
 
     def _step_law(self, dt_s: float) -> MasterReference:
         signal = self.latest_signal()
-        self.law_state, reference = self.law.master_receive(self.params, self.law_state, self.hand, signal, dt_s)
+        self.law_state, reference = self.law.master_receive(
+            self.params, self.law_state, self._guided_hand(), signal, dt_s
+        )
         return cast(MasterReference, reference)
 
     def _coasting(self, dt_s: float) -> MasterReference:
@@ -322,6 +396,7 @@ class SlaveController(ControllerHalf):
         self._carried_out_m = 0.0
         # The instrument images or measures by itself until then, and obeys no hand.
         self._occupied_until_ns = 0
+        self._across = lateral_slave_at_rest()
 
     def capture(self) -> SlaveState:
         return SlaveState(
@@ -335,6 +410,7 @@ class SlaveController(ControllerHalf):
             instrument_ns=self._instrument_ns,
             instrument_lost=self._instrument_lost,
             occupied_until_ns=self._occupied_until_ns,
+            across=self._across,
         )
 
     def restore(self, state: SlaveState, find: FindInput) -> None:
@@ -343,6 +419,7 @@ class SlaveController(ControllerHalf):
         self._asked_m, self._carried_out_m = state.asked_m, state.carried_out_m
         self._lateral_n, self._instrument_ns = state.lateral_n, state.instrument_ns
         self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
+        self._across = state.across
 
     def started(self) -> Any:
         return self.law.slave_start(self.params, self.tip)
@@ -417,6 +494,12 @@ class SlaveController(ControllerHalf):
         elif begins and not self.switching:
             self.law_state = self._interrupted()
         goes_on = not (begins or self._instrument_lost or self.switching)
+        if self.lateral.motion.mode != DIRECT:
+            follows = goes_on and understood and message.active and self.tip.following
+            elapsed_s = self.timing.pacing.elapsed * self.config.period_s
+            self._across = lateral_slave_step(
+                self.lateral, self._across, self.far_lateral, self.lateral_m, follows, elapsed_s
+            )
         if goes_on and slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
             self.timing = slave_passed_over(self.timing)
         else:
@@ -438,12 +521,16 @@ class SlaveController(ControllerHalf):
 
     def _publish_command(self, *, answers: bool) -> None:
         mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
+        is_direct = self.lateral.motion.mode == DIRECT
+        moves = not is_direct and hand_moves(self._across)
+        across = {"lateral_m": (self._across.x_m, self._across.y_m)} if moves else {}
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=(*self.far_lateral, 0.0 - self.reference.position_m),
+            base_position_m=(*(self.far_lateral if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
             hand_seq=self._hand_stamp[0],
             hand_t_ns=self._hand_stamp[1],
+            **across,
         )
         self.timing = slave_commanded(self.timing, command.seq, answers)
         self._asked_m = (self.reference.position_m, *self._asked_m[:_MOST_OUTSTANDING])

@@ -14,6 +14,7 @@ from services.haptic_node.impedance_config import CouplingConfig, SimulatedImped
 from services.haptic_node.physics import step
 from services.haptic_node.physics.coupled import CoupledParams
 from services.haptic_node.physics.disturbances import HandDisturbanceConfig
+from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
@@ -343,6 +344,10 @@ class _OwnSections(Settings):
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
+    )
+    lateral: LateralHandConfig | None = Field(
+        default=None,
+        description="A simulated hand across the sample, for a device of one axis; none: it has no such axes",
     )
     disturbances: HandDisturbanceConfig = Field(
         default=HandDisturbanceConfig(), description="What disturbs the simulated device and hand; all of it is off"

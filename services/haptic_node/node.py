@@ -15,12 +15,13 @@ from services.haptic_node.driver import (
     DeviceReport,
     DriveCommand,
     HapticDevice,
+    Pair,
     PushedDevice,
     SpatialCommand,
-    SpatialReading,
     Status,
 )
 from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
+from services.haptic_node.physics.lateral_hand import LateralHandState, lateral_hand_step
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
@@ -39,7 +40,6 @@ _FRESH_PERIODS = 2
 # With a change of law the force of an impedance device is zero for so long, and control begins anew where the hand is.
 _LET_GO_S = 0.1
 _LAW_CHANGES = "the law changes: no force meanwhile, and control begins anew where the hand is"
-_AT_CENTRE = SpatialReading()
 
 
 class HapticMemory(msgspec.Struct, array_like=True):
@@ -48,7 +48,8 @@ class HapticMemory(msgspec.Struct, array_like=True):
     The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
     [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
     holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
-    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law.
+    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law; the force of that
+    operator across [N], and the simulated hand there.
     """
 
     guard: safety.SafetyState
@@ -63,6 +64,8 @@ class HapticMemory(msgspec.Struct, array_like=True):
     session_ticks: int | None = None
     gate: int = GATE_ACTIVE
     let_go_ticks: int = 0
+    operator_across_n: tuple[float, float] = (0.0, 0.0)
+    across: LateralHandState = LateralHandState()
 
 
 class HapticNodeState(NamedTuple):
@@ -118,6 +121,9 @@ class HapticNode(Node):
         self._command_is_new = False
         operator = config.operator
         self._force_deadline_s = operator.force_deadline_s if isinstance(operator, InteractiveConfig) else None
+        self._push_across = getattr(device, "push_lateral", None) if self._coupled else None
+        # a device that has these axes is asked itself
+        self._across = None if config.lateral is None or self._coupled else config.lateral.to_params()
         self._ignored_force = False
         self._switch_pressed = False
         self._reported = (safety.MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
@@ -168,6 +174,7 @@ class HapticNode(Node):
         if self.begin_turn(now_ns):
             # The command in force is dropped, and the force of the operator with it.
             self._memory.command, self._memory.operator_force_n = None, 0.0
+            self._memory.operator_across_n = (0.0, 0.0)
         periods = self._grid.advance(now_ns)
         self.freshness.turn_ns = self._grid.deadline_ns
         self.overruns = self._grid.overruns
@@ -179,6 +186,7 @@ class HapticNode(Node):
         self._push()
         self.device.write(self._drive_command(applied, armed))
         reading = self.device.read(self._session_s(), elapsed_s)
+        self._move_across(applied, elapsed_s)
         self._memory.position_m = reading.position_m
         if reading.spatial is not None:
             self._memory.gate = reading.spatial.gate
@@ -221,6 +229,7 @@ class HapticNode(Node):
         """Take the force of a person without a device; say once where the scenario has another operator."""
         if self._force_deadline_s is not None:
             self._memory.operator_force_n, self._memory.operator_force_ns = to_paper_axis(message.force_n), received_ns
+            self._memory.operator_across_n = message.force_n[:2]
         elif not self._ignored_force:
             self._ignored_force = True
             text = f"the force of {message.src} is ignored: haptic_node.operator.kind must be interactive for it"
@@ -231,11 +240,12 @@ class HapticNode(Node):
         if self._force_deadline_s is None or not isinstance(self.device, PushedDevice):
             return
         # The age counts from the reception, because the page and the rig may have been started with different clocks.
-        fresh = age_s(self.clock.now_ns(), self._memory.operator_force_ns) <= self._force_deadline_s
-        force_n = self._memory.operator_force_n if fresh else 0.0
+        force_n = self._memory.operator_force_n if self._is_pushed() else 0.0
         if force_n != self._memory.pushed_n:
             self._memory.pushed_n = force_n
             self.device.push(force_n)
+        if self._push_across is not None:
+            self._push_across(self._memory.operator_across_n if self._is_pushed() else (0.0, 0.0))
 
     def _on_law_change(self, control: SessionControl) -> None:
         """Let go of the hand when the law changes: the new one is to find no force in the coupling."""
@@ -250,6 +260,21 @@ class HapticNode(Node):
         if command is not None and mode != safety.MODE_OFF:
             spatial = SpatialCommand(command.position_m[:2], command.force_n[:2], armed)
         return DriveCommand(mode, applied.position_reference_m, applied.force_reference_n, spatial)
+
+    def _is_pushed(self) -> bool:
+        """Whether the force of an operator without a device is fresh."""
+        if self._force_deadline_s is None:
+            return False
+        return age_s(self.clock.now_ns(), self._memory.operator_force_ns) <= self._force_deadline_s
+
+    def _move_across(self, applied: safety.SafetyOutputs, elapsed_s: float) -> None:
+        """Advance the simulated hand across the sample; the controller pulls at it while the guard lets it."""
+        if self._across is None:
+            return
+        command, memory = self._memory.command, self._memory
+        pushed_n = memory.operator_across_n if self._is_pushed() else (0.0, 0.0)
+        shown_n = (0.0, 0.0) if command is None or applied.mode == safety.MODE_OFF else command.force_n[:2]
+        memory.across = lateral_hand_step(self._across, memory.across, pushed_n, shown_n, self._session_s(), elapsed_s)
 
     def _guarded(self) -> safety.SafetyOutputs:
         command = self._memory.command
@@ -275,18 +300,29 @@ class HapticNode(Node):
         self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, self.period_s)
         return applied
 
+    def _across_of(self, reading: DeviceReading) -> tuple[Pair, Pair, Pair, Pair]:
+        """Return place [m], velocity [m/s], own force and shown force [N] of the hand across the sample, (x, y) each.
+
+        They are the device's where it has these axes, and of the simulated hand otherwise.
+        """
+        side = reading.spatial
+        if side is not None:
+            return side.lateral_m, side.lateral_velocity_m_per_s, side.lateral_operator_force_n, side.lateral_force_n
+        x, y, v_x, v_y, own_x, own_y, shown_x, shown_y = self._memory.across
+        return (x, y), (v_x, v_y), (own_x, own_y), (shown_x, shown_y)
+
     def _publish_state(
         self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float, report: DeviceReport | None
     ) -> None:
         command = self._memory.command
         device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s, **report.counts}
-        side = _AT_CENTRE if reading.spatial is None else reading.spatial
+        place_m, way_m_per_s, own_n, shown_n = self._across_of(reading)
         self.publish(
             "haptic/state",
-            position_m=(*side.lateral_m, 0.0 - reading.position_m),
-            velocity_m_per_s=(*side.lateral_velocity_m_per_s, 0.0 - reading.velocity_m_per_s),
-            operator_force_n=(*side.lateral_operator_force_n, 0.0 - reading.operator_force_n),
-            motor_force_n=(*side.lateral_force_n, 0.0 - reading.motor_force_n),
+            position_m=(*place_m, 0.0 - reading.position_m),
+            velocity_m_per_s=(*way_m_per_s, 0.0 - reading.velocity_m_per_s),
+            operator_force_n=(*own_n, 0.0 - reading.operator_force_n),
+            motor_force_n=(*shown_n, 0.0 - reading.motor_force_n),
             reference_m=to_site_frame(applied.position_reference_m),
             mode=safety.MODE_NAMES[applied.mode],
             estop=applied.estop_latched,

@@ -87,8 +87,8 @@ class RigHand:
             self._open.close()
             raise
 
-    def push(self, force_n: float) -> None:
-        self._publisher.publish("operator/force", force_n=to_site_frame(force_n))
+    def push(self, force_n: float, across_n: tuple[float, float] = (0.0, 0.0)) -> None:
+        self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]))
 
     def close(self) -> None:
         """Publish the last message, and close the endpoint."""

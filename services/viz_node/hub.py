@@ -80,8 +80,8 @@ class Commander(Protocol):
 class HandOutlet(Protocol):
     """Where the force of an operator at a page goes."""
 
-    def push(self, force_n: float) -> None:
-        """Publish a force [N], towards the sample; 0 when the hand lets go."""
+    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
+        """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go."""
 
     def close(self) -> None:
         """Let go of the endpoint."""
@@ -202,7 +202,7 @@ class Hub:
         self._holder: Session | None = None
         # since when the hand was looked after, and how long the page has said nothing
         self._looked_s = self._silent_s = 0.0
-        self._force_n = 0.0
+        self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
 
     async def run(self) -> None:
         """Tell the pages what changed, until cancelled."""
@@ -439,9 +439,9 @@ class Hub:
         try:
             if self._hand is None:
                 self._hand = self._open_hand()
-            self._holder, self._force_n = session, request.force_n
+            self._holder, self._force = session, (request.force_n, request.across_n)
             self._looked_s, self._silent_s = time.monotonic(), 0.0
-            self._hand.push(request.force_n)
+            self._hand.push(*self._force)
         except TelenanoError as error:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
 
@@ -456,14 +456,14 @@ class Hub:
             self._release()
             return
         with contextlib.suppress(TelenanoError):
-            self._hand.push(self._force_n)
+            self._hand.push(*self._force)
 
     def _release(self) -> None:
         """Let go of the hand: the force at the device is none. The endpoint stays open for the next time."""
         holder, self._holder = self._holder, None
         if holder is not None and self._hand is not None:
             with contextlib.suppress(TelenanoError):
-                self._hand.push(0.0)
+                self._hand.push(0.0, (0.0, 0.0))
 
 
 def _packed(fields: Mapping[str, Any]) -> bytes:

@@ -68,10 +68,14 @@ class PartRequest(NamedTuple):
 
 
 class HandRequest(NamedTuple):
-    """The force of the operator at the page [N], towards the sample; `held` is false when the hand lets go."""
+    """The force of the operator at the page [N], towards the sample; `held` is false when the hand lets go.
+
+    across_n: that across the sample, x and y [N]; none from a page that only presses.
+    """
 
     force_n: float
     held: bool
+    across_n: tuple[float, float] = (0.0, 0.0)
 
 
 Request = Hello | CommandRequest | EstopRequest | TransportRequest | HandRequest | DocumentRequest | PartRequest
@@ -105,7 +109,8 @@ def read_request(frame: bytes) -> Request:
         spans = _integer(fields, "spans")
         return PartRequest(_id(fields), _float(fields, "from_s"), _float(fields, "to_s"), spans)
     if kind == "hand":
-        return HandRequest(_float(fields, "force_n"), fields.get("held") is True)
+        x_n, y_n = (_float(fields, key) if key in fields else 0.0 for key in ("across_x_n", "across_y_n"))
+        return HandRequest(_float(fields, "force_n"), fields.get("held") is True, (x_n, y_n))
     raise RequestError(f"k is {str(kind)[:40]!r}: must be hello, command, estop, transport, hand, document or part")
 
 

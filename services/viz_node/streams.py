@@ -75,13 +75,19 @@ STREAMS = (
             Column("force", "N", "force of the operator on the device", _z("operator_force_n")),
             Column("motor_force", "N", "force of the motor at the arm", _z("motor_force_n")),
             Column("loop_age", "s", "hand's sample to the command that answers it", _loop_age_s),
+            Column("x", "m", "position of the hand across the sample, x", _axis("position_m", 0)),
+            Column("y", "m", "position of the hand across the sample, y", _axis("position_m", 1)),
         ),
     ),
     Stream(
         "command",
         "haptic/command",
         "master",
-        (Column("tip_force", "N", "force on the tip at the hand's scale", _z("force_n", 1.0)),),
+        (
+            Column("tip_force", "N", "force on the tip at the hand's scale", _z("force_n", 1.0)),
+            Column("force_x", "N", "force that the hand is shown across the sample, x", _axis("force_n", 0)),
+            Column("force_y", "N", "force that the hand is shown across the sample, y", _axis("force_n", 1)),
+        ),
     ),
     Stream(
         "tip",

@@ -151,6 +151,11 @@ class ProgramRunner:
             text = f"the {self._label} ended, {self._aborted}"
         return Report(self.name, self.state, text, 100.0 * share, line, lines, values)
 
+    @property
+    def leaves_tip(self) -> bool:
+        """Whether the stage stays where the program that runs ends."""
+        return self._program.leaves_tip
+
     def end(self) -> None:
         """Let go of a program that is over."""
         self.name, self._plan, self._reached = "", None, None

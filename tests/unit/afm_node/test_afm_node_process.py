@@ -295,3 +295,32 @@ def test_played_commands_count_from_their_reception_where_they_are_allowed(bench
     bench.advance_ms(2.0)
     node.on_deadline(bench.clock.monotonic_ns())
     assert bench.take("afm/state")[-1].mode == "hold"
+
+
+def test_a_hand_that_moves_the_tip_across_has_the_stage_and_leaves_the_tip_where_it_is(afm: Instrument) -> None:
+    follow(afm)
+    node, bench = afm.node, afm.bench
+
+    def across(place: tuple[float, float] | None, count: int) -> Any:
+        for _ in range(count):
+            bench.clock.advance_ns(1_000_000)
+            fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 7}
+            fields |= {"hand_t_ns": bench.clock.now_ns()} | ({} if place is None else {"lateral_m": place})
+            node.on_message(bench.received("afm/command", "controller@slave", **fields))
+        return afm.states()[-1].base_position_m[:2]
+
+    # 20 um/s are 20 nm a step
+    assert across((5e-8, -2e-8), 1) == pytest.approx((1.857e-8, -7.43e-9), rel=1e-3)
+    assert across((5e-8, -2e-8), 5) == (5e-8, -2e-8)
+    assert across(None, 5) == (5e-8, -2e-8)
+    # beyond its range it stops there
+    assert across((9e-4, 0.0), 4000)[0] == 5e-5
+    stood = across((0.0, 0.0), 100)
+    # no command: the guard holds, and the stage stands
+    afm.pass_ms(100.0)
+    held = afm.states()[-1]
+    assert held.mode == "hold"
+    # the command was in force for the 50 ms of its deadline
+    assert abs(held.base_position_m[0] - stood[0]) <= 52 * 20e-9
+    afm.pass_ms(50.0)
+    assert afm.states()[-1].base_position_m[:2] == held.base_position_m[:2]

@@ -39,6 +39,10 @@ COMMAND: dict[str, Any] = {
         ),
         ({"k": "hand", "force_n": -1, "held": True}, HandRequest(-1.0, True)),
         ({"k": "hand", "force_n": 1.0, "held": 1}, HandRequest(1.0, False)),
+        (
+            {"k": "hand", "force_n": 0, "across_x_n": 1, "across_y_n": -2.0, "held": True},
+            HandRequest(0.0, True, (1.0, -2.0)),
+        ),
     ],
 )
 def test_a_frame_of_a_page_is_read(fields: dict[str, Any], expected: object) -> None:

@@ -79,8 +79,8 @@ class Hand:
     def __init__(self, log: list[Any]) -> None:
         self.log = log
 
-    def push(self, force_n: float) -> None:
-        self.log.append(force_n)
+    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
+        self.log.append((force_n, *across_n) if any(across_n) else force_n)
 
     def close(self) -> None:
         self.log.append("closed")

@@ -95,9 +95,9 @@ export class Connection {
     return this.isOpen;
   }
 
-  /** Say where the virtual hand means to be [m], now and again while it is held; null to let go. */
-  mean(meant_m: number | null, isKept = false): void {
-    this.tell({ meant: meant_m, isKept });
+  /** Say where the virtual hand means to be, down and across [m], now and again while it is held; null to let go. */
+  mean(meant_m: number | null, isKept = false, across_m: [number, number] | null = null): void {
+    this.tell({ meant: meant_m, across: across_m, isKept });
   }
 
   private tell(message: ToSocket): void {

@@ -16,6 +16,10 @@ const RUMBLE_MS = 100;
 const RUMBLE_EVERY_MS = 90;
 /** A stick pushed to its end means to be this far [m]. */
 const STICK_M = 0.015;
+/** The hand goes so far across the sample, either way [m]. */
+export const ACROSS_M = 0.02;
+/** What a key moves it by [m]. */
+const KEY_ACROSS_M = 2e-3;
 const DEAD = 0.12;
 
 /** How strongly a gamepad rumbles for a force that comes back [N]: from 0 to 1, and not for what a hand would not feel. */
@@ -44,6 +48,7 @@ export class Hand {
   /** Whether this page commands anything now. */
   may: () => boolean = () => false;
   private meant: number | undefined;
+  private across: [number, number] | undefined;
   private grabbedAt = { y: 0, arm: 0 };
   private refusal = "";
   private rumbledAt = 0;
@@ -93,7 +98,35 @@ export class Hand {
 
   /** Whether it holds the hand now. */
   get isHeld(): boolean {
-    return this.meant !== undefined;
+    return this.meant !== undefined || this.across !== undefined;
+  }
+
+  /** Where the hand means to be across the sample [m]; undefined where it does not. */
+  get meantAcross(): [number, number] | undefined {
+    return this.across;
+  }
+
+  /** Mean the hand to be at a place across the sample [m]; null to let go of that. */
+  steer(place: [number, number] | null): void {
+    if (place === null) {
+      if (!this.across) return;
+      this.across = undefined;
+      if (this.meant === undefined) this.connection.mean(null);
+      else this.say();
+    } else if (this.isOffered) {
+      this.refusal = "";
+      this.across = place.map((value) => Math.max(-ACROSS_M, Math.min(ACROSS_M, value))) as [number, number];
+      this.say();
+    }
+  }
+
+  /** Steer by an arrow key; whether the key was one. */
+  steerByKey(key: string): boolean {
+    const step = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
+    if (!step) return false;
+    const [x, y] = this.across ?? [0, 0];
+    this.steer([x + step[0]! * KEY_ACROSS_M, y + step[1]! * KEY_ACROSS_M]);
+    return true;
   }
 
   /** The force that the page means to push with now [N]; 0 where it holds nothing. */
@@ -101,10 +134,14 @@ export class Hand {
     return this.meant === undefined ? 0 : springForce(this.meant, this.arm);
   }
 
-  /** Take hold, or move, by a controller in VR: how far it went down [m]; null to let go. */
-  press(down: number | null): void {
-    if (down === null) this.letGo();
-    else this.drag(down * 0.1, true);
+  /** Take hold, or move, by a controller in VR: how far it went down, and across [m]; null to let go. */
+  press(down: number | null, across: [number, number] = [0, 0]): void {
+    if (down === null) {
+      this.letGo();
+      return;
+    }
+    this.drag(down * 0.1, true);
+    this.steer([across[0] * 0.1, across[1] * 0.1]);
   }
 
   /** Take hold, or move, by the pointer in the scene: how far it went down, in its heights; null when it is let go. */
@@ -207,17 +244,18 @@ export class Hand {
   /** Let go, also of a hand that is kept: after an emergency stop, and when the page is no longer seen. */
   letGo(): void {
     this.keepButton.setAttribute("aria-pressed", "false");
-    if (this.meant === undefined) return;
-    this.meant = undefined;
+    if (!this.isHeld) return;
+    this.meant = this.across = undefined;
     for (const motor of motors()) void motor.reset().catch(() => undefined);
     this.connection.mean(null);
   }
 
   private say(): void {
-    if (this.meant !== undefined) this.connection.mean(this.meant, this.isKept);
+    if (this.isHeld) this.connection.mean(this.meant ?? null, this.isKept, this.across ?? null);
   }
 
   private stick = false;
+  private sideStick = false;
 
   private readGamepad(): void {
     const push = gamepads()[0]?.axes[1] ?? 0;
@@ -227,6 +265,14 @@ export class Hand {
     } else if (this.stick) {
       this.stick = false;
       this.release();
+    }
+    const [x, y] = [gamepads()[0]?.axes[2] ?? 0, -(gamepads()[0]?.axes[3] ?? 0)];
+    if (Math.hypot(x, y) > DEAD) {
+      this.sideStick = true;
+      this.steer([x * STICK_M, y * STICK_M]);
+    } else if (this.sideStick) {
+      this.sideStick = false;
+      this.steer(null);
     }
   }
 

@@ -29,7 +29,7 @@ const STOP_BUTTONS = [4, 5];
 export class Headset {
   readonly button: HTMLButtonElement;
   /** Called while a trigger is held: how far the controller has moved down since then [m]; null when let go. */
-  onPress: (down: number | null) => void = () => {};
+  onPress: (down: number | null, across?: [number, number]) => void = () => {};
   /** Called when a button beside the stick is pressed. */
   onStop: () => void = () => {};
   onLeave: () => void = () => {};
@@ -38,7 +38,7 @@ export class Headset {
   private readonly controllers: XRTargetRaySpace[];
   private readonly held = new Set<XRTargetRaySpace>();
   private before: Matrix4[] = [];
-  private pressed: { controller: XRTargetRaySpace; from: number } | undefined;
+  private pressed: { controller: XRTargetRaySpace; from: Vector3 } | undefined;
   private isStopping = false;
   private readonly canvas = make("canvas", { width: PANEL.width, height: PANEL.height });
   private readonly panel: Mesh<PlaneGeometry, MeshBasicMaterial>;
@@ -73,7 +73,12 @@ export class Headset {
     const now = held.map((controller) => controller.matrix.clone());
     if (now.length && now.length === this.before.length) this.set(carried(this.world.matrix, this.before, now));
     this.before = now;
-    if (this.pressed) this.onPress(this.pressed.from - height(this.pressed.controller));
+    if (this.pressed) {
+      // The scene has y up; right and away from the viewer are x and y over the sample.
+      const { from, controller } = this.pressed;
+      const at = where(controller);
+      this.onPress(from.y - at.y, [at.x - from.x, from.z - at.z]);
+    }
     this.readStop();
     const at = performance.now();
     if (at - this.writtenAt < PANEL_MS) return;
@@ -95,7 +100,7 @@ export class Headset {
     };
     controller.addEventListener("squeezestart", hold(true));
     controller.addEventListener("squeezeend", hold(false));
-    controller.addEventListener("selectstart", () => (this.pressed ??= { controller, from: height(controller) }));
+    controller.addEventListener("selectstart", () => (this.pressed ??= { controller, from: where(controller) }));
     const letGo = (): void => {
       if (this.pressed?.controller !== controller) return;
       this.pressed = undefined;
@@ -165,6 +170,6 @@ export class Headset {
   }
 }
 
-function height(controller: XRTargetRaySpace): number {
-  return new Vector3().setFromMatrixPosition(controller.matrix).y;
+function where(controller: XRTargetRaySpace): Vector3 {
+  return new Vector3().setFromMatrixPosition(controller.matrix);
 }

@@ -7,7 +7,7 @@ import { Spring } from "./spring";
  */
 
 /** From the page: open a socket; send a frame; where the hand means to be [m], null to let go, and whether it is kept there. */
-export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | { meant: number | null; isKept: boolean };
+export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | { meant: number | null; across: [number, number] | null; isKept: boolean };
 /** To the page: the socket is open; a frame has come; the socket has closed. */
 export type FromSocket = { k: "open" } | { k: "frame"; frame: ArrayBuffer } | { k: "closed" };
 
@@ -22,8 +22,8 @@ page.onmessage = ({ data }: MessageEvent<ToSocket>) => {
   if ("open" in data) open(data.open);
   else if ("frame" in data) send(data.frame);
   else {
-    spring.mean(data.meant, data.isKept, performance.now());
-    if (data.meant === null) push();
+    spring.mean(data.meant, data.isKept, performance.now(), data.across);
+    if (data.meant === null && !data.across) push();
   }
 };
 setInterval(push, SEND_MS);
@@ -41,7 +41,9 @@ function open(url: string): void {
 
 function push(): void {
   const force = spring.next(performance.now());
-  if (force !== undefined) send(pack({ k: "hand", force_n: force ?? 0, held: force !== null }));
+  if (force === undefined) return;
+  const [across_x_n, across_y_n] = spring.acrossForce;
+  send(pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null }));
 }
 
 function send(frame: Uint8Array<ArrayBuffer>): void {

@@ -19,35 +19,51 @@ export class Spring {
   private meant: number | null = null;
   private heldUntil = -Infinity;
   private arm = NaN;
-  private column = -1;
+  private columns: Record<"position" | "x" | "y", number> = { position: -1, x: -1, y: -1 };
+  private across: [number, number] | null = null;
+  private place: [number, number] = [0, 0];
   private isHeld = false;
 
   /** Take note of where the arm is, if a frame says it. */
   take(frame: ServerFrame): void {
     if (frame.k === "snapshot") {
       const hand = frame.streams.find((stream) => stream.name === "hand");
-      this.column = hand?.columns.findIndex((column) => column.name === "position") ?? -1;
+      for (const name of ["position", "x", "y"] as const) this.columns[name] = hand?.columns.findIndex((column) => column.name === name) ?? -1;
       this.arm = NaN;
+      this.place = [0, 0];
     } else if (frame.k === "tick") {
       const hand = frame.streams?.["hand"];
-      if (!hand?.n || this.column < 0) return;
+      if (!hand?.n || this.columns.position < 0) return;
+      const values = floats(hand.data);
       // columns lie one after the other, behind that of the times
-      const arm = floats(hand.data)[(this.column + 2) * hand.n - 1];
-      if (arm !== undefined && !Number.isNaN(arm)) this.arm = arm;
+      const newest = (column: number, otherwise: number): number => {
+        const value = column < 0 ? undefined : values[(column + 2) * hand.n - 1];
+        return value === undefined || Number.isNaN(value) ? otherwise : value;
+      };
+      this.arm = newest(this.columns.position, this.arm);
+      this.place = [newest(this.columns.x, this.place[0]), newest(this.columns.y, this.place[1])];
     }
   }
 
-  /** Take note of where the page means the hand to be [m], null when it lets go, and whether it is kept there. */
-  mean(meant_m: number | null, isKept: boolean, now: number): void {
+  /** Take note of where the page means the hand to be, down and across [m], null when it lets go, and whether it is kept there. */
+  mean(meant_m: number | null, isKept: boolean, now: number, across_m: [number, number] | null = null): void {
     this.meant = meant_m;
+    this.across = across_m;
     this.heldUntil = now + (isKept ? KEPT_DEADLINE_MS : PAGE_DEADLINE_MS);
   }
 
   /** Return the force to send now [N], null once when the hand lets go, undefined when there is nothing to send. */
   next(now: number): number | null | undefined {
-    const isHeld = this.meant !== null && now < this.heldUntil && !Number.isNaN(this.arm);
+    const isMeant = this.meant !== null || this.across !== null;
+    const isHeld = isMeant && now < this.heldUntil && !Number.isNaN(this.arm);
     const hasLetGo = this.isHeld && !isHeld;
     this.isHeld = isHeld;
-    return isHeld ? springForce(this.meant!, this.arm) : hasLetGo ? null : undefined;
+    return isHeld ? (this.meant === null ? 0 : springForce(this.meant, this.arm)) : hasLetGo ? null : undefined;
+  }
+
+  /** The force across the sample to send now, x and y [N]. */
+  get acrossForce(): [number, number] {
+    if (!this.isHeld || !this.across) return [0, 0];
+    return [springForce(this.across[0], this.place[0]), springForce(this.across[1], this.place[1])];
   }
 }

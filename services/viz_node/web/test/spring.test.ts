@@ -68,3 +68,17 @@ it("does not push before it knows where the arm is, nor by what it knew of a ser
   spring.take(SNAPSHOT);
   expect(spring.next(30)).toBe(null);
 });
+
+it("pulls across the sample as well, and without pressing where the page means only that", () => {
+  const spring = new Spring();
+  spring.take({ k: "snapshot", streams: [{ name: "hand", topic: "haptic/state", columns: ["position", "x", "y"].map(column) }] } as unknown as Snapshot);
+  const numbers = Float32Array.from([0, 0.004, 0.001, -0.002]);
+  spring.take({ k: "tick", streams: { hand: { n: 1, t0: 0, data: new Uint8Array(numbers.buffer) } } });
+  spring.mean(null, false, 0, [0.011, -0.002]);
+  expect(spring.next(10)).toBe(0);
+  expect(spring.acrossForce[0]).toBeCloseTo(2, 5);
+  expect(spring.acrossForce[1]).toBeCloseTo(0, 5);
+  spring.mean(null, false, 15, null);
+  expect(spring.next(15)).toBe(null);
+  expect(spring.acrossForce).toEqual([0, 0]);
+});

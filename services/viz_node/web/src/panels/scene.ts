@@ -16,7 +16,7 @@ export class ScenePanel implements Panel {
       view.onPlace = (x, y) => tip.moveTo(x, y);
       view.onPress = (down) => hand.pull(down);
       view.pressText = () => `${hand.force.toFixed(2)} N, felt ${store.last("command", "tip_force").toFixed(2)} N`;
-      view.headset.onPress = (down) => hand.press(down);
+      view.headset.onPress = (down, across) => hand.press(down, across);
       view.headset.onStop = () => void commands.estop();
       store.onLines = (lines) => view.addLines(lines);
       store.onRestart = () => view.clear();

@@ -1,0 +1,481 @@
+"""The hand moves the tip across the sample, feels the lateral force there, and is guided by virtual fixtures.
+
+*Rate*: the displacement of the hand from where it took hold is the velocity of the tip, v = g (|e| - e_0) e / |e|, at
+most that of Eq. 14. No loop passes through the place of the hand then: once a particle moves, its force does not depend
+on that. *Position*: what the hand moves, the tip moves at a scale; with the clutch released it moves freely. The
+reference of the tip is the sum of these ways. It goes to the slave's half, which adds them to where the stage is
+(`lateral_slave_step`): what was not sent, or came after a silence, is no way, so the tip never catches up blindly.
+
+The force across at the hand is that of the tip (scaled, at most F_max, slewed), a spring to the middle (rate), a
+damper, a pulse of 20 ms when a particle is met or lost, and the fixtures. A fixture is a spring between the hand and
+the place where it is to be: in mode position that at which the tip is on the line, or outside of the disc; in mode
+rate the displacement that brings the tip there with a time constant of 1 s. The hold of the depth is a force on the
+law's axis.
+
+**Energy.** What this module shows to the hand comes out of two stores, one for the plane and one for the depth. Each
+holds what the hand has put in, as it is counted from sample to sample, and half of what is granted at the start. A
+force F is reduced where the hand could take more until the next sample, F v T + |F| a T^2 with a hand that
+accelerates by a = 20 m/s^2 at most. So neither gives out more than is granted, whatever the delay and however the
+fixtures are moved, and the law keeps what it promises along its axis. The stage is a source at the slave: it is
+bounded by speed and by the guard's lateral limit.
+"""
+
+import math
+from typing import NamedTuple
+
+from services.numerics.compiled import compiled
+
+DIRECT, RATE, POSITION = 0, 1, 2
+# what has happened at a step
+NO_NEWS, MET, LOST = 0, 1, 2
+
+_HAND_ACCELERATION_M_PER_S2 = 20.0
+# The fixtures bring the tip to its place in mode rate with this time constant, by no more than this displacement.
+_GUIDED_S, _MOST_GUIDED_M = 1.0, 5e-3
+# A particle is met after so many steps above the noise; it is lost below this share of the plateau.
+_MET_STEPS, _LOST_SHARE, _DEVIATIONS = 3, 0.3, 3.0
+# The noise is that of some 50 steps, the plateau that of this way.
+_NOISE_SHARE, _PLATEAU_WAY_M = 0.02, 7e-9
+# The place of the reference over the sample is taken anew when the tip has stood for so long.
+_STILL_S = 1.0
+# A signal brings no more way than that of so long a time, and the stage is asked for no more than that ahead of it.
+_LONGEST_WAY_S, _LEAD_S, _LEAD_M = 0.02, 0.1, 1e-9
+# The stage belongs to the hand until it has stood for so long.
+_IDLE_S = 0.2
+
+
+class MotionParams(NamedTuple):
+    """Mode; whether the clutch is engaged; tip for hand [1/s] or [1]; dead zone [m]; fastest tip [m/s]."""
+
+    mode: int
+    engaged: bool
+    gain: float
+    dead_zone_m: float
+    speed_m_per_s: float
+
+
+class FeelParams(NamedTuple):
+    """What the hand feels across, and how much energy may leave (`LateralConfig`)."""
+
+    force_scale: float
+    max_force_n: float
+    force_rate_n_per_s: float
+    centring_n_per_m: float
+    damping_n_s_per_m: float
+    pulse_n: float
+    pulse_s: float
+    contact_n: float
+    lost_way_m: float
+    granted_j: float
+    store_j: float
+
+
+class GuideParams(NamedTuple):
+    """A line over the sample."""
+
+    enabled: bool
+    x0_m: float
+    y0_m: float
+    x1_m: float
+    y1_m: float
+    stiffness_n_per_m: float
+    max_force_n: float
+
+
+class DiscParams(NamedTuple):
+    """A disc over the sample."""
+
+    enabled: bool
+    x_m: float
+    y_m: float
+    radius_m: float
+    stiffness_n_per_m: float
+    max_force_n: float
+
+
+class DepthParams(NamedTuple):
+    """A depth of the hand."""
+
+    enabled: bool
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    max_force_n: float
+
+
+class LateralParams(NamedTuple):
+    """Constants of the lateral path."""
+
+    motion: MotionParams
+    feel: FeelParams
+    guide: GuideParams
+    disc: DiscParams
+    depth: DepthParams
+
+
+class LateralHand(NamedTuple):
+    """A sample of the hand: place across and along the law's axis [m], velocities [m/s], whether it follows."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    speed_x_m_per_s: float
+    speed_y_m_per_s: float
+    speed_z_m_per_s: float
+    following: bool
+
+
+class LateralFar(NamedTuple):
+    """What the slave's half has sent: lateral force on the tip [N], place of the stage [m]; known: it is not silent."""
+
+    force_x_n: float
+    force_y_n: float
+    x_m: float
+    y_m: float
+    known: bool
+
+
+class Touch(NamedTuple):
+    """What is known of a particle by its force: mean and variance without it, steps above, plateau [N], way without."""
+
+    mean_n: float
+    variance_n2: float
+    steps: int
+    plateau_n: float
+    faint_m: float
+    x_m: float
+    y_m: float
+
+
+class Held(NamedTuple):
+    """The hand at its last sample [m], live: whether it followed, with mode and clutch as they were then.
+
+    neutral: where it took hold [m]; depth_m: at which it is held, where it holds.
+    """
+
+    live: bool
+    mode: int
+    engaged: bool
+    holds: bool
+    x_m: float
+    y_m: float
+    z_m: float
+    neutral_x_m: float
+    neutral_y_m: float
+    depth_m: float
+
+
+class Travel(NamedTuple):
+    """Sum of the ways of the tip [m]; where over the sample that is 0, once placed [m]; time since it moved [s]."""
+
+    x_m: float
+    y_m: float
+    placed: bool
+    origin_x_m: float
+    origin_y_m: float
+    still_s: float
+
+
+class Felt(NamedTuple):
+    """The force of the tip as it is felt [N]; time left of a pulse [s], and its direction."""
+
+    x_n: float
+    y_n: float
+    pulse_s: float
+    pulse_x: float
+    pulse_y: float
+
+
+class Store(NamedTuple):
+    """Energy that has entered across [J]; what is kept of that, and of the work of the depth; what was let go [J]."""
+
+    entered_j: float
+    left_j: float
+    left_z_j: float
+    spilled_j: float
+
+
+NO_STORE = Store(0.0, 0.0, 0.0, 0.0)
+
+
+class LateralMasterState(NamedTuple):
+    """The master's half of the lateral path; force_n: what is shown to the hand across and along the law's axis [N]."""
+
+    held: Held
+    travel: Travel
+    touch: Touch
+    felt: Felt
+    store: Store
+    force_n: tuple[float, float, float]
+    news: int
+
+
+@compiled
+def lateral_at_rest() -> LateralMasterState:
+    """Return the state before the first sample."""
+    return LateralMasterState(
+        Held(False, DIRECT, False, False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        Travel(0.0, 0.0, False, 0.0, 0.0, 0.0),
+        Touch(0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0),
+        Felt(0.0, 0.0, 0.0, 0.0, 0.0),
+        NO_STORE,
+        (0.0, 0.0, 0.0),
+        NO_NEWS,
+    )
+
+
+@compiled
+def _length(x: float, y: float) -> float:
+    return math.sqrt(x * x + y * y)
+
+
+@compiled
+def _clipped(x: float, y: float, most: float) -> tuple[float, float]:
+    size = _length(x, y)
+    share = most / size if size > most else 1.0
+    return share * x, share * y
+
+
+@compiled
+def _held(params: LateralParams, before: Held, hand: LateralHand) -> Held:
+    """Return the hand at a sample; it takes hold where it begins, and where mode or clutch let it."""
+    motion = params.motion
+    takes_hold = not (before.live and before.engaged and before.mode == motion.mode)
+    holds = params.depth.enabled and hand.following
+    return Held(
+        live=hand.following,
+        mode=motion.mode,
+        engaged=motion.engaged,
+        holds=holds,
+        x_m=hand.x_m,
+        y_m=hand.y_m,
+        z_m=hand.z_m,
+        neutral_x_m=hand.x_m if takes_hold else before.neutral_x_m,
+        neutral_y_m=hand.y_m if takes_hold else before.neutral_y_m,
+        depth_m=before.depth_m if holds and before.holds else hand.z_m,
+    )
+
+
+@compiled
+def _stored(feel: FeelParams, state: LateralMasterState, hand: LateralHand) -> Store:
+    """Return the energy after the work of the force that was shown since the last sample."""
+    before, store = state.held, state.store
+    if not before.live:
+        return store
+    f_x, f_y, f_z = state.force_n
+    across = f_x * (hand.x_m - before.x_m) + f_y * (hand.y_m - before.y_m)
+    left, left_z = store.left_j - across, store.left_z_j - f_z * (hand.z_m - before.z_m)
+    kept, kept_z = min(left, feel.store_j), min(left_z, feel.store_j)
+    return Store(store.entered_j - across, kept, kept_z, store.spilled_j + (left - kept) + (left_z - kept_z))
+
+
+@compiled
+def _way(params: LateralParams, before: Held, held: Held, travel: Travel, dt: float) -> tuple[float, float]:
+    """Return the way of the tip in a step [m]."""
+    motion, disc = params.motion, params.disc
+    if motion.mode == POSITION:
+        if not before.live:
+            return 0.0, 0.0
+        x, y = motion.gain * (held.x_m - before.x_m), motion.gain * (held.y_m - before.y_m)
+        return _clipped(x, y, motion.speed_m_per_s * dt)
+    x, y = held.x_m - held.neutral_x_m, held.y_m - held.neutral_y_m
+    size = _length(x, y)
+    share = motion.gain * dt * (1.0 - motion.dead_zone_m / size) if size > motion.dead_zone_m else 0.0
+    x, y = _clipped(share * x, share * y, motion.speed_m_per_s * dt)
+    out_x, out_y = travel.origin_x_m + travel.x_m - disc.x_m, travel.origin_y_m + travel.y_m - disc.y_m
+    size = _length(out_x, out_y)
+    if not (disc.enabled and travel.placed and 0.0 < size < disc.radius_m):
+        return x, y
+    # In the disc the tip goes outwards and along its edge only.
+    inwards = min((x * out_x + y * out_y) / size, 0.0)
+    return x - inwards * out_x / size, y - inwards * out_y / size
+
+
+@compiled
+def _travelled(travel: Travel, way: tuple[float, float], far: LateralFar, dt: float) -> Travel:
+    x, y = travel.x_m + way[0], travel.y_m + way[1]
+    still = 0.0 if way[0] != 0.0 or way[1] != 0.0 else travel.still_s + dt
+    if far.known and (not travel.placed or still > _STILL_S):
+        return Travel(x, y, True, far.x_m - x, far.y_m - y, still)
+    return Travel(x, y, travel.placed, travel.origin_x_m, travel.origin_y_m, still)
+
+
+@compiled
+def _drawn_m(motion: MotionParams, e_n: float, aside_m: float) -> float:
+    """Return by how much the hand is to move along a normal [m] for the tip to go aside_m [m] along it.
+
+    Args:
+        motion: The constants of the motion.
+        e_n: Displacement of the hand along the normal [m].
+        aside_m: How far the tip has to go along it, or, where negative, how far it may go against it.
+    """
+    if motion.mode == POSITION:
+        return aside_m / motion.gain
+    return min(max(aside_m / (_GUIDED_S * motion.gain), -_MOST_GUIDED_M), _MOST_GUIDED_M) - e_n
+
+
+@compiled
+def _fixtures(params: LateralParams, held: Held, travel: Travel) -> tuple[float, float]:
+    """Return the force of guide and disc on the hand [N]."""
+    force_x, force_y = 0.0, 0.0
+    if not (travel.placed and held.engaged):
+        return force_x, force_y
+    x, y = travel.origin_x_m + travel.x_m, travel.origin_y_m + travel.y_m
+    e_x, e_y = held.x_m - held.neutral_x_m, held.y_m - held.neutral_y_m
+    guide, disc = params.guide, params.disc
+    along_x, along_y = guide.x1_m - guide.x0_m, guide.y1_m - guide.y0_m
+    length = _length(along_x, along_y)
+    if guide.enabled and length > 0.0:
+        n_x, n_y = -along_y / length, along_x / length
+        aside = (x - guide.x0_m) * n_x + (y - guide.y0_m) * n_y
+        drawn = guide.stiffness_n_per_m * _drawn_m(params.motion, e_x * n_x + e_y * n_y, -aside)
+        drawn = min(max(drawn, -guide.max_force_n), guide.max_force_n)
+        force_x, force_y = drawn * n_x, drawn * n_y
+    out_x, out_y = x - disc.x_m, y - disc.y_m
+    size = _length(out_x, out_y)
+    if disc.enabled and size > 0.0:
+        n_x, n_y = out_x / size, out_y / size
+        drawn = disc.stiffness_n_per_m * _drawn_m(params.motion, e_x * n_x + e_y * n_y, disc.radius_m - size)
+        drawn = min(max(drawn, 0.0), disc.max_force_n)
+        force_x, force_y = force_x + drawn * n_x, force_y + drawn * n_y
+    return force_x, force_y
+
+
+@compiled
+def _touched(feel: FeelParams, touch: Touch, far: LateralFar) -> tuple[Touch, int]:
+    """Return what is known of a particle after what was felt, and whether it was met or lost just now."""
+    size, way = _length(far.force_x_n, far.force_y_n), _length(far.x_m - touch.x_m, far.y_m - touch.y_m)
+    mean, variance, steps, plateau, faint = touch.mean_n, touch.variance_n2, touch.steps, touch.plateau_n, touch.faint_m
+    news = NO_NEWS
+    if steps < _MET_STEPS:
+        if size > mean + _DEVIATIONS * math.sqrt(variance) + feel.contact_n:
+            steps, plateau, faint = steps + 1, size, 0.0
+            news = MET if steps == _MET_STEPS else NO_NEWS
+        else:
+            aside = size - mean
+            steps, mean = 0, mean + _NOISE_SHARE * aside
+            variance += _NOISE_SHARE * (aside * aside - variance)
+    elif size < _LOST_SHARE * plateau:
+        faint += way
+        if faint > feel.lost_way_m:
+            steps, mean, variance, plateau, faint, news = 0, size, 0.0, 0.0, 0.0, LOST
+    else:
+        plateau, faint = plateau + way / (way + _PLATEAU_WAY_M) * (size - plateau), 0.0
+    return Touch(mean, variance, steps, plateau, faint, far.x_m, far.y_m), news
+
+
+@compiled
+def _felt(feel: FeelParams, felt: Felt, far: LateralFar, news: int, way: tuple[float, float], dt: float) -> Felt:
+    """Return the force of the tip as it is felt, which goes to nothing in a silence, and the pulse."""
+    scale = feel.force_scale if far.known else 0.0
+    x, y = _clipped(scale * far.force_x_n, scale * far.force_y_n, feel.max_force_n)
+    x, y = _clipped(x - felt.x_n, y - felt.y_n, feel.force_rate_n_per_s * dt)
+    if news == NO_NEWS:
+        return Felt(felt.x_n + x, felt.y_n + y, max(felt.pulse_s - dt, 0.0), felt.pulse_x, felt.pulse_y)
+    size = _length(way[0], way[1])
+    back_x, back_y = (-way[0] / size, -way[1] / size) if size > 0.0 else (1.0, 0.0)
+    return Felt(felt.x_n + x, felt.y_n + y, feel.pulse_s, back_x, back_y)
+
+
+@compiled
+def _shown(
+    params: LateralParams, held: Held, travel: Travel, felt: Felt, store: Store, hand: LateralHand, dt: float
+) -> tuple[float, float, float]:
+    """Return the force that the hand is shown until the next sample [N], as much of it as there is energy for."""
+    feel, depth = params.feel, params.depth
+    v_x, v_y, v_z = hand.speed_x_m_per_s, hand.speed_y_m_per_s, hand.speed_z_m_per_s
+    drawn_x, drawn_y = _fixtures(params, held, travel)
+    share = felt.pulse_s / feel.pulse_s
+    pulse = feel.pulse_n * 4.0 * share * (1.0 - share)
+    spring = feel.centring_n_per_m if held.engaged else 0.0
+    damping = feel.damping_n_s_per_m
+    f_x = felt.x_n + drawn_x + pulse * felt.pulse_x - spring * (held.x_m - held.neutral_x_m) - damping * v_x
+    f_y = felt.y_n + drawn_y + pulse * felt.pulse_y - spring * (held.y_m - held.neutral_y_m) - damping * v_y
+    f_x, f_y = _clipped(f_x, f_y, feel.max_force_n)
+    f_z = 0.0
+    if held.holds:
+        f_z = depth.stiffness_n_per_m * (held.depth_m - held.z_m) - depth.damping_n_s_per_m * v_z
+        f_z = min(max(f_z, -depth.max_force_n), depth.max_force_n)
+    granted = 0.5 * feel.granted_j
+    share = _affordable(_length(f_x, f_y), f_x * v_x + f_y * v_y, store.left_j + granted, dt)
+    return share * f_x, share * f_y, _affordable(abs(f_z), f_z * v_z, store.left_z_j + granted, dt) * f_z
+
+
+@compiled
+def _affordable(force_n: float, power_w: float, left_j: float, dt: float) -> float:
+    """Return the share of a force [N] with a power [W] from which the hand cannot take more than is left in dt [s]."""
+    most, left = (power_w + force_n * _HAND_ACCELERATION_M_PER_S2 * dt) * dt, max(left_j, 0.0)
+    return left / most if most > left else 1.0
+
+
+@compiled
+def lateral_master_step(
+    params: LateralParams, state: LateralMasterState, hand: LateralHand, far: LateralFar, dt: float
+) -> LateralMasterState:
+    """Return the state after a sample of the hand, dt [s] after the one before: reference, forces, energy, news.
+
+    Args:
+        params: The constants, of mode rate or position.
+        state: The state at the sample before.
+        hand: The sample.
+        far: What the slave's half has sent.
+        dt: The time between the two samples [s].
+    """
+    held, store = _held(params, state.held, hand), _stored(params.feel, state, hand)
+    moves = held.live and held.engaged and far.known
+    way = _way(params, state.held, held, state.travel, dt) if moves else (0.0, 0.0)
+    travel = _travelled(state.travel, way, far, dt)
+    touch, news = _touched(params.feel, state.touch, far) if far.known else (state.touch, NO_NEWS)
+    felt = _felt(params.feel, state.felt, far, news, way, dt)
+    force = _shown(params, held, travel, felt, store, hand, dt) if held.live else (0.0, 0.0, 0.0)
+    return LateralMasterState(held, travel, touch, felt, store, force, news)
+
+
+class LateralSlaveState(NamedTuple):
+    """The slave's half: whether the stage belongs to the hand, its newest reference, and where the stage is to be [m].
+
+    live: a reference came before; idle_s: since the hand moved it.
+    """
+
+    live: bool
+    reference_x_m: float
+    reference_y_m: float
+    x_m: float
+    y_m: float
+    idle_s: float
+
+
+@compiled
+def lateral_slave_at_rest() -> LateralSlaveState:
+    """Return the state before the first signal."""
+    return LateralSlaveState(False, 0.0, 0.0, 0.0, 0.0, _IDLE_S)
+
+
+@compiled
+def hand_moves(state: LateralSlaveState) -> bool:
+    """Return whether the stage is to go where the hand wants it."""
+    return state.live and state.idle_s < _IDLE_S
+
+
+@compiled
+def lateral_slave_step(
+    params: LateralParams,
+    state: LateralSlaveState,
+    reference_m: tuple[float, float],
+    place_m: tuple[float, float],
+    goes_on: bool,
+    dt: float,
+) -> LateralSlaveState:
+    """Return the state after a signal with a reference [m], dt [s] after the one before; the stage is at place_m [m].
+
+    goes_on: the instrument follows, and the signal follows the one before: no silence, no restart.
+    """
+    x, y = reference_m
+    if not (state.live and goes_on):
+        return LateralSlaveState(goes_on, x, y, place_m[0], place_m[1], _IDLE_S)
+    speed = params.motion.speed_m_per_s
+    # Half as much again, because signals come in bursts.
+    way = _clipped(x - state.reference_x_m, y - state.reference_y_m, 1.5 * speed * min(dt, _LONGEST_WAY_S))
+    idle = 0.0 if way[0] != 0.0 or way[1] != 0.0 else state.idle_s + dt
+    from_x, from_y = (state.x_m, state.y_m) if state.idle_s < _IDLE_S else place_m
+    ahead = _clipped(from_x + way[0] - place_m[0], from_y + way[1] - place_m[1], _LEAD_S * speed + _LEAD_M)
+    return LateralSlaveState(True, x, y, place_m[0] + ahead[0], place_m[1] + ahead[1], min(idle, _IDLE_S))

@@ -1,0 +1,133 @@
+"""A hand across the sample without a device for it: a stylus in a plane, on which person and controller pull.
+
+    m v' = F_operator + F_controller - b v,   per axis, by the implicit Euler method; it stops at its reach
+
+The person pulls with a spring k between where the stylus is and where it is meant to be, by an intended path here or by
+`operator/force`, which a page sends. The stylus is passive: it gives back no more than it was given.
+"""
+
+import math
+from typing import Annotated, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from services.haptic_node.physics.operator import interpolate
+from services.numerics.compiled import compiled
+from services.runtime.settings.config import Settings
+
+Array = NDArray[np.float64]
+Across = Annotated[float, Field(ge=-0.5, le=0.5)]
+
+
+class LateralPoint(Settings):
+    """One corner of an intended path across."""
+
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
+    x_m: Across = Field(default=0.0, description="Where the hand means to be, x [m]; [-0.5, 0.5]")
+    y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]; [-0.5, 0.5]")
+
+
+class LateralHandConfig(Settings):
+    """The simulated hand across the sample."""
+
+    mass_kg: float = Field(default=0.1, ge=1e-3, le=100.0, description="Mass of the stylus m [kg]; [0.001, 100]")
+    damping_n_s_per_m: float = Field(default=1.0, ge=0.0, le=1e3, description="Its damping b [N s/m]; [0, 1000]")
+    reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]; [1e-4, 0.5]")
+    max_force_n: float = Field(
+        default=5.0, gt=0.0, le=100.0, description="Most that person and controller each pull with [N]; (0, 100]"
+    )
+    stiffness_n_per_m: float = Field(
+        default=200.0, ge=0.0, le=1e5, description="Spring of the person to the path below [N/m]; [0, 1e5]"
+    )
+    path: Annotated[tuple[LateralPoint, ...], Field(strict=False)] = Field(
+        default=(), max_length=10_000, description="Corners of the intended path, linear between; none: no person"
+    )
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> Self:
+        for index, (before, after) in enumerate(zip(self.path, self.path[1:], strict=False), 1):
+            if not after.time_s > before.time_s:
+                raise ValueError(f"path.{index}.time_s = {after.time_s} s must be later than {before.time_s} s")
+        return self
+
+    def to_params(self) -> "LateralHandParams":
+        """Return the constants of the step."""
+        columns = np.array([(point.time_s, point.x_m, point.y_m) for point in self.path], np.float64).reshape(-1, 3)
+        times, x, y = (np.ascontiguousarray(column) for column in columns.T)
+        return LateralHandParams(
+            self.mass_kg, self.damping_n_s_per_m, self.reach_m, self.max_force_n, self.stiffness_n_per_m, times, x, y
+        )
+
+
+class LateralHandParams(NamedTuple):
+    """Constants of the stylus and of the person's path, whose arrays are empty where there is none."""
+
+    mass_kg: float
+    damping_n_s_per_m: float
+    reach_m: float
+    max_force_n: float
+    stiffness_n_per_m: float
+    times_s: Array
+    path_x_m: Array
+    path_y_m: Array
+
+
+class LateralHandState(NamedTuple):
+    """Place [m] and velocity [m/s] of the stylus; forces of the person and of the controller at the last step [N]."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    speed_x_m_per_s: float = 0.0
+    speed_y_m_per_s: float = 0.0
+    own_x_n: float = 0.0
+    own_y_n: float = 0.0
+    shown_x_n: float = 0.0
+    shown_y_n: float = 0.0
+
+
+@compiled
+def _axis(params: LateralHandParams, x: float, v: float, force: float, dt: float) -> tuple[float, float]:
+    v = (v + dt * force / params.mass_kg) / (1.0 + dt * params.damping_n_s_per_m / params.mass_kg)
+    x += dt * v
+    if abs(x) > params.reach_m:
+        return math.copysign(params.reach_m, x), 0.0
+    return x, v
+
+
+@compiled
+def _limited(force_n: float, most_n: float) -> float:
+    return min(max(force_n, -most_n), most_n)
+
+
+@compiled
+def lateral_hand_step(
+    params: LateralHandParams,
+    state: LateralHandState,
+    pushed_n: tuple[float, float],
+    shown_n: tuple[float, float],
+    session_s: float,
+    dt: float,
+) -> LateralHandState:
+    """Advance the stylus by dt [s], > 0.
+
+    Args:
+        params: The constants.
+        state: The state before.
+        pushed_n: Force of a person at a page [N].
+        shown_n: Force of the controller [N].
+        session_s: Time of the operator's programme [s], negative before it.
+        dt: The time of the step [s].
+    """
+    own_x, own_y = pushed_n
+    if len(params.times_s) > 0 and session_s >= 0.0:
+        k = params.stiffness_n_per_m
+        own_x += k * (interpolate(params.times_s, params.path_x_m, session_s, params.path_x_m[0]) - state.x_m)
+        own_y += k * (interpolate(params.times_s, params.path_y_m, session_s, params.path_y_m[0]) - state.y_m)
+    most = params.max_force_n
+    own_x, own_y = _limited(own_x, most), _limited(own_y, most)
+    shown_x, shown_y = _limited(shown_n[0], most), _limited(shown_n[1], most)
+    x, v_x = _axis(params, state.x_m, state.speed_x_m_per_s, own_x + shown_x, dt)
+    y, v_y = _axis(params, state.y_m, state.speed_y_m_per_s, own_y + shown_y, dt)
+    return LateralHandState(x, y, v_x, v_y, own_x, own_y, shown_x, shown_y)
