@@ -60,6 +60,10 @@ class VirtualInstrument:
         while self._guard.mode == safety.MODE_RETRACTING:
             self._carry_out(safety.ACTION_RETRACT, Wanted((), self._guard.base_m, self.place))
 
+    def report(self) -> Report | None:
+        """Return how far the program is that runs, None where none does."""
+        return self._programs.report() if self._programs.name else None
+
     def _step(self) -> Step:
         vibrating, programs = self.device.vibration, self._programs
         oscillation = _AT_REST if vibrating is None else vibrating.oscillation

@@ -80,6 +80,7 @@ LAZY_COMMANDS = {
     "assemble": LazyCommand(
         "telenano.cli.commands.assemble", "assemble", "Push particles into a pattern, in simulated time."
     ),
+    "push": LazyCommand("telenano.cli.commands.push", "push", "Push one particle, in simulated time or on a rig."),
     "calibrate": LazyCommand(
         "telenano.cli.commands.calibrate", "app", "Calibrate the simulated instrument: read-out and stiffness."
     ),
@@ -99,7 +100,7 @@ GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
-    "Study": ("study", "law", "curve", "scan", "sample", "particles", "assemble", "calibrate", "reproduce"),
+    "Study": ("study", "law", "curve", "scan", "sample", "particles", "push", "assemble", "calibrate", "reproduce"),
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),
 }
 

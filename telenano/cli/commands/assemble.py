@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from studies.assembly.run import ProgramBench
 
 # A cantilever soft enough to image in contact below what moves a particle, and a base that clears the highest one.
-_BENCH: dict[str, Any] = {
+BENCH: dict[str, Any] = {
     "sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": {"count": 8}},
     "cantilever": {"stiffness_n_per_m": 0.1},
     "meniscus": False,
@@ -175,7 +175,7 @@ def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":
     from services.afm_node.config import AfmConfig
 
-    document = merge(_BENCH, {"sample": {"particles": {"seed": seed}}, "disturbances": {"seed": seed}})
+    document = merge(BENCH, {"sample": {"particles": {"seed": seed}}, "disturbances": {"seed": seed}})
     given = flag_overrides(overrides)
     if "places" in given.get("sample", {}).get("particles", {}):
         document["sample"]["particles"] = {}

@@ -1,0 +1,109 @@
+"""`telenano push`: one push of a particle, in simulated time or by the instrument of a running rig."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError, RigError
+from services.afm_node.programs.push import AT_GOAL, PushSettings
+from services.runtime.settings.config import flag_overrides, merge, validate
+from telenano.cli.commands.assemble import BENCH
+from telenano.cli.model_options import validated, with_options
+from telenano.cli.options import JsonOption, SiteFileOption
+from telenano.cli.output import print_document, report_errors
+from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
+from telenano.cli.sample_options import AfmOption
+
+if TYPE_CHECKING:
+    from proto.messages import Scalar
+
+_ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
+
+
+@with_options(PushSettings, leave_out=_ENDS)
+def push(
+    begin: Annotated[
+        str, typer.Option("--from", metavar="X,Y", help="Where the particle is believed to be on the sample [m].")
+    ],
+    goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Where it is to go on the sample [m].")],
+    given: dict[str, Any],
+    afm: AfmOption = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Push one particle with the tip from one place to another; print what was felt, and where it is believed to be."""
+    with report_errors(as_json):
+        ends = (*_place("--from", begin), *_place("--to", goal))
+        given |= dict(zip(_ENDS, ends, strict=True))
+        validated(PushSettings, given, dict(zip(_ENDS, ("--from", "--from", "--to", "--to"), strict=True)))
+        keys: dict[str, Scalar] = {"program": "push", **{f"push.{name}": value for name, value in given.items()}}
+        if live:
+            refuse_foreign({"--afm": afm})
+            document = _live(site_file, keys, as_json=as_json)
+        else:
+            document = _simulated(keys, afm or [], as_json=as_json)
+    document["error_m"] = math.dist(document["believed_m"], ends[2:])
+    print_document(document, document["why"], as_json=as_json)
+
+
+def _place(option: str, text: str) -> tuple[float, float]:
+    """Return the place that an option names [m]."""
+    try:
+        x, y = (float(word) for word in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"{option} {text}: must be two numbers in m with a comma between, such as 1e-6,0") from error
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ConfigError(f"{option} {text}: must be finite")
+    return x, y
+
+
+def _told(values: "Mapping[str, Scalar]") -> dict[str, Any]:
+    """Return what a push says of itself, its places as pairs."""
+    document = dict(values)
+    believed = document.pop("believed_x_m"), document.pop("believed_y_m")
+    why = str(document.pop("why"))
+    return {"why": why, "at_goal": why == AT_GOAL, "believed_m": believed, **document}
+
+
+def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[str, Any]:
+    from services.console.live_program import LiveImage
+
+    report = follow_program(site_file, keys, LiveImage(), as_json=as_json)
+    if report.state != "finished" or report.values is None:
+        raise RigError(report.text)
+    return _told(report.values)
+
+
+def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
+    """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
+    from services.afm_node.config import AfmConfig
+    from services.afm_node.programs.settings import requested
+    from services.afm_node.virtual import VirtualInstrument
+
+    document, given = merge(BENCH, {}), flag_overrides(overrides)
+    document["sample"]["particles"] = {}
+    if not given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}:
+        document["sample"]["particles"] = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
+    config = validate(AfmConfig, merge(document, given), "--afm")
+    instrument = VirtualInstrument(config)
+    columns = (TextColumn("{task.description}"), BarColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
+        task = bar.add_task("push", total=1.0)
+        # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
+        for number, _ in enumerate(instrument.run(requested(keys))):
+            if number % 1000 == 0 and (report := instrument.report()) is not None:
+                bar.update(task, description=report.text, completed=0.01 * report.done_percent)
+    outcome = instrument.outcome
+    if outcome is None or outcome.values is None or outcome.state != "finished":
+        raise ConfigError("--from: nothing was pushed" if outcome is None else outcome.text)
+    places = instrument.device.state.part.moving[:, :2].tolist()
+    told = _told(outcome.values)
+    # What the simulation knows, and neither the program nor a real instrument does.
+    return {**told, "true_m": min(places, key=lambda place: math.dist(place, told["believed_m"]))}
