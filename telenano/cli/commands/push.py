@@ -23,6 +23,7 @@ from telenano.cli.sample_options import AfmOption
 if TYPE_CHECKING:
     from proto.messages import Scalar
 
+_REACH_M = 1e-3
 _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
 
 
@@ -59,8 +60,8 @@ def _place(option: str, text: str) -> tuple[float, float]:
         x, y = (float(word) for word in text.split(","))
     except ValueError as error:
         raise ConfigError(f"{option} {text}: must be two numbers in m with a comma between, such as 1e-6,0") from error
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise ConfigError(f"{option} {text}: must be finite")
+    if not max(abs(x), abs(y)) <= _REACH_M:
+        raise ConfigError(f"{option} {text}: must lie within {_REACH_M:g} m of the middle of the sample, both ways")
     return x, y
 
 

@@ -38,8 +38,8 @@ def test_where_no_particle_is_it_says_so() -> None:
     ("words", "sentence"),
     [
         (("--from", "0", "--to", "1e-7,0"), "--from 0: must be two numbers in m with a comma between"),
-        (("--from", "0,0", "--to", "nan,0"), "--to nan,0: must be finite"),
-        (("--from", "0,0", "--to", "1,0"), "--to"),
+        (("--from", "0,0", "--to", "nan,0"), "--to nan,0: must lie within 0.001 m of the middle of the sample"),
+        (("--from", "0,0", "--to", "1,0"), "--to 1,0: must lie within 0.001 m"),
         (("--from", "0,0", "--to", "0,0"), "within push.tolerance_m = 5e-09 m of its goal already"),
         (("--from", "0,0", "--to", "1e-7,0", "--radius", "0"), "--radius"),
         (("--from", "0,0", "--to", "1e-7,0", "--live", "--afm", "model=dynamic"), "--afm: not with --live"),
