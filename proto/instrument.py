@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from proto.messages import Count, Facts, _Extended
+from proto.messages import Array, Count, Facts, Lengths, Message, _Extended
 from proto.ranges import Percent
 
 # A text of this length has at most four times as many bytes, beside which the rest fits into a plain message.
@@ -36,3 +36,17 @@ class AfmProgram(_Extended):
     values: Facts | None = Field(
         default=None, description="What it has measured so far, by name with the unit; of a push where the particle is"
     )
+
+
+class AfmParticles(Message):
+    """Where the particles of a simulated instrument really are: no instrument knows it, and who plans must not read it.
+
+    For who judges a session afterwards; 20 times a second while one moves, else once a second.
+    """
+
+    simulated: Literal[True] = Field(
+        examples=[True], description="Always true: this is the truth of a simulation, and no measurement"
+    )
+    places_m: Lengths = Field(description="Centres on the sample, 0, 0 its middle, shape (n, 2) [m]")
+    radii_m: Lengths = Field(description="Radii, shape (n,) [m]")
+    moving: Array = Field(description="Which of them have moved within their time of rest, shape (n,), 0 or 1")

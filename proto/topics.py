@@ -5,7 +5,7 @@ from typing import Literal
 
 from proto import messages as m
 from proto import network_messages as network
-from proto.instrument import AfmProgram
+from proto.instrument import AfmParticles, AfmProgram
 from proto.journal_messages import NodeJournal
 from proto.nodes import NODES, name_of, site_of
 
@@ -46,6 +46,8 @@ _ROWS = (
     Topic("afm/scanline", m.AfmScanline, ("afm_node",), "lossless", None, None, None),
     # It is sent while the instrument runs a program; its readers act on a lack of it after half a second.
     Topic("afm/program", AfmProgram, ("afm_node",), "lossless", None, None, None),
+    # The truth of a simulation, for recordings: no node reads it, and no link carries it.
+    Topic("afm/particles", AfmParticles, ("afm_node",), "lossless", None, None, None),
     Topic("law/status", m.LawStatus, ("controller",), "latest", 100.0, 0.2, "backward"),
     Topic("link/status", m.LinkStatus, ("delay_node@master",), "latest", 10.0, 0.5, None),
     Topic("link/delay", m.LinkDelay, ("delay_node",), "lossless", None, None, None),

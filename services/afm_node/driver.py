@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from proto.errors import ConfigError
 from services.afm_node.physics.disturbances import DisturbanceConfig
-from services.afm_node.physics.part import AfmSample
+from services.afm_node.physics.part import AfmSample, Particles
 from services.afm_node.physics.part import Oscillation as Oscillation
 from services.afm_node.physics.sample.surface import Surface
 
@@ -80,6 +80,10 @@ class Simulation(Protocol):
 
     def configure(self, config: DisturbanceConfig) -> None:
         """Take other disturbances from now on."""
+
+    @property
+    def particles(self) -> Particles | None:
+        """Return where the particles really are, which no instrument knows; None without any."""
 
     @property
     def settles(self) -> bool:

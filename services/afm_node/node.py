@@ -4,6 +4,7 @@ import math
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
+import numpy as np
 
 from proto.errors import RefusedError
 from proto.instrument import MOST_TEXT
@@ -32,6 +33,8 @@ from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
 _PROGRAM_PERIOD_NS = 100_000_000
+# The truth about particles is looked at so often, and published then while one moves, else every so many looks.
+_LOOK_PERIOD_NS, _RESTING_LOOKS = 50_000_000, 20
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _AT_REST = Oscillation(0.0, 0.0)
@@ -51,7 +54,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
     The state of the guard; the command in force, and when it was received [ns]; forces on the tip at the last step [N];
     where the tip is, and where a person wants it; the times of the last report of a program, of the last step, and of
-    the next one [ns]; what is felt, None where it is the force.
+    the next one [ns]; what is felt, None where it is the force; the number of the last look at the particles.
     """
 
     guard: safety.SafetyState
@@ -65,6 +68,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
     stepped_ns: int = 0
     due_ns: int = 0
     felt: FeltState | None = None
+    particles_look: int = 0
 
 
 class AfmNodeState(NamedTuple):
@@ -344,6 +348,7 @@ class AfmNode(Node):
         if self._feel is not None:
             sample, felt = self._made_of_channel(sample, allowed, elapsed_s)
         self._publish_state(allowed, sample, elapsed_s, report, felt)
+        self._publish_particles()
         self._report_changes(allowed)
         self._report_device(report)
         self.steps += 1
@@ -479,6 +484,23 @@ class AfmNode(Node):
             hand_t_ns=0 if command is None else command.hand_t_ns,
             step_s=elapsed_s,
             **device,
+        )
+
+    def _publish_particles(self) -> None:
+        """Publish where the particles of the simulation really are, for recordings: no node and no plan reads it."""
+        look, before = self._memory.stepped_ns // _LOOK_PERIOD_NS, self._memory.particles_look
+        if look == before or self._driver.simulation is None:
+            return
+        self._memory.particles_look = look
+        found = self._driver.simulation.particles
+        if found is None or not (found.moving.any() or look // _RESTING_LOOKS != before // _RESTING_LOOKS):
+            return
+        self.publish(
+            "afm/particles",
+            simulated=True,
+            places_m=Array.from_numpy(found.places_m),
+            radii_m=Array.from_numpy(found.radii_m),
+            moving=Array.from_numpy(found.moving.astype(np.uint8)),
         )
 
     def _report_device(self, report: DeviceReport | None) -> None:

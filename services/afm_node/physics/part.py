@@ -10,6 +10,9 @@ for a study in lockstep, and `sim.SimulatedInstrument` makes the driver of a nod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from services.numerics.compiled import chosen_step, compiled
 
 
@@ -81,17 +84,27 @@ class Motion(NamedTuple):
     oscillation: Callable[[Any], Oscillation]
 
 
+class Particles(NamedTuple):
+    """Where the particles of a simulation really are: places (n, 2) [m], radii (n,) [m], and which move, (n,)."""
+
+    places_m: npt.NDArray[np.float64]
+    radii_m: npt.NDArray[np.float64]
+    moving: npt.NDArray[np.bool_]
+
+
 class Part(NamedTuple):
     """The functions of a part.
 
     start(params, inputs) gives the state of a part that has been there for long. lateral: whether x and y mean anything
     to it. motion(params) gives what a part has whose tip moves between two steps, None for one that does not.
+    particles(params, state) gives those that it has, for who judges a simulation and for nobody who plans.
     """
 
     start: Callable[[Any, PlantInputs], Any]
     step: Callable[[Any, Any, PlantInputs, float], tuple[Any, AfmSample]]
     lateral: bool = True
     motion: Callable[[Any], Motion | None] | None = None
+    particles: Callable[[Any, Any], Particles] | None = None
 
 
 _PARTS: dict[type, Part] = {}

@@ -19,6 +19,7 @@ from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.part import (
     AfmSample,
     Oscillation,
+    Particles,
     PlantInputs,
     motion_of,
     part_of,
@@ -164,6 +165,11 @@ class SimulatedInstrument:
     def elapse(self, dt: float) -> None:
         """Note the time [s] of the next exchange."""
         self.state = self.state._replace(elapsed_s=self.state.elapsed_s + dt)
+
+    @property
+    def particles(self) -> Particles | None:
+        find, part = part_of(self._params.plant).particles, self.state.part
+        return None if find is None or part is None else find(self._params.plant, part)
 
     @property
     def settles(self) -> bool:

@@ -2,8 +2,16 @@
 
 import ast
 from pathlib import Path
+from typing import Literal
 
 import pytest
+
+from proto import TOPICS
+from proto.instrument import AfmParticles
+from services.afm_node import node as afm
+from services.controller import node as controller
+from services.haptic_node import node as haptic
+from services.viz_node.source import TOPICS_SHOWN
 
 FOLDER = Path(__file__).parents[3] / "studies" / "assembly"
 
@@ -29,3 +37,32 @@ def test_who_assembles_asks_the_bench_for_images_and_pushes_only() -> None:
         "moving",
         "truth",
     }
+
+
+ROOT = FOLDER.parents[1]
+TRUTH = "afm/particles"
+# what says it, and the table of topics; docs and generated files of the contract are no readers
+SAYS_IT = {"proto/topics.py", "services/afm_node/node.py"}
+
+
+def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
+    folders = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+    names = set()
+    for folder in folders:
+        for path in (ROOT / folder).rglob("*"):
+            ours = path.suffix in (".py", ".ts", ".yaml") and not {"node_modules", "dist"} & set(path.parts)
+            if ours and TRUTH in path.read_text(encoding="utf-8"):
+                names.add(str(path.relative_to(ROOT)))
+    assert names == SAYS_IT
+
+
+def test_the_truth_is_recorded_and_goes_to_no_other_machine_and_to_no_node() -> None:
+    row = TOPICS[TRUTH]
+    assert row.recorded and row.bridged is None and row.publishers == ("afm_node",)
+    inputs = (afm.INPUTS, controller.MASTER_INPUTS, controller.SLAVE_INPUTS, haptic.INPUTS, TOPICS_SHOWN)
+    assert not any(TRUTH in topics for topics in inputs)
+
+
+def test_a_message_of_the_truth_is_marked_as_simulated() -> None:
+    fields = AfmParticles.model_fields
+    assert fields["simulated"].annotation == Literal[True]

@@ -78,7 +78,8 @@ def friction_step(
         return FrictionState(0.0, 0.0), 0.0, 0.0
     x, y = state.ahead_x_m + moved_x_m, state.ahead_y_m + moved_y_m
     k = params.stiffness_n_per_m
-    ahead = math.hypot(x, y)
+    # math.hypot of Python and of C round differently
+    ahead = math.sqrt(x * x + y * y)
     if ahead > 0.0:
         limit = friction_limit_n(params, load_n, (slope_x * x + slope_y * y) / ahead)
         if k * ahead > limit:

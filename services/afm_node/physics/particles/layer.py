@@ -17,13 +17,14 @@ from services.afm_node.physics.part import (
     Motion,
     Oscillation,
     Part,
+    Particles,
     PlantInputs,
     motion_of,
     part_start,
     part_step,
     register,
 )
-from services.afm_node.physics.particles.push import RESTED, Contact, height_m, push_step
+from services.afm_node.physics.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
 from services.afm_node.physics.particles.tip_shape import Spring, TipShape
 from services.afm_node.physics.sample.surface import Surface, height_at
 from services.numerics.compiled import compiled
@@ -34,11 +35,14 @@ Array = npt.NDArray[np.float64]
 class ParticleLayerParams(NamedTuple):
     """The part within; the surface as the tip sees it; tip, spring and particles (`push.push_step`).
 
-    rest_distance_m: L of the cantilever [m]; volts_per_m: its read-out [V/m].
+    is_plane: whether the surface is one at height 0; model: tip and spring (`push.packed`); rest_distance_m: L of the
+    cantilever [m]; volts_per_m: its read-out [V/m].
     """
 
     within: Any
     surface: Surface
+    is_plane: bool
+    model: Array
     tip: TipShape
     spring: Spring
     fixed: Array
@@ -65,12 +69,18 @@ def particle_layer(
     within: Any, surface: Surface | None, tip: TipShape, spring: Spring, fixed: Array, start: Array, plant: Plant
 ) -> ParticleLayerParams:
     """Return the parameters of particles around a part over a surface, None for a plane; plant is its cantilever."""
-    seen = _PLANE if surface is None else surface
-    return ParticleLayerParams(within, seen, tip, spring, fixed, start, plant.rest_distance_m, plant.volts_per_m)
+    seen = _PLANE if surface is None or not surface.height_m.any() else surface
+    model, rest_m = packed(tip, spring), plant.rest_distance_m
+    return ParticleLayerParams(
+        within, seen, seen is _PLANE, model, tip, spring, fixed, start, rest_m, plant.volts_per_m
+    )
 
 
 @compiled
-def _ground(surface: Surface, x_m: float, y_m: float) -> float:
+def _ground(params: ParticleLayerParams, x_m: float, y_m: float) -> float:
+    if params.is_plane:
+        return 0.0
+    surface = params.surface
     rows, columns = surface.height_m.shape
     x, y = x_m + 0.5 * (surface.step_x_m * columns), y_m + 0.5 * (surface.step_y_m * rows)
     return float(height_at(surface.height_m, surface.step_x_m, surface.step_y_m, x, y)[0])
@@ -96,30 +106,24 @@ def _step(
 ) -> tuple[ParticleLayerState, AfmSample]:
     k = params.spring.normal_n_per_m
     # Particles lie on a plane at the height 0: a surface that is higher under the tip keeps it away from them.
-    ground = _ground(params.surface, inputs.x_m, inputs.y_m)
-    if inputs.amplitude_m > 0.0:
-        moving = state.moving.copy()
-        moving[:, RESTED] += dt
-        apex = height_m(params.tip, params.fixed, moving, inputs.x_m, inputs.y_m)
-        contact = Contact(apex, 0.0, 0.0, 0.0, 0, 0)
-    else:
-        free = params.rest_distance_m - inputs.base_m
-        held_up = max(free, ground)
-        moving, contact = push_step(
-            params.tip,
-            params.spring,
-            params.fixed,
-            state.moving,
-            (state.x_m, state.y_m, inputs.x_m, inputs.y_m),
-            (held_up, free),
-            dt,
-        )
-        apex = contact.apex_m
-        if contact.touched == 0:
-            # over a particle that it does not touch yet, a tip feels what attracts it
-            apex = height_m(params.tip, params.fixed, moving, inputs.x_m, inputs.y_m)
-        elif apex <= held_up:
-            apex = 0.0
+    ground = _ground(params, inputs.x_m, inputs.y_m)
+    free = params.rest_distance_m - inputs.base_m
+    held_up = max(free, ground)
+    moving, contact = tick(
+        params.model,
+        params.fixed,
+        state.moving,
+        state.x_m,
+        state.y_m,
+        inputs.x_m,
+        inputs.y_m,
+        held_up,
+        free,
+        inputs.amplitude_m > 0.0,
+        dt,
+    )
+    # Over a particle that it does not touch yet, a tip feels what attracts it.
+    apex = contact.apex_m if contact.touched == 0 or contact.apex_m > held_up else 0.0
     raised = max(apex - ground, 0.0)
     # A tip that particles hold up has their force from the surface that is raised under it.
     lift = 0.0 if raised > 0.0 else contact.lift_n
@@ -140,7 +144,7 @@ def _step(
 
 
 def _start(params: ParticleLayerParams, inputs: PlantInputs) -> ParticleLayerState:
-    ground = _ground(params.surface, inputs.x_m, inputs.y_m)
+    ground = _ground(params, inputs.x_m, inputs.y_m)
     apex = height_m(params.tip, params.fixed, params.start, inputs.x_m, inputs.y_m)
     raised = max(apex - ground, 0.0)
     within = part_start(params.within, _within(inputs, raised, 0.0))
@@ -165,4 +169,9 @@ def _motion(params: ParticleLayerParams) -> Motion | None:
     return Motion(settle, oscillation)
 
 
-register(ParticleLayerParams, Part(_start, _step, motion=_motion))
+def _particles(params: ParticleLayerParams, state: ParticleLayerState) -> Particles:
+    places = state.moving[:, (X, Y)]
+    return Particles(places, params.fixed[:, RADIUS], state.moving[:, RESTED] < params.spring.rest_s)
+
+
+register(ParticleLayerParams, Part(_start, _step, motion=_motion, particles=_particles))

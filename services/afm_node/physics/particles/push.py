@@ -23,12 +23,14 @@ from services.afm_node.physics.particles.tip_shape import (
     TipShape,
     climb,
     distance_m,
+    join_height_m,
     ride_height_m,
     touch_distance_m,
 )
 from services.numerics.compiled import always_compiled, compiled
 
 Array = npt.NDArray[np.float64]
+Numbers = npt.NDArray[np.int64]
 
 # columns of `fixed`, one row a particle: radius [m], static and kinetic hold [N], pull-off force [N]
 RADIUS, STATIC, KINETIC, PULL_OFF = range(4)
@@ -90,9 +92,17 @@ def _pressed(
     """
     k, lateral, mu = spring.normal_n_per_m, spring.lateral_n_per_m, spring.friction
     force = lateral * (touch_distance_m(tip, radius_m, held_up_m) - r)
-    if k * (held_up_m - free_m) >= force * climb(tip, radius_m, held_up_m, mu):
+    slope = climb(tip, radius_m, held_up_m, mu)
+    if k * (held_up_m - free_m) >= force * slope:
         return held_up_m, force
-    low, high = held_up_m, max(ride_height_m(tip, radius_m, r), held_up_m)
+    # On the cone the slope is constant, and the balance of the forces linear in z.
+    joined = join_height_m(tip, radius_m)
+    if held_up_m < joined:
+        most = lateral * (touch_distance_m(tip, radius_m, 0.0) - r)
+        z = (k * free_m + slope * most) / (k + slope * lateral * tip.tan_cone)
+        if z <= joined:
+            return max(z, held_up_m), max(most - lateral * tip.tan_cone * z, 0.0)
+    low, high = max(held_up_m, joined), max(ride_height_m(tip, radius_m, r), held_up_m, joined)
     for _ in range(_BISECTIONS):
         z = 0.5 * (low + high)
         if z <= low or z >= high:
@@ -111,9 +121,13 @@ def _yielding_m(
 ) -> float:
     """Return the height of an apex [m] that pushes with a lateral force [N], at most what it had against a hold."""
     k, mu = spring.normal_n_per_m, spring.friction
-    if k * (held_up_m - free_m) >= force_n * climb(tip, radius_m, held_up_m, mu):
+    slope = climb(tip, radius_m, held_up_m, mu)
+    if k * (held_up_m - free_m) >= force_n * slope:
         return held_up_m
-    low, high = held_up_m, most_m
+    joined = join_height_m(tip, radius_m)
+    if held_up_m < joined and free_m + force_n * slope / k <= joined:
+        return min(max(free_m + force_n * slope / k, held_up_m), most_m)
+    low, high = max(held_up_m, min(joined, most_m)), most_m
     for _ in range(_BISECTIONS):
         z = 0.5 * (low + high)
         if z <= low or z >= high:
@@ -209,15 +223,20 @@ def _push_with(
 
 @compiled
 def _touched(
-    tip: TipShape, spring: Spring, fixed: Array, moving: Array, place: tuple[float, float], heights: tuple[float, float]
+    tip: TipShape,
+    spring: Spring,
+    fixed: Array,
+    moving: Array,
+    near: Numbers,
+    place: tuple[float, float],
+    heights: tuple[float, float],
 ) -> tuple[Array, int, Contact]:
     """Return the pushes against particles that yield, their number, and the contact with those that hold."""
     held_up, free = heights
-    n = moving.shape[0]
-    pushes = np.empty((n, _COLUMNS))
+    pushes = np.empty((near.shape[0], _COLUMNS))
     p, touched = 0, 0
     apex, lift, push_x, push_y = held_up, 0.0, 0.0, 0.0
-    for i in range(n):
+    for i in near:
         radius, x, y = fixed[i, RADIUS], moving[i, X] - place[0], moving[i, Y] - place[1]
         r = distance_m(x, y)
         if not _TOUCHES_M < r < touch_distance_m(tip, radius, held_up):
@@ -241,10 +260,16 @@ def _touched(
 
 @compiled
 def _small_step(
-    tip: TipShape, spring: Spring, fixed: Array, moving: Array, place: tuple[float, float], heights: tuple[float, float]
+    tip: TipShape,
+    spring: Spring,
+    fixed: Array,
+    moving: Array,
+    near: Numbers,
+    place: tuple[float, float],
+    heights: tuple[float, float],
 ) -> Contact:
     """Bring the stage to a place [m] and move what yields, in `moving`; return what the tip meets there."""
-    every, p, holding = _touched(tip, spring, fixed, moving, place, heights)
+    every, p, holding = _touched(tip, spring, fixed, moving, near, place, heights)
     if p == 0:
         return holding
     pushes = every[:p]
@@ -300,30 +325,81 @@ def push_step(
         tip: The shape of the tip.
         spring: The stiffness of the tip, and what counts in the contact.
         fixed: Shape (n, 4), what does not change of each particle.
-        moving: Shape (n, 3), what does; it is not changed.
+        moving: Shape (n, 3), what does; it is not changed, and the same where nothing has moved or come to rest.
         way: Where the stage begins and ends, x0, y0, x1, y1 [m].
         heights: Where the substrate or the spring keeps the apex without particles [m], and where it would be without
             any force [m].
         dt: The time of the step [s].
     """
     n = moving.shape[0]
-    after = moving.copy()
-    nearest = math.inf
+    nearest, count, stirs = math.inf, 0, False
     length = distance_m(way[2] - way[0], way[3] - way[1])
     middle_x, middle_y = 0.5 * (way[0] + way[2]), 0.5 * (way[1] + way[3])
+    near = np.empty(n, np.int64)
     for i in range(n):
-        after[i, RESTED] += dt
         reach = touch_distance_m(tip, fixed[i, RADIUS], 0.0)
-        if distance_m(after[i, X] - middle_x, after[i, Y] - middle_y) <= reach + 0.5 * length:
+        stirs = stirs or moving[i, RESTED] < spring.rest_s
+        # one that is pushed may push another into the way, which is at most a few steps further
+        if distance_m(moving[i, X] - middle_x, moving[i, Y] - middle_y) <= reach + 1.5 * length:
+            near[count] = i
+            count += 1
             nearest = min(nearest, reach)
-    if nearest == math.inf or n == 0:
-        return after, Contact(0.0, 0.0, 0.0, 0.0, 0, 0)
-    steps = max(math.ceil(length / (LARGEST_STEP * nearest)), 1)
+    if count == 0 and not stirs:
+        return moving, Contact(0.0, 0.0, 0.0, 0.0, 0, 0)
+    after = moving.copy()
+    for i in range(n):
+        after[i, RESTED] = min(after[i, RESTED] + dt, max(spring.rest_s, after[i, RESTED]))
     contact = Contact(0.0, 0.0, 0.0, 0.0, 0, 0)
     moved = 0
+    steps = max(math.ceil(length / (LARGEST_STEP * nearest)), 1) if count > 0 else 0
     for s in range(1, steps + 1):
         share = s / steps
         x, y = way[0] + share * (way[2] - way[0]), way[1] + share * (way[3] - way[1])
-        contact = _small_step(tip, spring, fixed, after, (x, y), heights)
+        contact = _small_step(tip, spring, fixed, after, near[:count], (x, y), heights)
         moved += contact.moved
     return after, Contact(contact.apex_m, contact.lift_n, contact.push_x_n, contact.push_y_n, contact.touched, moved)
+
+
+def packed(tip: TipShape, spring: Spring) -> Array:
+    """Return tip and spring as one array, as `tick` takes them: to hand over their fields takes longer than a step."""
+    return np.array((*tip, *spring), np.float64)
+
+
+@always_compiled
+def tick(
+    model: Array,
+    fixed: Array,
+    moving: Array,
+    x0_m: float,
+    y0_m: float,
+    x1_m: float,
+    y1_m: float,
+    held_up_m: float,
+    free_m: float,
+    driven: bool,
+    dt: float,
+) -> tuple[Array, Contact]:
+    """Return what `push_step` does; where the tip touches nothing, apex_m is the height at which it would.
+
+    Args:
+        model: Tip and spring (`packed`).
+        fixed: Shape (n, 4), what does not change of each particle.
+        moving: Shape (n, 3), what does; it is not changed.
+        x0_m: Where the stage begins [m].
+        y0_m: Where the stage begins [m].
+        x1_m: Where it ends [m].
+        y1_m: Where it ends [m].
+        held_up_m: Where the substrate or the spring keeps the apex without particles [m].
+        free_m: Where it would be without any force [m].
+        driven: Whether the tip vibrates, and so passes no lateral force on.
+        dt: The time of the step [s].
+    """
+    tip = TipShape(model[0], model[1], model[2], model[3])
+    spring = Spring(model[4], model[5], model[6], model[7] != 0.0, model[8])
+    # A tip that vibrates above all of them is one that touches none.
+    heights = (math.inf, math.inf) if driven else (held_up_m, free_m)
+    way = (x1_m, y1_m, x1_m, y1_m) if driven else (x0_m, y0_m, x1_m, y1_m)
+    after, met = push_step(tip, spring, fixed, moving, way, heights, dt)
+    if met.touched > 0:
+        return after, met
+    return after, Contact(height_m(tip, fixed, after, x1_m, y1_m), 0.0, 0.0, 0.0, 0, met.moved)
