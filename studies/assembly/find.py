@@ -25,6 +25,8 @@ _LEAST_APART = 0.7
 # A fit that leaves more than this share of the height is one of several particles that touch.
 _CLUSTER = 0.05
 _FEWEST_PIXELS = 6
+# What rises so far and is not beside a particle, within so many times what its image reaches, is fixed to the sample.
+_STANDS_DEVIATIONS, _STANDS_SHARE, _BESIDE = 6.0, 0.05, 1.4
 # so many heights around the part that is high belong to the flanks of a particle
 _AROUND = 0.25
 _EIGHT = np.ones((3, 3))
@@ -114,6 +116,45 @@ def find_particles(
     for pixels, tops in _groups(level, noise, step_x_m, step_y_m):
         found += _fitted(level, pixels & known, tops, x, y, noise, tip)
     return sorted(found, key=lambda one: (one.x_m, one.y_m))
+
+
+def fixed_places(
+    height_m: npt.ArrayLike,
+    step_x_m: float,
+    step_y_m: float,
+    found: list[Found],
+    reach_m: float,
+    middle: tuple[float, float] = (0.0, 0.0),
+) -> list[tuple[float, float]]:
+    """Return places of what stands in an image and is no particle, such as the edges of steps, not all too close.
+
+    Args:
+        height_m: Heights, as for `find_particles`.
+        step_x_m: Width of a pixel [m].
+        step_y_m: Depth of a pixel [m].
+        found: The particles of the image.
+        reach_m: How far the image of a particle reaches from its centre [m].
+        middle: The place of the middle of the image [m].
+    """
+    heights = np.array(height_m, np.float64)
+    known = np.isfinite(heights)
+    if not found or not known.any():
+        return []
+    heights[~known] = np.median(heights[known])
+    level, noise = flattened(heights)
+    usual = 2.0 * float(np.median([one.radius_m for one in found]))
+    rows, columns = level.shape
+    x = middle[0] + (np.arange(columns) - 0.5 * (columns - 1)) * step_x_m
+    y = middle[1] + (np.arange(rows) - 0.5 * (rows - 1)) * step_y_m
+    stands = known & (ndimage.median_filter(level, 3) > max(_STANDS_DEVIATIONS * noise, _STANDS_SHARE * usual))
+    for one in found:
+        stands &= np.hypot(x[None, :] - one.x_m, y[:, None] - one.y_m) > _BESIDE * reach_m
+    places: list[tuple[float, float]] = []
+    for row, column in np.argwhere(stands).tolist():
+        place = (float(x[column]), float(y[row]))
+        if all(math.dist(place, other) > 0.5 * usual for other in places):
+            places.append(place)
+    return places
 
 
 def _groups(level: Array, noise: float, step_x_m: float, step_y_m: float) -> list[tuple[Mask, list[tuple[int, int]]]]:

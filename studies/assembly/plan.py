@@ -7,6 +7,7 @@ another that has yet to move, waits; where all wait for each other, one goes to 
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -109,7 +110,12 @@ def _is_clear(a: Point, b: Point, obstacles: list[Point], clearance_m: float) ->
 
 
 def planned(
-    places: npt.ArrayLike, targets: npt.ArrayLike, clearance_m: float, done_m: float, half_m: float
+    places: npt.ArrayLike,
+    targets: npt.ArrayLike,
+    clearance_m: float,
+    done_m: float,
+    half_m: float,
+    fixed: Sequence[Point] = (),
 ) -> list[Task]:
     """Return the pushes that bring particles to all targets, in their order.
 
@@ -119,10 +125,13 @@ def planned(
         clearance_m: Distance of the centre of a pushed particle from those of others [m].
         done_m: A particle nearer to its target than this stays [m].
         half_m: Half of the side of the square within which a parking place may lie [m].
+        fixed: Places of what stands and is no particle [m], such as the steps of a sample.
 
     Raises:
-        UnreachableError: A target lies too near to another or to a particle that stays, or no way leads to it.
+        UnreachableError: A target lies too near to another, to a particle that stays or to what is fixed, or no way
+            leads to it.
     """
+    stands = list(fixed)
     at = [(float(x), float(y)) for x, y in np.asarray(places, np.float64).reshape(-1, 2)]
     to = [(float(x), float(y)) for x, y in np.asarray(targets, np.float64).reshape(-1, 2)]
     for i, one in enumerate(to):
@@ -132,41 +141,54 @@ def planned(
                     f"targets {j} and {i} are {math.dist(one, to[j]):.3g} m apart: a particle that is pushed between"
                     f" them needs {clearance_m:.3g} m"
                 )
+        near = min((math.dist(one, other) for other in stands), default=math.inf)
+        if near < clearance_m:
+            raise UnreachableError(
+                f"target {i} is {near:.3g} m from something fixed on the sample: a particle that is pushed there needs"
+                f" {clearance_m:.3g} m"
+            )
     goal_of = assigned(at, to)
     waiting = [i for i, target in enumerate(goal_of) if target >= 0 and math.dist(at[i], to[target]) > done_m]
     tasks: list[Task] = []
     parked: set[int] = set()
     while waiting:
-        ready = [
-            (task.length_m, task) for i in waiting if (task := _task(i, at, to[goal_of[i]], goal_of[i], clearance_m))
-        ]
+        found = [_task(i, at, stands, to[goal_of[i]], goal_of[i], clearance_m) for i in waiting]
+        ready = [(task.length_m, task) for task in found if task]
         if ready:
             task = min(ready)[1]
             waiting.remove(task.particle)
         else:
-            task = _parking(waiting, parked, at, to, clearance_m, half_m)
+            task = _parking(waiting, parked, at, stands, to, clearance_m, half_m)
             parked.add(task.particle)
         tasks.append(task)
         at[task.particle] = task.way[-1]
     return tasks
 
 
-def _task(particle: int, at: list[Point], goal: Point, target: int, clearance_m: float) -> Task | None:
-    others = [place for j, place in enumerate(at) if j != particle]
+def _task(
+    particle: int, at: list[Point], stands: list[Point], goal: Point, target: int, clearance_m: float
+) -> Task | None:
+    others = [place for j, place in enumerate(at) if j != particle] + stands
     way = way_around(at[particle], goal, others, clearance_m)
     return None if way is None else Task(particle, way, target)
 
 
 def _parking(
-    waiting: list[int], parked: set[int], at: list[Point], to: list[Point], clearance_m: float, half_m: float
+    waiting: list[int],
+    parked: set[int],
+    at: list[Point],
+    stands: list[Point],
+    to: list[Point],
+    clearance_m: float,
+    half_m: float,
 ) -> Task:
     """Return a push of one of those that wait for each other to the nearest place that is in nobody's way."""
     raster = np.arange(-half_m, half_m + 0.5 * clearance_m, 0.5 * clearance_m).tolist()
     for particle in (i for i in waiting if i not in parked):
-        taken = [place for j, place in enumerate(at) if j != particle] + to
+        taken = [place for j, place in enumerate(at) if j != particle] + to + stands
         free = [(x, y) for x in raster for y in raster if all(math.dist((x, y), one) >= clearance_m for one in taken)]
         for place in sorted(free, key=lambda one: math.dist(one, at[particle])):
-            if task := _task(particle, at, place, -1, clearance_m):
+            if task := _task(particle, at, stands, place, -1, clearance_m):
                 return task
     raise UnreachableError(
         "no way leads to the targets of particles " + ", ".join(str(i) for i in waiting) + ": others stand around them"

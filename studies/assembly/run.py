@@ -19,7 +19,7 @@ from services.afm_node.physics.particles.tip_shape import tip_shape, touch_dista
 from services.afm_node.programs.settings import requested
 from services.afm_node.virtual import VirtualInstrument
 from studies.assembly.drift import Drift, drift_at, moved, offset_at, unknown
-from studies.assembly.find import Found, find_particles
+from studies.assembly.find import Found, find_particles, fixed_places
 from studies.assembly.plan import Point, Task, UnreachableError, planned
 
 Array = npt.NDArray[np.float64]
@@ -33,6 +33,8 @@ _PIXEL_SHARE, _LINE_SHARE = 0.5, 0.67
 # What an image says of a place is right within this, whatever its noise [m].
 _LEAST_ERROR_M = 1e-9
 _MOST_ROUNDS = 6
+# What has another radius than the particles, by more than this share, is none of them.
+_OTHER_RADIUS = 0.3
 _SCAN_M_PER_S, _APPROACH_M_PER_S, _TOUCH_N = 2e-6, 5e-6, 4e-9
 
 
@@ -44,6 +46,12 @@ class Look(NamedTuple):
     sides_m: tuple[float, float]
     began_s: float
     ended_s: float
+
+    @property
+    def step_m(self) -> tuple[float, float]:
+        """Width and depth of a pixel [m]."""
+        rows, columns = self.height_m.shape
+        return self.sides_m[0] / columns, self.sides_m[1] / rows
 
 
 class Pushed(NamedTuple):
@@ -217,6 +225,7 @@ class Assembler:
         self._tip = tip_shape(config.tip_sample.tip_radius_m, math.radians(particles.cone_deg))
         self._drift = Drift(bench.time_s, unknown(), unknown())
         self._known: list[_Known] = []
+        self._fixed: list[Point] = []
         self._pushes = self._looks = self._losses = 0
 
     def run(self) -> Assembly:
@@ -247,7 +256,8 @@ class Assembler:
         reach = touch_distance_m(self._tip, radius, 0.0) if radius > 0.0 else 0.0
         half = 0.5 * min(self._sides) - 2.0 * reach
         places = [self._place(one) for one in self._known]
-        return planned(places, self._targets, 2.0 * radius + 0.5 * reach, DONE_SHARE * radius, half)
+        room_m = 2.0 * radius + 0.5 * reach
+        return planned(places, self._targets, room_m, DONE_SHARE * radius, half, self._fixed)
 
     def _carry_out(self, task: Task) -> bool:
         """Push a particle along its way; return whether the plan still holds."""
@@ -288,11 +298,10 @@ class Assembler:
         return place[0] + x, place[1] + y
 
     def _seen(self, look: Look) -> list[tuple[Found, float]]:
-        """Return the particles of an image, and when each was seen [s]."""
-        rows, columns = look.height_m.shape
-        step_x, step_y = look.sides_m[0] / columns, look.sides_m[1] / rows
-        found = find_particles(look.height_m, step_x, step_y, self._tip, look.middle)
-        return [(one, look.began_s + one.time * (look.ended_s - look.began_s)) for one in found]
+        """Return the particles of an image, and when each was seen [s]; what is too small or too large is none."""
+        found = find_particles(look.height_m, *look.step_m, self._tip, look.middle)
+        spheres = [one for one in found if abs(one.radius_m / self._nominal_m - 1.0) < _OTHER_RADIUS]
+        return [(one, look.began_s + one.time * (look.ended_s - look.began_s)) for one in spheres]
 
     def _whole(self) -> Look:
         """Take an image of all, and take the places of all particles from it."""
@@ -301,7 +310,14 @@ class Assembler:
         look = self._bench.image(self._on_stage((0.0, 0.0)), self._sides, max(pixels, 8), max(lines, 8))
         self._looks += 1
         before, self._known = self._known, []
-        for found, time_s in self._seen(look):
+        seen = self._seen(look)
+        reach_m = touch_distance_m(self._tip, self._nominal_m, 0.0)
+        drifted = self._on_stage((0.0, 0.0))
+        self._fixed = [
+            (x - drifted[0], y - drifted[1])
+            for x, y in fixed_places(look.height_m, *look.step_m, [found for found, _ in seen], reach_m, look.middle)
+        ]
+        for found, time_s in seen:
             one = _Known(found.x_m, found.y_m, found.radius_m, time_s)
             near = [old for old in before if math.dist(self._place(old), self._place(one)) < one.radius_m]
             self._known.append(one._replace(pushes=near[0].pushes if near else 0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.afm_node.physics.particles.tip_shape import tip_shape
-from studies.assembly.find import Found, find_particles, sphere_m
+from studies.assembly.find import Found, find_particles, fixed_places, sphere_m
 
 TIP = tip_shape(10e-9, math.radians(15.0))
 STEP = 62.5e-9
@@ -81,3 +81,19 @@ def test_what_is_no_sphere_is_said_to_be_a_cluster_and_an_empty_image_has_none()
 def test_what_is_no_image_is_refused(heights: np.ndarray) -> None:
     with pytest.raises(ValueError, match="at least 3 rows and columns"):
         found_in(heights)
+
+
+@pytest.mark.parametrize("noise_nm", [0.0, 2.0])
+def test_what_stands_and_is_no_sphere_is_fixed_and_a_sphere_is_not(noise_nm: float) -> None:
+    heights = image([(-700e-9, 100e-9), (-300e-9, -900e-9)], 48, noise_nm * 1e-9)
+    reach_m = 333.48e-9
+    spheres = found_in(heights)
+    assert fixed_places(heights, STEP, STEP, spheres, reach_m) == []
+    axis = (np.arange(48) - 23.5) * STEP
+    block = (axis[None, :] > 0.6e-6) & (axis[None, :] < 1.0e-6) & (np.abs(axis[:, None] - 0.5e-6) < 0.4e-6)
+    heights = np.where(block, heights + 80e-9, heights)
+    spheres = [one for one in found_in(heights) if abs(one.radius_m / 250e-9 - 1.0) < 0.3]
+    assert len(spheres) == 2
+    places = fixed_places(heights, STEP, STEP, spheres, reach_m)
+    assert len(places) >= 2
+    assert all(0.5e-6 < x < 1.1e-6 and 0.0 < y < 1.0e-6 for x, y in places)

@@ -99,3 +99,12 @@ def test_the_plan_of_the_six_reaches_all_targets_without_meeting_another() -> No
             assert way_around(a, b, others, 690.0) == (a, b)
         at[task.particle] = task.way[-1]
     assert sorted(at) == sorted(line)
+
+
+def test_a_way_goes_around_what_is_fixed_and_a_target_beside_it_is_refused() -> None:
+    wall = [(0.0, y * 0.25e-6) for y in range(-4, 5)]
+    (task,) = planned([(-1.5e-6, 0.0)], [(1.5e-6, 0.0)], 0.6e-6, 25e-9, 3e-6, wall)
+    assert min(math.dist(corner, one) for corner in task.way for one in wall) >= 0.6e-6 * (1 - 1e-9)
+    assert max(abs(y) for _, y in task.way) > 1.4e-6
+    with pytest.raises(UnreachableError, match=r"target 0 is .* m from something fixed on the sample"):
+        planned([(-1.5e-6, 0.0)], [(0.3e-6, 0.0)], 0.6e-6, 25e-9, 3e-6, wall)
