@@ -100,6 +100,7 @@ TABLES = {
     "parts": Table("loop.py", _LOOP, parts_lines),
     "peers": Table("peers.py", _LOOP, peers_lines),
     "lockstep": Table("lockstep.py", ("--session-s", "10", "--repeats", "9"), lockstep_lines),
+    "particles": Table("particles.py", (), figure_lines),
     "recordings": Table("replay.py", ("--seconds", "3"), figure_lines),
     "link": Table("link.py", ("--duration", "3"), figure_lines),
     "network": Table("network.py", ("--rounds", "1", "--messages", "3000"), figure_lines),

@@ -34,6 +34,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     },
     "network.py": {"round_trip_p50_ms.*": (0.01, 100.0), "curve_to_plain.cpu": (0.3, 5.0)},
     "observers.py": {"median.*.p50_ms": (0.05, 500.0), "median.*.hand_hz": (100.0, 1100.0)},
+    "particles.py": {"ratio.*": (0.3, 30.0), "times_real_time.*": (1.0, 1e6)},
     "peers.py": {"age_ms.*.p50": (0.01, 100.0), "rig_ratio.ZeroMQ.p50": (1.0, 50.0)},
     "recompile.py": {"rows.*.share": (0.02, 1.5), "rows.*.time_s": (0.5, 600.0)},
     "replay.py": {

@@ -1,12 +1,16 @@
 """Particles in an image: their places, radii and errors, in noise, with lost pixels, beside each other and touching."""
 
 import math
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from services.afm_node.physics.particles.tip_shape import tip_shape
 from studies.assembly.find import Found, find_particles, fixed_places, sphere_m
+from telenano.cli.root import app
 
 TIP = tip_shape(10e-9, math.radians(15.0))
 STEP = 62.5e-9
@@ -97,3 +101,18 @@ def test_what_stands_and_is_no_sphere_is_fixed_and_a_sphere_is_not(noise_nm: flo
     places = fixed_places(heights, STEP, STEP, spheres, reach_m)
     assert len(places) >= 2
     assert all(0.5e-6 < x < 1.1e-6 and 0.0 < y < 1.0e-6 for x, y in places)
+
+
+@pytest.mark.parametrize("command", ["particles scan.npy --size 100", "assemble --out {out}"])
+def test_a_command_without_scipy_names_the_extra_that_has_it(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.save(tmp_path / "scan.npy", np.zeros((8, 8)))
+    monkeypatch.chdir(tmp_path)
+    for name in ("scipy", "scipy.optimize", "scipy.ndimage"):
+        monkeypatch.setitem(sys.modules, name, None)
+    for name in [name for name in sys.modules if name.startswith("studies.assembly")]:
+        monkeypatch.delitem(sys.modules, name)
+    done = CliRunner().invoke(app, command.format(out=tmp_path / "out").split())
+    assert done.exit_code == 2
+    assert 'pip install "telenano[studies]"' in done.output and "scipy" in done.output

@@ -55,3 +55,9 @@ def test_a_careless_image_in_contact_moves_particles(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 def test_a_light_image_in_contact_moves_none(seed: int) -> None:
     assert max(_imaged(seed, {"scan.mode": "contact", "scan.setpoint_n": 1.5e-9})) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_an_image_in_tapping_moves_none(seed: int) -> None:
+    stiff = {"cantilever": {"stiffness_n_per_m": 40.0}, "model": "dynamic"}
+    assert max(_imaged(seed, {"scan.mode": "tapping", "scan.dwell_s": 20e-3}, **stiff)) < 1e-9

@@ -1,0 +1,20 @@
+"""Intervals of shares that were counted."""
+
+import math
+
+
+def wilson(successes: int, trials: int, deviations: float = 1.959964) -> tuple[float, float]:
+    """Return the interval of a share after E. B. Wilson (J. Am. Stat. Assoc. 22 (1927) 209), of 95 % by default.
+
+    Args:
+        successes: How many succeeded, 0 to trials.
+        trials: How many there were.
+        deviations: The standard deviations of a normal number that the interval goes to either side.
+    """
+    if trials == 0:
+        return 0.0, 1.0
+    share, z2 = successes / trials, deviations * deviations
+    middle = (share + 0.5 * z2 / trials) / (1.0 + z2 / trials)
+    half = deviations / (1.0 + z2 / trials) * math.sqrt(share * (1.0 - share) / trials + 0.25 * z2 / trials**2)
+    # the ends are exact where rounding would leave a bit
+    return (middle - half if successes else 0.0), (middle + half if successes < trials else 1.0)
