@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float64]
 DONE_SHARE = 0.1
 # A look at one particle goes so many d to each side, with a line each so many d.
 _LOOK_SIDE, _LOOK_LINES, _LOOK_PIXELS = 2.0, 14, 28
+# Its edges keep so many d from other particles, where it keeps so many d to each side.
+_EDGE, _LEAST_SIDE = 1.05, 1.1
 # A pixel and a line of an image of all particles are these shares of the radius that they are known to have.
 _PIXEL_SHARE, _LINE_SHARE = 0.5, 0.67
 # What an image says of a place is right within this, whatever its noise [m].
@@ -200,6 +202,25 @@ class VirtualBench(ProgramBench):
         return {} if outcome is None or outcome.values is None else outcome.values
 
 
+def look_sides_m(place: Point, others: list[Point], reach_m: float) -> tuple[float, float]:
+    """Return the sides of an image of a particle [m] whose edges do not run over others, where there is room for that.
+
+    At an edge the tip steps from line to line, and on the flank of a particle it would push that.
+
+    Args:
+        place: The particle [m].
+        others: The places of the others [m].
+        reach_m: How far the image of a particle reaches from its centre [m].
+    """
+    halves = [_LOOK_SIDE * reach_m, _LOOK_SIDE * reach_m]
+    for x, y in others:
+        away = abs(x - place[0]), abs(y - place[1])
+        axis = 0 if away[0] >= away[1] else 1
+        if away[1 - axis] < halves[1 - axis] + _EDGE * reach_m:
+            halves[axis] = max(min(halves[axis], away[axis] - _EDGE * reach_m), _LEAST_SIDE * reach_m)
+    return 2.0 * halves[0], 2.0 * halves[1]
+
+
 class Assembler:
     """Carries out an assembly on a bench.
 
@@ -236,14 +257,15 @@ class Assembler:
         """
         before = self._whole()
         self._tell(f"{len(self._known)} particles were found")
+        after = before
         for _ in range(_MOST_ROUNDS):
-            tasks = self._plan()
-            if not tasks:
-                break
-            for task in tasks:
+            for task in self._plan():
                 if not self._carry_out(task):
                     break
-        after = self._whole()
+            after = self._whole()
+            # a push may have moved another particle than the one that was looked at
+            if not self._plan():
+                break
         return self._outcome(before, after)
 
     def _tell(self, text: str) -> None:
@@ -326,9 +348,10 @@ class Assembler:
     def _look_at(self, particle: int, *, was_pushed: bool = False) -> bool:
         """Look for a particle where it is believed to be; one that was not pushed since tells the drift."""
         one = self._known[particle]
-        side = 2.0 * _LOOK_SIDE * touch_distance_m(self._tip, one.radius_m, 0.0)
-        middle = self._on_stage(self._place(one))
-        look = self._bench.image(middle, (side, side), _LOOK_PIXELS, _LOOK_LINES)
+        place, others = self._place(one), [self._place(other) for other in self._known if other is not one]
+        middle = self._on_stage(place)
+        sides = look_sides_m(place, others, touch_distance_m(self._tip, one.radius_m, 0.0))
+        look = self._bench.image(middle, sides, _LOOK_PIXELS, _LOOK_LINES)
         self._looks += 1
         seen = [(math.dist((found.x_m, found.y_m), middle), found, time_s) for found, time_s in self._seen(look)]
         if not seen or min(seen)[0] > 2.0 * one.radius_m:

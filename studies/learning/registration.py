@@ -1,5 +1,7 @@
 """The names of the environments."""
 
+from proto.extras import missing
+
 PUSH = "telenano/Push-v0"
 
 
@@ -12,7 +14,7 @@ def register() -> None:
     try:
         from gymnasium.envs import registration
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f'{PUSH} needs Gymnasium: pip install "telenano[learn]"', name=error.name) from error
+        raise ModuleNotFoundError(f"{PUSH}: {missing('gymnasium')}", name=error.name) from error
     if PUSH not in registration.registry:
         registration.register(
             PUSH,

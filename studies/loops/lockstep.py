@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from proto.topics import LOOP_DEADLINE_S
 from services.afm_node import safety as afm_safety
 from services.afm_node.physics.step import (
     LONGEST_STEP_NS,
@@ -81,10 +82,13 @@ from studies.loops.dispatch import (
     slave_start,
 )
 from studies.loops.link import Schedule
+from studies.loops.push_hand import DONE, PEAK_ACROSS, PEAK_ALONG, PHASE, TRUE_X, TRUE_Y, Hand, hand_moves
 
 Series = npt.NDArray[np.float64]
 
 _NEVER_NS = 2**62
+# a rate of the hand that is older than the deadline of the loop moves nothing
+_RATE_NS = round(LOOP_DEADLINE_S * 1e9)
 COLUMNS = (
     "time_s",
     "hand_force_n",
@@ -174,7 +178,7 @@ class Trajectory:
     withdrawn_s: Series
 
 
-def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
+def simulate(rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None = None) -> Trajectory:
     """Run the rig over a link.
 
     Args:
@@ -182,6 +186,7 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
         schedule: The arrivals of `link.schedule_of`, whose number of ticks is the length of the run.
         session_tick: The tick at which the operator's programme starts. The instrument is armed and comes to its
             reference before it.
+        hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
 
     Raises:
         ValueError: No tick is left for the session.
@@ -189,9 +194,9 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int) -> Trajectory:
     if not 0 <= session_tick < schedule.ticks:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((schedule.ticks, len(COLUMNS)))
-    compiled_form(_run)(
-        rig.halves, rig.haptic, rig.instrument, rig.haptic_start, rig.instrument_start, schedule, session_tick, rows
-    )
+    start = rig.haptic_start, rig.instrument_start
+    done = compiled_form(_run)(rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand)
+    rows = rows[:done]
     columns: dict[str, Any] = dict(zip(COLUMNS, np.ascontiguousarray(rows[session_tick:].T), strict=True))
     for name in ("in_contact", "hand_following"):
         columns[name] = columns[name].astype(bool)
@@ -283,6 +288,18 @@ class Slave(NamedTuple):
     hand_ns: int
 
 
+class Lateral(NamedTuple):
+    """The tip over the sample: place [m], speed [m/s] and until when that counts [ns], force on the tip [N]."""
+
+    x_m: float
+    y_m: float
+    speed_x_m_per_s: float
+    speed_y_m_per_s: float
+    until_ns: int
+    force_x_n: float
+    force_y_n: float
+
+
 class Instrument(NamedTuple):
     """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J].
 
@@ -297,6 +314,7 @@ class Instrument(NamedTuple):
     energy_j: float
     reason: int
     withdrawn_s: float
+    lateral: Lateral
 
 
 @inlined
@@ -421,8 +439,12 @@ def _instrument_stepped(
     # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
     arm = commanded and not i.armed and s.reference.active
     age_s = np.inf if s.hand_ns < 0 else (now_ns - s.hand_ns) * 1e-9
-    asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, 0.0, 0.0)
-    state, felt = instrument_step(params, i.state, asked, min(max(now_ns - i.stepped_ns, 1), LONGEST_STEP_NS) * 1e-9)
+    dt, lateral = min(max(now_ns - i.stepped_ns, 1), LONGEST_STEP_NS) * 1e-9, i.lateral
+    x_m, y_m = lateral.x_m, lateral.y_m
+    if i.armed and now_ns <= lateral.until_ns:
+        x_m, y_m = x_m + lateral.speed_x_m_per_s * dt, y_m + lateral.speed_y_m_per_s * dt
+    asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, x_m, y_m)
+    state, felt = instrument_step(params, i.state, asked, dt)
     moved = felt.base_m - s.tip.base_position_m if i.armed else 0.0
     tip = _tip_of(felt)
     after = Instrument(
@@ -434,8 +456,42 @@ def _instrument_stepped(
         energy_j=i.energy_j + 0.5 * (felt.force_n + s.tip.force_n) * moved,
         reason=felt.reason,
         withdrawn_s=now_ns * 1e-9 if s.tip.following and not tip.following else i.withdrawn_s,
+        lateral=Lateral(
+            x_m=x_m,
+            y_m=y_m,
+            speed_x_m_per_s=lateral.speed_x_m_per_s,
+            speed_y_m_per_s=lateral.speed_y_m_per_s,
+            until_ns=lateral.until_ns,
+            force_x_n=felt.lateral_x_n,
+            force_y_n=felt.lateral_y_n,
+        ),
     )
     return after, tip
+
+
+@inlined
+def _driven(i: Instrument, speed: Series, now_ns: int) -> Instrument:
+    """Return the instrument that goes on over the sample at a speed [m/s], until its deadline."""
+    was = i.lateral
+    return Instrument(
+        state=i.state,
+        stepped_ns=i.stepped_ns,
+        due_ns=i.due_ns,
+        armed=i.armed,
+        mode=i.mode,
+        energy_j=i.energy_j,
+        reason=i.reason,
+        withdrawn_s=i.withdrawn_s,
+        lateral=Lateral(was.x_m, was.y_m, speed[0], speed[1], now_ns + _RATE_NS, was.force_x_n, was.force_y_n),
+    )
+
+
+@inlined
+def _noted(state: Series, i: Instrument) -> None:
+    """Write down the largest forces on the tip [N], and where its particle really is [m]."""
+    across = np.sqrt(i.lateral.force_x_n * i.lateral.force_x_n + i.lateral.force_y_n * i.lateral.force_y_n)
+    state[PEAK_ACROSS], state[PEAK_ALONG] = max(state[PEAK_ACROSS], across), max(state[PEAK_ALONG], i.state.force_n)
+    state[TRUE_X], state[TRUE_Y] = i.state.plant.moving[0, 0], i.state.plant.moving[0, 1]
 
 
 @inlined
@@ -504,6 +560,7 @@ def _instrument_at(state: Any, period_ns: int) -> Instrument:
         energy_j=0.0,
         reason=afm_safety.REASON_START,
         withdrawn_s=np.nan,
+        lateral=Lateral(0.0, 0.0, 0.0, 0.0, -1, 0.0, 0.0),
     )
 
 
@@ -517,8 +574,9 @@ def _run(
     schedule: Schedule,
     session_tick: int,
     rows: Series,
-) -> None:
-    """Fill `rows` (ticks, columns) with the closed loop; the module's text gives the order."""
+    steers: Hand | None,
+) -> int:
+    """Fill `rows` (ticks, columns) with the closed loop, and return how many; the module's text gives the order."""
     # The fields are taken out of the tuple once, because every access costs a count of references to its arrays.
     forward_ns, forward_of = schedule.forward_ns, schedule.forward_of
     backward_ns, backward_of = schedule.backward_ns, schedule.backward_of
@@ -541,6 +599,10 @@ def _run(
         haptic_state, hand = _hand_stepped(haptic, haptic_state, m.command, now_ns, session_s, dt)
         hand_energy_j += 0.5 * (hand.force_n + before.force_n) * (hand.position_m - before.position_m)
         m, forward[n & mask], sent_forward[n & mask] = _master_sampled(halves, m, hand, now_ns)
+        if steers is not None:
+            if steers.state[PHASE] == DONE:
+                return n
+            steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, n - session_tick)
         end_ns = now_ns + period_ns
         while True:
             arrives_ns, returns_ns = _at(forward_ns, f), _at(backward_ns, b)
@@ -551,21 +613,30 @@ def _run(
                 f, tick = _taken_together(forward_ns, forward_of, sent_forward, f)
                 sent_backward[f & mask] = False
                 if tick >= 0:
+                    if steers is not None:
+                        i = _driven(i, steers.forward[tick & mask], event_ns)
                     s = _slave_signalled(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                     s, i, signal = _carried_out(halves, instrument, s, i, event_ns)
                     elapsed_s = s.timing.pacing.elapsed * dt
                     slave_band, sent_backward[f & mask] = deadband(halves.band, slave_band, signal, elapsed_s)
                     backward[f & mask], answered[f & mask] = signal, tick
+                    if steers is not None:
+                        _noted(steers.state, i)
+                        row, felt = steers.backward[f & mask], i.lateral
+                        row[0], row[1], row[2], row[3] = felt.x_m, felt.y_m, felt.force_x_n, felt.force_y_n
                 f += 1
             elif event_ns == returns_ns:
                 b, answer = _taken_together(backward_ns, backward_of, sent_backward, b)
                 if answer >= 0:
                     hand_ns, there_ns = answered[answer & mask] * period_ns, forward_ns[answer]
                     m = _master_heard(halves, m, backward[answer & mask], hand_ns, there_ns, event_ns)
+                    if steers is not None:
+                        steers.seen[:] = steers.backward[answer & mask]
                 b += 1
             else:
                 s, i = _went_on(halves, instrument, s, i, event_ns)
         _record(rows[n], session_s, m, s.tip, hand_energy_j, i)
+    return len(rows)
 
 
 @inlined

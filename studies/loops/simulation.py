@@ -234,7 +234,7 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     period_s = controller.period_s
     settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
-    rig = build_rig(controller, haptic, _instrument(afm, origin, ticks * period_s))
+    rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
     course = simulate(rig, schedule_of(link, ticks, period_s), settle)
     section = controller.law_config()
     conditions = Conditions(
@@ -249,7 +249,7 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     return SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
 
 
-def _instrument(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
+def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:
     """Return what a node would simulate, for a run of that length [s]; ConfigError names what a lockstep has not."""
     disturbed = config.disturbances.any_enabled
     if config.feel is not None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing import active_children, get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
 from services.signals.interrupts import kept_from_children
@@ -34,30 +34,54 @@ def unheard(text: str) -> None:
     """Tell nobody."""
 
 
-def run_batch(cells: Sequence[Cell]) -> list[CellResult]:
+def _none(cell: Any) -> str:
+    return ""
+
+
+class Kind(NamedTuple):
+    """A kind of cells: what checks one before anything starts, what runs it, and what reads its result from plain data.
+
+    A cell has a `key`; a result has its `cell`, and `as_dict` for the journal. `doubts` is what to warn of at a cell.
+    """
+
+    check: Callable[[Any], object]
+    run: Callable[[Any], Any]
+    result: Callable[[dict[str, Any]], Any]
+    doubts: Callable[[Any], str] = _none
+
+
+def _check(cell: Cell) -> None:
+    cell.controller()
+    cell.hold_s()
+
+
+HOLDS = Kind(_check, run_cell, CellResult.from_dict, Cell.stiffness_doubts)
+
+
+def run_batch(cells: Sequence[Any], run: Callable[[Any], Any] = run_cell) -> list[Any]:
     """Run some cells one after the other: what a worker is asked to do."""
-    return [run_cell(cell) for cell in cells]
+    return [run(cell) for cell in cells]
 
 
 class Journal:
     """The results on disk, by key."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kind: Kind = HOLDS) -> None:
         """Read the journal if it exists.
 
         Raises:
             ConfigError: The file is not a journal of a study; the message names file and line.
         """
-        self.path = path
-        self.results: dict[str, CellResult] = {}
+        self.path, self.kind = path, kind
+        self.results: dict[str, Any] = {}
         for number, line in enumerate(self._whole_lines(), start=1):
             try:
                 entry = json.loads(line)
-                self.results[entry["key"]] = CellResult.from_dict(entry["result"])
+                self.results[entry["key"]] = kind.result(entry["result"])
             except (ValueError, KeyError, TypeError) as error:
                 raise ConfigError(f"{path}:{number}: is not a line of a study's journal: {error}") from error
 
-    def record(self, results: Iterable[CellResult]) -> None:
+    def record(self, results: Iterable[Any]) -> None:
         """Write results to the file, then keep them in memory."""
         entries = [(result.cell.key, result) for result in results]
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,10 +114,10 @@ class Sweep:
     computed: int = field(default=0, init=False)
     _warned: set[str] = field(default_factory=lambda: {""}, init=False)
 
-    def run(self, cells: Sequence[Cell]) -> list[CellResult]:
+    def run(self, cells: Sequence[Any]) -> list[Any]:
         """Return the result of each cell, in order; those in the journal are not computed again."""
         keys = {cell: cell.key for cell in dict.fromkeys(cells)}
-        for text in dict.fromkeys(cell.stiffness_doubts() for cell in keys):
+        for text in dict.fromkeys(self.journal.kind.doubts(cell) for cell in keys):
             if text not in self._warned:
                 self._warned.add(text)
                 self.warn(text)
@@ -109,28 +133,28 @@ class Sweep:
                 self.progress(done, len(keys))
         return [self.journal.results[keys[cell]] for cell in cells]
 
-    def _computed(self, cells: list[Cell]) -> Generator[list[CellResult], None, None]:
+    def _computed(self, cells: list[Any]) -> Generator[list[Any], None, None]:
+        kind = self.journal.kind
         for cell in cells:
             # The check comes before anything is started: a cell that cannot be run is the caller's mistake.
-            cell.controller()
-            cell.hold_s()
+            kind.check(cell)
         batches = [cells[i : i + _BATCH] for i in range(0, len(cells), _BATCH)]
         if self.scheduler is not None:
-            yield from _on_cluster(self.scheduler, batches)
+            yield from _on_cluster(self.scheduler, batches, kind)
         elif self.workers == 1 or len(batches) < 2:
-            yield from map(run_batch, batches)
+            yield from (run_batch(batch, kind.run) for batch in batches)
         else:
-            yield from _on_processes(min(self.workers, len(batches)), batches)
+            yield from _on_processes(min(self.workers, len(batches)), batches, kind)
 
 
-def _on_processes(workers: int, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:
+def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterator[list[Any]]:
     """Run on processes of this machine, which end with what reads their results."""
     # The workers are spawned, not forked, because the parent has threads of its own by now.
     others = set(active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
         with kept_from_children():
-            futures = [pool.submit(run_batch, batch) for batch in batches]
+            futures = [pool.submit(run_batch, batch, kind.run) for batch in batches]
         for future in as_completed(futures):
             yield future.result()
     except BaseException:
@@ -143,7 +167,7 @@ def _on_processes(workers: int, batches: list[list[Cell]]) -> Iterator[list[Cell
         pool.shutdown()
 
 
-def _on_cluster(address: str, batches: list[list[Cell]]) -> Iterator[list[CellResult]]:
+def _on_cluster(address: str, batches: list[list[Any]], kind: Kind) -> Iterator[list[Any]]:
     """Run on a cluster whose workers have this project installed; ConfigError when it does not answer."""
     # dask has types for a part of itself only
     cluster: Any = import_module("dask.distributed")
@@ -152,6 +176,6 @@ def _on_cluster(address: str, batches: list[list[Cell]]) -> Iterator[list[CellRe
     except (OSError, ValueError) as error:
         raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there: {error}") from error
     with client:
-        futures: list[Any] = client.map(run_batch, batches, pure=False)
+        futures: list[Any] = client.map(run_batch, batches, run=kind.run, pure=False)
         for _, results in cluster.as_completed(futures, with_results=True):
             yield results

@@ -24,10 +24,6 @@ _PIPE_COLUMNS = 140
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
-# the extra of pyproject.toml that has a package which only some commands need
-_EXTRAS = {"control": "studies", "gymnasium": "learn", "numba": "studies", "scipy": "studies"}
-
-
 @contextlib.contextmanager
 def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[None]:
     """Report a TelenanoError, what the system refuses, Ctrl-C or SIGTERM as a sentence and an exit code.
@@ -46,11 +42,6 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         _discard_output()
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
-    except ModuleNotFoundError as error:
-        if (extra := _EXTRAS.get((error.name or "").partition(".")[0])) is None:
-            raise
-        text = f'this command needs the package {error.name}: pip install "telenano[{extra}]"'
-        fail(text, EXIT_BAD_CONFIGURATION, as_json=as_json)
     except KeyboardInterrupt:
         fail(interrupted, interrupts.exit_code(), as_json=as_json)
 

@@ -61,6 +61,8 @@ class AfmOutputs(NamedTuple):
     limited: int
     reason: int
     arm_refusal: int
+    lateral_x_n: float = 0.0
+    lateral_y_n: float = 0.0
 
 
 @compiled
@@ -109,6 +111,8 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
         limited=allowed.limited,
         reason=allowed.reason,
         arm_refusal=allowed.arm_refusal,
+        lateral_x_n=sample.lateral_x_n,
+        lateral_y_n=sample.lateral_y_n,
     )
     return AfmStepState(safety, plant, sample.force_n, _across(sample)), outputs
 

@@ -30,6 +30,7 @@ from studies.pages.page import Page, write_images
 from telenano.cli.commands.study_gallery import gallery_command
 from telenano.cli.commands.study_options import OutOption, SchedulerOption, WorkersOption
 from telenano.cli.commands.study_promises import promises
+from telenano.cli.commands.study_push import push
 from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, warn_of, write_study
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
@@ -49,6 +50,7 @@ _VALIDATE = {"laws": "virtual_impedance", "environment": "contact", "delays_ms":
 
 app = command_group()
 app.command()(promises)
+app.command()(push)
 app.command("gallery")(gallery_command)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from studies.assembly import drift, plan
 from studies.assembly.plan import Task, UnreachableError, assigned, planned, way_around
+from studies.assembly.run import look_sides_m
 
 NM = 1e-9
 SIX = [(-700, -500), (300, 600), (650, -350), (-200, 150), (-600, 700), (100, -700)]
@@ -108,3 +109,12 @@ def test_a_way_goes_around_what_is_fixed_and_a_target_beside_it_is_refused() -> 
     assert max(abs(y) for _, y in task.way) > 1.4e-6
     with pytest.raises(UnreachableError, match=r"target 0 is .* m from something fixed on the sample"):
         planned([(-1.5e-6, 0.0)], [(0.3e-6, 0.0)], 0.6e-6, 25e-9, 3e-6, wall)
+
+
+def test_the_edges_of_a_look_keep_away_from_other_particles() -> None:
+    reach = 333e-9
+    assert look_sides_m((0.0, 0.0), [(3e-6, 0.0), (0.0, -2e-6)], reach) == pytest.approx((4 * reach, 4 * reach))
+    width, depth = look_sides_m((0.0, 0.0), [(-0.8e-6, 0.2e-6), (0.1e-6, 0.9e-6)], reach)
+    assert 0.5 * width <= 0.8e-6 - reach and 0.5 * depth <= 0.9e-6 - reach
+    # the particle itself is always seen
+    assert min(look_sides_m((0.0, 0.0), [(0.55e-6, 0.0), (0.0, 0.55e-6)], reach)) >= 2.0 * reach

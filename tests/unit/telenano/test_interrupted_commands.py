@@ -47,6 +47,7 @@ RECIPES = {
     ),
     "study advise": Recipe("study advise --delay 40 --seeds 1 --workers 2 --out {out}"),
     "study promises": Recipe("study promises --law passivity --seeds 1 --workers 2 --out {out}"),
+    "study push": Recipe("study push --law passivity --delay 50 --loss 0 --seeds 2 --workers 2 --out {out}"),
     "study gallery": Recipe("study gallery --out {out}"),
     "assemble": Recipe(
         "assemble --pattern line --count 1 --afm sample.particles.places=[[2e-7,0.0]] --afm sample.size_m=2.5e-6"

@@ -1,0 +1,156 @@
+"""A scripted hand that steers the tip by rate over a link, so that it pushes a particle to a goal.
+
+It sees what arrives from the instrument, the place of the tip and the force across it, and acts on that a reaction time
+later, with errors of what it sees and feels and a tremor. It goes behind the place where it believes the particle to
+be, pushes it, turns it towards the goal (`steering`), slows down before the goal, and stops there. When the force is
+gone on the way it has lost the particle, and goes behind it again. When it stands it waits for what its last motion
+did, and corrects that where it is more than it wants to leave.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.afm_node.physics.particles.steering import steered
+from services.numerics.compiled import compiled
+
+Array = npt.NDArray[np.float64]
+
+# columns of `plan`: goal [m], d [m], kinetic friction [N], speed [m/s], gain of the speed before the goal [1/s], when
+# it begins [ticks], how long it waits [ticks], what it leaves [m]; errors: of force, place [m], speed, heading [rad]
+GOAL_X, GOAL_Y, D, FRICTION, SPEED, GAIN, BEGINS, WAITS, LEAVES, FORCE_ERROR, PLACE_ERROR, TREMOR, HEADING = range(13)
+PLAN = 13
+# columns of `state`: believed place of the particle [m], phase, ticks without force, ticks of waiting, losses, when it
+# was done [ticks], the largest lateral and normal force [N], the true place of the particle [m], the mean of what is
+# felt [N], and whether the particle was felt since the push began
+BELIEVED_X, BELIEVED_Y, PHASE, FAINT, WAITED, LOSSES, DONE_AT, PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y = range(11)
+FELT_X, FELT_Y, TOUCHED = range(11, 14)
+STATE = 14
+APPROACHES, PUSHES, STANDS, DONE = range(4)
+
+# A contact is a force above this share of the friction; it is lost after so many ticks below, and was not met where the
+# tip is so many d from where the particle should be. A force is felt as a mean over so many ticks.
+_CONTACT, _FAINT_TICKS, _MISSED, _FELT_TICKS = 0.3, 60, 0.7, 100.0
+# It goes to so many d behind the particle, and keeps so many d from it on its way.
+_BEHIND, _KEEPS = 1.35, 1.25
+_MOST_ASIDE = math.cos(math.radians(75.0))
+# The errors of a hand change so many times a second: every so many ticks.
+_HELD_TICKS = 20
+
+
+class Hand(NamedTuple):
+    """The hand and what is on the link: `plan` and `state`, a row of columns each.
+
+    forward: speeds by the number of the sample, (window, 2) [m/s]; backward: place and force by the number of the
+    answer, (window, 4) [m, N]; seen: the newest of these, (4,); perceived: those of the reaction time, (ticks, 4);
+    errors: unit variance, (k, 6), in the order in which they are used.
+    """
+
+    plan: Array
+    state: Array
+    forward: Array
+    backward: Array
+    seen: Array
+    perceived: Array
+    errors: Array
+
+
+@compiled
+def hand_moves(hand: Hand, tick: int) -> tuple[float, float]:
+    """Return the speed of the tip that the hand asks for at a tick of the session [m/s]."""
+    plan, state = hand.plan, hand.state
+    slot = tick % hand.perceived.shape[0]
+    x, y, force_x, force_y = (
+        hand.perceived[slot, 0],
+        hand.perceived[slot, 1],
+        hand.perceived[slot, 2],
+        hand.perceived[slot, 3],
+    )
+    hand.perceived[slot] = hand.seen
+    if tick < plan[BEGINS] or state[PHASE] == DONE:
+        return 0.0, 0.0
+    errors = hand.errors[(tick // _HELD_TICKS) % hand.errors.shape[0]]
+    x, y = x + plan[PLACE_ERROR] * errors[0], y + plan[PLACE_ERROR] * errors[1]
+    # an error of a felt force is a share of that force
+    error = plan[FORCE_ERROR] * math.sqrt(force_x * force_x + force_y * force_y)
+    force_x, force_y = force_x + error * errors[2], force_y + error * errors[3]
+    way_x, way_y, share = _wanted(plan, state, x, y, force_x, force_y, tick)
+    # a hand neither keeps a speed nor a heading
+    share, turn = share * (1.0 + plan[TREMOR] * errors[4]), plan[HEADING] * errors[5]
+    speed = plan[SPEED] * min(max(share, 0.0), 1.0)
+    return speed * (way_x - turn * way_y), speed * (way_y + turn * way_x)
+
+
+@compiled
+def _wanted(
+    plan: Array, state: Array, x: float, y: float, force_x: float, force_y: float, tick: int
+) -> tuple[float, float, float]:
+    """Return the direction in which the hand wants the tip to go, of length 1, and the share of its speed."""
+    d, least = plan[D], _CONTACT * plan[FRICTION]
+    touches = force_x * force_x + force_y * force_y > least * least
+    share = 1.0 / _FELT_TICKS if state[FAINT] == 0.0 else 1.0
+    if touches:
+        state[FELT_X] += share * (force_x - state[FELT_X])
+        state[FELT_Y] += share * (force_y - state[FELT_Y])
+    force_x, force_y = state[FELT_X], state[FELT_Y]
+    size = max(math.sqrt(force_x * force_x + force_y * force_y), 1e-15)
+    if touches:
+        state[FAINT], state[TOUCHED] = 0.0, 1.0
+        state[BELIEVED_X], state[BELIEVED_Y] = x - d * force_x / size, y - d * force_y / size
+    else:
+        state[FAINT] += 1.0
+    to_x, to_y = plan[GOAL_X] - state[BELIEVED_X], plan[GOAL_Y] - state[BELIEVED_Y]
+    left = max(math.sqrt(to_x * to_x + to_y * to_y), 1e-15)
+    to_x, to_y = to_x / left, to_y / left
+    if state[PHASE] == STANDS:
+        state[WAITED] += 1.0
+        if state[WAITED] > plan[WAITS]:
+            state[PHASE] = DONE if left <= plan[LEAVES] else APPROACHES
+            state[DONE_AT] = tick
+        return 1.0, 0.0, 0.0
+    if left <= 0.5 * plan[LEAVES]:
+        state[PHASE], state[WAITED] = STANDS, 0.0
+        return 1.0, 0.0, 0.0
+    slow = plan[GAIN] / plan[SPEED]
+    if touches:
+        ahead_x, ahead_y = -force_x / size, -force_y / size
+        if ahead_x * to_x + ahead_y * to_y > _MOST_ASIDE:
+            state[PHASE] = PUSHES
+            way_x, way_y = steered(ahead_x, ahead_y, to_x, to_y)
+            return way_x, way_y, min(slow * left, 1.0)
+        if state[PHASE] == PUSHES:
+            # it has gone past the goal, or the particle has slipped aside
+            state[PHASE] = STANDS if left <= plan[LEAVES] else APPROACHES
+            state[WAITED] = 0.0
+            state[LOSSES] += 0.0 if left <= plan[LEAVES] else 1.0
+        return -ahead_x, -ahead_y, 0.5
+    from_x, from_y = state[BELIEVED_X] - x, state[BELIEVED_Y] - y
+    between = max(math.sqrt(from_x * from_x + from_y * from_y), 1e-15)
+    if state[PHASE] == PUSHES:
+        felt = state[TOUCHED] > 0.0
+        if state[FAINT] <= _FAINT_TICKS if felt else from_x * to_x + from_y * to_y > _MISSED * d:
+            return from_x / between, from_y / between, 0.5
+        state[PHASE] = APPROACHES
+        state[LOSSES] += state[TOUCHED]
+    way_x, way_y = from_x - _BEHIND * d * to_x, from_y - _BEHIND * d * to_y
+    way = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-15)
+    if way < 0.15 * d:
+        state[PHASE], state[FAINT], state[TOUCHED] = PUSHES, 1.0, 0.0
+        return from_x / between, from_y / between, 0.5
+    share = min(slow * way + 0.1, 1.0)
+    way_x, way_y = way_x / way, way_y / way
+    inwards = (way_x * from_x + way_y * from_y) / between
+    if between < _KEEPS * d and inwards > 0.0:
+        # around the particle, and away from it where it is too near
+        out_x, out_y = -from_x / between, -from_y / between
+        along_x, along_y = way_x + inwards * out_x, way_y + inwards * out_y
+        length = math.sqrt(along_x * along_x + along_y * along_y)
+        if length < 1e-3:
+            along_x, along_y, length = -out_y, out_x, 1.0
+        more = 4.0 * (_KEEPS - between / d)
+        way_x, way_y = along_x / length + more * out_x, along_y / length + more * out_y
+        length = math.sqrt(way_x * way_x + way_y * way_y)
+        way_x, way_y = way_x / length, way_y / length
+    return way_x, way_y, share
