@@ -20,7 +20,7 @@ def assembly_figure(assembly: Assembly, tolerance_m: float) -> "Figure":
     before, after = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, look, title in ((before, assembly.before, "before"), (after, assembly.after, "after")):
         _image(axes, look)
-        axes.set_title(f"{title}, {look.ended_s:.0f} s")
+        axes.set_title(f"{title}, {look.ended_s - assembly.before.began_s:.0f} s")
         for one in assembly.placed:
             axes.plot(one.target[0] * 1e6, one.target[1] * 1e6, "+", color="tab:red", markersize=12)
     for one in assembly.placed:
