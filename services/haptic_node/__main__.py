@@ -5,8 +5,10 @@ from pathlib import Path
 
 from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from services.haptic_node.driver import HapticDevice
+from services.haptic_node.impedance import ImpedanceDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.physics.disturbances import DisturbedHaptic
+from services.haptic_node.wire_config import WIRES
 from services.runtime.loop.main import NodeKind, ordinary, run_node
 from services.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 
@@ -21,6 +23,10 @@ def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevi
         driver = DRIVERS.found[config.driver]
         device: HapticDevice = driver.build(getattr(config, driver.name) or driver.config(), config.limits)
         return device
+    if config.driver in WIRES:
+        from services.haptic_node.devices.servo_process import link_of
+
+        return ImpedanceDevice(link_of(config), config.coupling, period_s)
     if config.serial is None or config.driver in ("simulated", SIMULATED_IMPEDANCE):
         declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None
         return DisturbedHaptic(

@@ -19,6 +19,7 @@ from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_lo
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
 from services.haptic_node.safety import SafetyParams
+from services.haptic_node.wire_config import WIRES, DhdConfig, HaplyConfig, HdConfig
 from services.runtime.settings.config import Settings
 from services.runtime.settings.device_drivers import drivers_of
 
@@ -325,7 +326,8 @@ class SerialConfig(Settings):
 _DRIVER: Any = Field(
     default="simulated",
     description="simulated: device and operator below; simulated_impedance: a simulated device of three axes that takes"
-    " a force; serial: a real handle; or the driver of another package",
+    " a force; serial: a real handle; haply: an Inverse3; dhd: a device of Force Dimension; hd: a Touch; or the driver"
+    " of another package",
 )
 
 
@@ -341,6 +343,9 @@ class _OwnSections(Settings):
     coupling: CouplingConfig = Field(
         default=CouplingConfig(), description="Spring and damper between the law and a device that takes a force"
     )
+    haply: HaplyConfig = Field(default=HaplyConfig(), description="The Haply Inverse3, for driver haply")
+    dhd: DhdConfig = Field(default=DhdConfig(), description="The device of Force Dimension, for driver dhd")
+    hd: HdConfig = Field(default=HdConfig(), description="The Touch, for driver hd")
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
@@ -412,7 +417,7 @@ class _OwnSections(Settings):
 
 SIMULATED_IMPEDANCE = "simulated_impedance"
 _SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
-_OWN_DRIVERS = (*_SIMULATED, "serial")
+_OWN_DRIVERS = (*_SIMULATED, "serial", *WIRES)
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
 DRIVERS = drivers_of("haptic_node", TAKEN)

@@ -18,6 +18,7 @@ from services.haptic_node.driver import (
     Pair,
     PushedDevice,
     SpatialCommand,
+    SpatialReading,
     Status,
 )
 from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
@@ -48,8 +49,8 @@ class HapticMemory(msgspec.Struct, array_like=True):
     The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
     [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
     holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
-    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law; the force of that
-    operator across [N], and the simulated hand there.
+    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law; the force of
+    that operator across [N], and the simulated hand there.
     """
 
     guard: safety.SafetyState

@@ -32,12 +32,11 @@ from services.runtime.settings.config import (
     Settings,
     environment_overrides,
     flag_overrides,
-    layered,
     merge,
     validate,
 )
 from services.runtime.settings.option import Option
-from services.runtime.settings.scenario import LoadedScenario, Scenario
+from services.runtime.settings.scenario import LoadedScenario, Scenario, scenario_document
 
 if TYPE_CHECKING:
     from services.recorder.config import RecorderConfig
@@ -323,7 +322,7 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
     """Merge environment, --set and the other flags into a scenario; ConfigError names file and key."""
     settings = [*request.settings, *(ALLOW_REPLAY if request.allow_replay else ())]
     settings += ATTENDED if request.attended else ()
-    document, origin = layered(path, settings)
+    document, origin = scenario_document(path, settings)
     document = anchored(document, path.absolute().parent)
     flags: dict[str, Any] = {}
     if request.duration_s is not None:

@@ -8,11 +8,13 @@ from proto.errors import ConfigError
 from services.haptic_node.acceptance.simulated_person import person
 from services.haptic_node.acceptance.take import Step, Take, record_take
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
+from services.haptic_node.devices.servo_process import link_of
 from services.haptic_node.devices.simulated_link import DeviceFaults, SimulatedLink
 from services.haptic_node.servo import ServoLink
+from services.haptic_node.wire_config import WIRES
 
 # Each makes the link to a real device, or to its emulator, of a section `haptic_node`.
-LINKS: dict[str, Callable[[HapticConfig], ServoLink]] = {}
+LINKS: dict[str, Callable[[HapticConfig], ServoLink]] = dict.fromkeys(WIRES, link_of)
 
 
 class Circumstances(NamedTuple):

@@ -102,7 +102,20 @@ class LoadedScenario:
         return validate(model, section, self.origin, name)
 
 
+def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
+    """Return a scenario with environment and flags merged over it, not yet validated, and where it is from.
+
+    `haptic_node.device=haply` is read as the driver of that name: the section describes the simulated device alone.
+    """
+    document, origin = layered(path, flags)
+    hand = document.get("haptic_node")
+    if isinstance(hand, dict) and isinstance(hand.get("device"), str):
+        hand = {**hand, "driver": hand["device"]}
+        document["haptic_node"] = {key: value for key, value in hand.items() if key != "device"}
+    return document, origin
+
+
 def load_scenario(path: Path, flags: Sequence[str] = ()) -> LoadedScenario:
     """Read a scenario with environment and flags merged over it; ConfigError names file and key."""
-    document, origin = layered(path, flags)
+    document, origin = scenario_document(path, flags)
     return LoadedScenario(validate(Scenario, document, origin), origin, document)

@@ -22,6 +22,13 @@ from telenano.cli.commands.device_accept import accept
 from telenano.cli.commands.device_calibrate import calibrate_stage
 from telenano.cli.commands.device_controllers import guard, image_nanonis, simulate_gwyscope, simulate_nanonis
 from telenano.cli.commands.device_files import run_ahead, write_document
+from telenano.cli.commands.device_impedance import (
+    KindOption,
+    SetOption,
+    known_devices,
+    probe_impedance,
+    simulate_haply,
+)
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 
@@ -30,6 +37,7 @@ simulate = command_group()
 calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
 app.command("accept")(accept)
+simulate.command("haply")(simulate_haply)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 simulate.command("gwyscope")(simulate_gwyscope)
 simulate.command("nanonis")(simulate_nanonis)
@@ -60,15 +68,17 @@ class BoardName(StrEnum):
 
 @app.command("list")
 def list_devices(as_json: JsonOption = False) -> None:
-    """List the serial ports that there are, by names that stay, and who uses them."""
+    """List the serial ports, by names that stay, and which devices that take a force can be driven here."""
     with report_errors(as_json):
-        rows = serial_ports()
+        rows, known = serial_ports(), known_devices()
     if as_json:
-        print_json({"ports": rows})
-    elif rows:
+        print_json({"ports": rows, "devices": known})
+        return
+    if rows:
         print_rows(rows)
     else:
         typer.echo("no serial port is plugged in")
+    print_rows(known)
 
 
 def serial_ports() -> list[dict[str, Any]]:
@@ -96,13 +106,23 @@ def probe(
     port: PortOption = None,
     baud: BaudOption = 1_000_000,
     calibration: CalibrationOption = None,
+    kind: KindOption = None,
+    settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ask a handle (--port) or an instrument (--calibration) who it is; an instrument is retracted."""
+    """Ask a handle (--port), an instrument (--calibration) or a device that takes a force (--device) who it is.
+
+    An instrument is retracted; a device gets no force.
+    """
     with report_errors(as_json):
-        if (port is None) == (calibration is None):
-            raise ConfigError("give --port for a handle, or --calibration for an instrument")
-        facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
+        if (port is not None) + (calibration is not None) + (kind is not None) != 1:
+            raise ConfigError(
+                "give --port for a handle, or --calibration for an instrument, or --device haply, dhd or hd"
+            )
+        if kind is not None:
+            facts = probe_impedance(kind, settings or [])
+        else:
+            facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
     if as_json:
         print_json(facts)
     else:

@@ -1,0 +1,103 @@
+"""The mechanics of an emulated device of impedance type, with a hand on it, in the time that it is given.
+
+m x'' + b x' + c sign(x') = u + F(t) along each axis, in the master frame. u is the force of the drive and F that of
+the simulated hand, which acts along z alone: towards the sample is -z. m and b are chosen for emulators, not measured.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from services.haptic_node.coupling import ZERO, Vector
+from services.haptic_node.physics.operator import OperatorInputs
+from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
+
+_SUBSTEP_S = 0.25e-3
+# A process that stood still for longer goes on from now, as the emulated handle does.
+_LONGEST_S = 0.05
+
+
+class ArmModel(NamedTuple):
+    """m [kg], b [N s/m], Coulomb friction c [N], radius of the workspace [m], step of the encoder [m], 0 for none."""
+
+    mass_kg: float
+    damping_n_s_per_m: float
+    friction_n: float = 0.0
+    radius_m: float = 0.15
+    resolution_m: float = 0.0
+
+
+INVERSE3 = ArmModel(0.20, 0.20, radius_m=0.10, resolution_m=1e-6)
+
+
+class EmulatedArm:
+    """An arm at rest at the centre of its workspace; `force_n` is the drive, until it is changed.
+
+    Args:
+        model: The mechanics.
+        hand: The hand, as one of the models of `operator_models`.
+    """
+
+    def __init__(self, model: ArmModel, hand: Any) -> None:
+        self.model, self.force_n = model, ZERO
+        self.position_m: Vector = ZERO
+        self.velocity_m_per_s: Vector = ZERO
+        self.session_s: float | None = None
+        # A hand instead of the session's: its force towards the sample [N], or one that holds the arm where it is.
+        self.push_n: float | None = None
+        self.held = False
+        self._hand_params, self._hand = hand, operator_at_rest(hand, 0.0)
+        self._hand_force_n = 0.0
+        self._left_s = 0.0
+
+    def start_session(self, runs: bool) -> None:
+        """Let the hand begin its programme, or end it."""
+        if runs != (self.session_s is not None):
+            self.session_s = 0.0 if runs else None
+
+    def advance(self, duration_s: float) -> None:
+        """Go on by a time [s], in whole steps; what is left is kept for the next call."""
+        self._left_s += min(duration_s, _LONGEST_S)
+        while self._left_s >= _SUBSTEP_S:
+            self._left_s -= _SUBSTEP_S
+            self._step(_SUBSTEP_S)
+
+    @property
+    def measured_m(self) -> Vector:
+        """Return the place as the encoders have it [m]."""
+        step = self.model.resolution_m
+        if step <= 0.0:
+            return self.position_m
+        x, y, z = self.position_m
+        return (round(x / step) * step, round(y / step) * step, round(z / step) * step)
+
+    def _step(self, dt: float) -> None:
+        m, b, c, radius_m, _ = self.model
+        kept = math.exp(-b * dt / m)
+        given = (1.0 - kept) / b if b > 0.0 else dt / m
+        places, speeds = [], []
+        for axis in range(3):
+            hand_n = self._hand_force_n if self.push_n is None else 0.0 - self.push_n
+            drive = self.force_n[axis] + (hand_n if axis == 2 else 0.0)
+            v = self.velocity_m_per_s[axis]
+            if c > 0.0:
+                drive -= math.copysign(c, v) if v != 0.0 else max(-c, min(drive, c))
+            new = kept * v + given * drive
+            # Friction stops a motion, and never turns it round.
+            if c > 0.0 and v * new < 0.0:
+                new = 0.0
+            if self.held:
+                v = new = 0.0
+            speeds.append(new)
+            places.append(self.position_m[axis] + dt * 0.5 * (v + new))
+        before_z = self.position_m[2]
+        distance = math.sqrt(places[0] ** 2 + places[1] ** 2 + places[2] ** 2)
+        if distance > radius_m:
+            places, speeds = [p * radius_m / distance for p in places], [0.0, 0.0, 0.0]
+        self.position_m = (places[0], places[1], places[2])
+        self.velocity_m_per_s = (speeds[0], speeds[1], speeds[2])
+        if self.session_s is not None:
+            self.session_s += dt
+        at_s = -1.0 if self.session_s is None else self.session_s
+        ends = OperatorInputs(at_s, 0.0 - before_z, 0.0 - places[2])
+        self._hand, felt = operator_step(self._hand_params, self._hand, ends, dt)
+        self._hand_force_n = 0.0 - felt.force_n

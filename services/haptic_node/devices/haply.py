@@ -1,0 +1,433 @@
+"""Haply Inverse3 with a VerseGrip: the JSON over WebSocket of its service, format 3.x on port 10001.
+
+The service sends one full message when a client connects, and after that exactly one message of states for each one
+that it receives. A state carries neither time nor number, so its age is the time from sending to receipt, and a reading
+that is frozen shows only as a place that stands still under a force that changes; the coupling looks for that.
+
+Frames: the device has +x to the right, +y away from the person and +z up, which is the master frame.
+"""
+
+import contextlib
+import math
+import socket
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from services.haptic_node.coupling import ZERO, Vector
+from services.haptic_node.devices.emulated_arm import INVERSE3
+from services.haptic_node.devices.impedance_wire import Turn
+from services.haptic_node.driver import UPRIGHT, Capabilities, DeviceError, Quaternion
+from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from services.haptic_node.servo import DeviceSample
+from services.runtime.loop.log import StructuredLog
+
+SERVICE = "ws://127.0.0.1:10001"
+INSTALL = "start Haply's Inverse Service (Haply Hub, docs.haply.co), or run `telenano device simulate haply`"
+# What Haply's CHAI3D driver declares.
+MAX_FORCE_N = 10.0
+MAX_STIFFNESS_N_PER_M = 1000.0
+MAX_DAMPING_N_S_PER_M = 6.0
+# Radii of the workspace, by the type of the device.
+_RADII_M = {"inverse3": 0.10, "inverse3x": 0.10, "minverse": 0.04}
+EMULATED = "telenano emulator"
+SESSION_RUNS, SESSION_RESTS = "org.telenano:session-runs", "org.telenano:servo"
+BUTTONS = ("a", "b", "c")
+_OPEN_S = 3.0
+_ANSWER_S = 0.5
+_CHECK_S = 0.1
+# A difference of the force that is sent and the one that is rendered which deserves a remark.
+_FORCE_SHARE, _FORCE_N = 0.1, 0.1
+
+
+class Xyz(msgspec.Struct, frozen=True):
+    """A vector of the wire; JSON has no word for what is no number but null."""
+
+    x: float | None
+    y: float | None
+    z: float | None
+
+    def vector(self) -> Vector:
+        return tuple(math.nan if value is None else value for value in (self.x, self.y, self.z))  # type: ignore[return-value]
+
+
+class Wxyz(msgspec.Struct, frozen=True):
+    """A rotation of the wire."""
+
+    w: float
+    x: float
+    y: float
+    z: float
+
+
+class ArmState(msgspec.Struct, frozen=True):
+    """What an Inverse3 says with each answer."""
+
+    cursor_position: Xyz
+    current_cursor_force: Xyz | None = None
+
+
+class ArmStatus(msgspec.Struct, frozen=True):
+    """Whether it may be used."""
+
+    calibrated: bool = True
+    ready: bool = True
+
+
+class ArmInfo(msgspec.Struct, frozen=True):
+    """Who it is."""
+
+    model: str = ""
+    major_version: int = 0
+    minor_version: int = 0
+
+
+class ArmConfig(msgspec.Struct, frozen=True):
+    """What a full message has besides."""
+
+    type: str = "inverse3"
+    device_info: ArmInfo = ArmInfo()
+
+
+class Arm(msgspec.Struct, frozen=True):
+    """An Inverse3 in a message."""
+
+    device_id: str
+    state: ArmState | None = None
+    status: ArmStatus = ArmStatus()
+    config: ArmConfig | None = None
+
+
+class GripState(msgspec.Struct, frozen=True):
+    """What a grip says; a wired one has one button."""
+
+    orientation: Wxyz | None = None
+    buttons: dict[str, bool] = {}
+    button: bool = False
+    battery_level: float = 1.0
+
+
+class GripStatus(msgspec.Struct, frozen=True):
+    """Whether it may be heard."""
+
+    awake: bool = True
+
+
+class Grip(msgspec.Struct, frozen=True):
+    """A grip in a message."""
+
+    device_id: str
+    state: GripState | None = None
+    status: GripStatus = GripStatus()
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """A message of the service; devices are found by their ids, because the order of a list is not promised."""
+
+    inverse3: list[Arm] = []
+    wireless_verse_grip: list[Grip] = []
+    verse_grip: list[Grip] = []
+
+
+_DECODER = msgspec.json.Decoder(Answer)
+_ENCODER = msgspec.json.Encoder()
+
+
+class Conversation:
+    """A WebSocket to the service on a plain socket: what is sent and received takes no thread and no event loop.
+
+    Raises:
+        DeviceError: Nobody answers at the address.
+    """
+
+    def __init__(self, service: str) -> None:
+        try:
+            from websockets.client import ClientProtocol
+            from websockets.exceptions import InvalidHandshake, InvalidURI
+            from websockets.uri import parse_uri
+        except ImportError as error:
+            raise DeviceError('the Haply Inverse3 needs websockets: pip install "telenano[view]"') from error
+        self._service = service
+        try:
+            uri = parse_uri(service)
+        except InvalidURI as error:
+            raise DeviceError(f"haptic_node.haply.service: {service!r} is no address such as {SERVICE}") from error
+        try:
+            self._socket = socket.create_connection((uri.host, uri.port), timeout=_OPEN_S)
+        except OSError as error:
+            raise DeviceError(f"no Inverse Service answers at {service} ({error}): {INSTALL}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._protocol = ClientProtocol(uri, max_size=2**22)
+        self._messages: list[bytes] = []
+        self._protocol.send_request(self._protocol.connect())
+        try:
+            self._flush()
+            while self._protocol.state.name == "CONNECTING":
+                self._receive()
+            if self._protocol.handshake_exc is not None:
+                raise self._protocol.handshake_exc
+        except (DeviceError, InvalidHandshake) as error:
+            self.close()
+            raise DeviceError(f"what answers at {service} is no Inverse Service: {error}") from error
+
+    def send(self, message: bytes) -> None:
+        self._protocol.send_text(message)
+        self._flush()
+
+    def receive(self, patience_s: float = _ANSWER_S) -> Answer:
+        """Return the next message.
+
+        Raises:
+            DeviceError: The service is gone, silent, or says what cannot be read.
+        """
+        self._socket.settimeout(patience_s)
+        while not self._messages:
+            self._receive()
+        text = self._messages.pop(0)
+        try:
+            return _DECODER.decode(text)
+        except msgspec.MsgspecError as error:
+            raise DeviceError(f"{self._service}: the service says what format 3.x does not have: {error}") from error
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.close()
+
+    def _flush(self) -> None:
+        try:
+            for data in self._protocol.data_to_send():
+                if data:
+                    self._socket.sendall(data)
+        except OSError as error:
+            raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}") from error
+
+    def _receive(self) -> None:
+        from websockets.frames import Frame, Opcode
+
+        try:
+            data = self._socket.recv(65_536)
+        except TimeoutError as error:
+            raise DeviceError(f"{self._service}: the service has been silent for {_ANSWER_S:g} s") from error
+        except OSError as error:
+            raise DeviceError(f"{self._service}: the service has closed the connection ({error})") from error
+        if not data:
+            raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}")
+        self._protocol.receive_data(data)
+        for event in self._protocol.events_received():
+            if isinstance(event, Frame):
+                if event.opcode is Opcode.CLOSE:
+                    raise DeviceError(f"{self._service}: the service has ended the session")
+                if event.opcode in (Opcode.TEXT, Opcode.BINARY):
+                    self._messages.append(bytes(event.data))
+        # Pongs and the answer to a close
+        self._flush()
+
+
+class HaplyWire:
+    """An `ImpedanceWire` to one Inverse3.
+
+    Args:
+        service: The address of the service.
+        device_id: The Inverse3, if the service has several.
+        rate_hz: How often it is asked.
+        force_field: `vector` as the pages of 3.x have it, or `values` as most public code.
+        force_gate: The oscillation guard of the service, None for its own.
+        damping: The damper of the service, None for its own.
+        preset: How the device stands, in the words of the service.
+        deadman: The button of the grip that has to be held, empty for none.
+        connect: Opens the conversation; a test replaces it.
+        now_ns: The monotonic clock [ns].
+        sleep: Waits for the next tick.
+    """
+
+    def __init__(
+        self,
+        service: str = SERVICE,
+        device_id: str | None = None,
+        rate_hz: float = 1000.0,
+        force_field: str = "vector",
+        force_gate: float | None = 0.0,
+        damping: float | None = 0.0,
+        preset: str = "arm_front_centered",
+        deadman: str = "",
+        *,
+        connect: "Callable[[str], Conversation] | None" = None,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._service, self._wanted, self._rate_hz = service, device_id, rate_hz
+        self._force_field, self._deadman = force_field, deadman
+        self._connect = Conversation if connect is None else connect
+        self._now_ns, self._sleep = now_ns, sleep
+        # The presets that end in `centered` put zero into the centre of the workspace.
+        self._filters: dict[str, Any] = {"preset": {"preset": preset}}
+        if force_gate is not None:
+            self._filters["force_gate"] = {"gain": force_gate}
+        if damping is not None:
+            self._filters["damping"] = {"scalar": damping}
+        self._conversation: Conversation | None = None
+        self._id = ""
+        self._head = self._tail = b""
+        self._emulated = False
+        self._session: bool | None = None
+        self._differs = 0
+        self._orientation, self._grip_ns = UPRIGHT, 0
+
+    def open(self) -> Capabilities:
+        self._conversation = self._connect(self._service)
+        try:
+            arm, grips = self._find()
+        except DeviceError:
+            self.close()
+            raise
+        self._id = arm.device_id
+        before, after = f'{{"{self._force_field}":', "}}}]}"
+        self._head = f'{{"inverse3":[{{"device_id":"{self._id}","commands":{{"set_cursor_force":{before}'.encode()
+        self._tail = after.encode()
+        config = arm.config or ArmConfig()
+        self._emulated = config.device_info.model == EMULATED
+        self._session, self._differs = None, 0
+        self._orientation, self._grip_ns = UPRIGHT, 0
+        radius_m = _RADII_M.get(config.type, 0.10)
+        first = {
+            "session": {"configure": {"profile": {"name": SESSION_RESTS}}},
+            "inverse3": [{"device_id": self._id, "configure": self._filters, "commands": {"probe_position": {}}}],
+        }
+        self._conversation.send(_ENCODER.encode(first))
+        self._conversation.receive()
+        version = f"{config.device_info.major_version}.{config.device_info.minor_version}"
+        ends = (-radius_m, radius_m)
+        if self._deadman and not grips:
+            raise DeviceError(f"{self._service}: haptic_node.haply.deadman is {self._deadman}, and there is no grip")
+        return Capabilities(
+            max_force_n=MAX_FORCE_N,
+            max_stiffness_n_per_m=MAX_STIFFNESS_N_PER_M,
+            max_damping_n_s_per_m=MAX_DAMPING_N_S_PER_M,
+            workspace_min_m=-radius_m,
+            workspace_max_m=radius_m,
+            modes=(MODE_OFF, MODE_POSITION),
+            identity=f"Haply {config.type} {self._id}, firmware {version}" + (", emulated" * self._emulated),
+            force_source="estimate",
+            kind="impedance",
+            axes=3,
+            lateral_m=(ends, ends),
+            rate_hz=self._rate_hz,
+            damping_n_s_per_m=INVERSE3.damping_n_s_per_m * self._emulated,
+            mass_kg=INVERSE3.mass_kg * self._emulated,
+            # The force of a message answers the sample of the message before.
+            drive_delay_s=1.0 / self._rate_hz,
+            buttons=BUTTONS * bool(grips),
+            deadman=self._deadman,
+            has_orientation=bool(grips),
+        )
+
+    def run(self, turn: Turn) -> None:
+        """Ask at an absolute cadence; one that an answer comes too late for moves on, and is not made up for."""
+        if self._conversation is None:
+            raise DeviceError(f"{self._service}: the service is not open")
+        force: Vector = ZERO
+        period_ns = round(1e9 / self._rate_hz)
+        due_ns = self._now_ns()
+        while True:
+            # The state is taken between sending and receipt: its age is bounded by the earlier of the two.
+            sent_ns = self._now_ns()
+            self._send(force)
+            wanted = turn(self._sample(self._conversation.receive(), force, sent_ns))
+            if wanted is None:
+                return
+            force = wanted
+            due_ns = max(due_ns + period_ns, self._now_ns() - period_ns)
+            if (left_ns := due_ns - self._now_ns()) > 0:
+                self._sleep(left_ns * 1e-9)
+
+    def session(self, runs: bool) -> None:
+        self._session = runs if self._emulated else None
+
+    def close(self) -> None:
+        """Send no force, and leave: the device returns to idle when nothing commands it."""
+        if self._conversation is None:
+            return
+        with contextlib.suppress(DeviceError):
+            if self._id:
+                self._send(ZERO)
+        self._conversation.close()
+        self._conversation = None
+
+    def _find(self) -> tuple[Arm, list[Grip]]:
+        """Return the Inverse3 that is configured, or the only one; ask for the list until there is one."""
+        assert self._conversation is not None
+        answer = self._conversation.receive(_OPEN_S)
+        end_s = self._now_ns() * 1e-9 + _OPEN_S
+        while not any(self._wanted in (None, arm.device_id) for arm in answer.inverse3):
+            if self._now_ns() * 1e-9 > end_s:
+                what = f"Inverse3 {self._wanted}" if self._wanted else "Inverse3"
+                there = ", ".join(arm.device_id for arm in answer.inverse3) or "none"
+                raise DeviceError(f"{self._service}: the service has no {what} (there is {there}): plug it in")
+            self._sleep(0.1)
+            self._conversation.send(b'{"session":{"force_render_full_state":{}}}')
+            answer = self._conversation.receive()
+        found = [arm for arm in answer.inverse3 if self._wanted in (None, arm.device_id)]
+        if len(found) > 1:
+            there = ", ".join(arm.device_id for arm in found)
+            raise DeviceError(f"{self._service}: several devices, {there}: give one as haptic_node.haply.device_id")
+        return found[0], [*answer.wireless_verse_grip, *answer.verse_grip]
+
+    def _send(self, force: Vector) -> None:
+        assert self._conversation is not None
+        x, y, z = force
+        message = b'%b{"x":%.6f,"y":%.6f,"z":%.6f}%b' % (self._head, x, y, z, self._tail)
+        if self._session is not None:
+            name = SESSION_RUNS if self._session else SESSION_RESTS
+            message = b'{"session":{"configure":{"profile":{"name":"%b"}}},%b' % (name.encode(), message[1:])
+            self._session = None
+        self._conversation.send(message)
+
+    def _sample(self, answer: Answer, sent: Vector, taken_ns: int) -> DeviceSample:
+        arm = next((arm for arm in answer.inverse3 if arm.device_id == self._id), None)
+        if arm is None:
+            raise DeviceError(f"{self._service}: the Inverse3 {self._id} is gone: plug it in")
+        if arm.state is None:
+            raise DeviceError(f"{self._service}: the Inverse3 {self._id} sends no state")
+        error = ""
+        if not arm.status.calibrated:
+            error = f"the Inverse3 {self._id} is not calibrated: put its handle to the home place"
+        elif not arm.status.ready:
+            error = f"the Inverse3 {self._id} is not ready: look at its power supply and its light"
+        elif arm.state.current_cursor_force is not None:
+            self._compare(sent, arm.state.current_cursor_force.vector())
+        place = arm.state.cursor_position.vector()
+        orientation, buttons = self._gripped(answer, taken_ns)
+        held = not self._deadman or bool(buttons >> BUTTONS.index(self._deadman) & 1)
+        heard_ns = self._grip_ns if self._deadman else taken_ns
+        return DeviceSample(place, taken_ns, orientation, buttons, held, heard_ns, error)
+
+    def _compare(self, sent: Vector, rendered: Vector) -> None:
+        """Find a service that renders another force than it is sent: none at all, or a filtered one."""
+        if math.dist(sent, rendered) <= _FORCE_N + _FORCE_SHARE * math.hypot(*sent):
+            self._differs = 0
+            return
+        self._differs += 1
+        if self._differs != round(_CHECK_S * self._rate_hz):
+            return
+        if not any(rendered):
+            other = "values" if self._force_field == "vector" else "vector"
+            text = f"the Inverse3 {self._id} renders no force: give haptic_node.haply.force_field: {other}"
+            raise DeviceError(f"{self._service}: {text}")
+        text = "the service renders another force than it is sent: its force_gate, damping or force_scale changes it"
+        StructuredLog("servo").warning(text, device=self._id, sent_n=math.hypot(*sent), found_n=math.hypot(*rendered))
+
+    def _gripped(self, answer: Answer, now_ns: int) -> tuple[Quaternion, int]:
+        """Return orientation and buttons of the grip; one that sleeps or is gone is as old as its last word."""
+        grips = [*answer.wireless_verse_grip, *answer.verse_grip]
+        grip = grips[0] if grips else None
+        if grip is None or grip.state is None or not grip.status.awake:
+            # A button that nobody hears is not held.
+            return self._orientation, 0
+        state, o = grip.state, grip.state.orientation
+        self._grip_ns = now_ns
+        self._orientation = UPRIGHT if o is None else (o.w, o.x, o.y, o.z)
+        return self._orientation, sum(
+            state.buttons.get(name, False) << i for i, name in enumerate(BUTTONS)
+        ) | state.button

@@ -1,0 +1,278 @@
+"""An emulated Inverse Service: the JSON of format 3.x over WebSocket, with an Inverse3, a VerseGrip and a hand.
+
+It answers each message with one message of states, as the service does, and keeps no command for longer than a tick of
+a client, or `FORCE_HOLD_S` without one; how long the real service holds a force is documented nowhere. The force gate
+and the damper are models of their own: what the real ones do is not published.
+"""
+
+import asyncio
+import json
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from services.haptic_node.coupling import ZERO, Vector
+from services.haptic_node.devices.emulated_arm import EmulatedArm
+from services.haptic_node.devices.haply import BUTTONS, EMULATED, SESSION_RUNS
+
+FORCE_HOLD_S = 0.05
+PROJECT_VERSION = "3.5.0"
+# The grip hears and speaks at some 50 Hz.
+_GRIP_S = 0.02
+# The force gate takes a share of a force that turns round so often in a second.
+_GATE_HZ = 30.0
+_GATE_S = 0.1
+
+
+class HaplyService:
+    """The state of the service and of its devices, advanced by the time that its caller gives.
+
+    Args:
+        arm: The mechanics with the hand.
+        device_id: The id of the Inverse3.
+        grip: Whether there is a wireless VerseGrip.
+    """
+
+    def __init__(self, arm: EmulatedArm, device_id: str = "049D", grip: bool = True) -> None:
+        self.arm, self.device_id = arm, device_id
+        self.has_grip, self.grip_awake = grip, True
+        self.buttons = dict.fromkeys(BUTTONS, False)
+        self.plugged = self.calibrated = True
+        # Faults: the place stays what it is on the wire; it is no number; it is moved; the force acts the other way.
+        self.frozen: Vector | None = None
+        self.not_a_number = False
+        self.offset_m = 0.0
+        self.sign = 1.0
+        self.late_s = 0.0
+        self.gate, self.damping = 0.3, 0.0
+        self.accepts = ("vector", "values")
+        self.spellings = dict.fromkeys(("vector", "values"), 0)
+        self.rendered_n: Vector = ZERO
+        self.messages = 0
+        self._commanded_s = -math.inf
+        self._now_s: float | None = None
+        self._heard = (-math.inf, dict(self.buttons))
+        self._turns: list[float] = []
+        self._sign_before = 0.0
+
+    def connected(self) -> dict[str, Any]:
+        """Return the message that every client gets first."""
+        return {"session_id": 0, **self._states(full=True)}
+
+    def answer(self, message: bytes | str, now_s: float) -> dict[str, Any]:
+        """Take one message of a client at a time [s], and return the states that answer it."""
+        self.advance(now_s)
+        self.messages += 1
+        told = json.loads(message)
+        session = told.get("session", {})
+        name = session.get("configure", {}).get("profile", {}).get("name")
+        if name is not None:
+            self.arm.start_session(name == SESSION_RUNS)
+        force: Vector = ZERO
+        for device in told.get("inverse3", ()):
+            if device.get("device_id") == self.device_id and self.plugged:
+                self._configure(device.get("configure", {}))
+                force = self._commanded(device.get("commands", {}))
+        self._render(force, now_s)
+        return self._states(full="force_render_full_state" in session)
+
+    def advance(self, now_s: float) -> None:
+        """Go on to a time [s]; a force that nobody repeats ends."""
+        before_s, self._now_s = self._now_s, now_s
+        if before_s is None:
+            return
+        if now_s - self._commanded_s > FORCE_HOLD_S or not self.plugged:
+            self.rendered_n = self.arm.force_n = ZERO
+        self.arm.advance(now_s - before_s)
+        if now_s - self._heard[0] >= _GRIP_S:
+            self._heard = (now_s, dict(self.buttons))
+
+    def _configure(self, told: dict[str, Any]) -> None:
+        self.gate = float(told.get("force_gate", {}).get("gain", self.gate))
+        self.damping = float(told.get("damping", {}).get("scalar", self.damping))
+
+    def _commanded(self, commands: dict[str, Any]) -> Vector:
+        told = commands.get("set_cursor_force", {})
+        for spelling in self.accepts:
+            if spelling in told:
+                self.spellings[spelling] += 1
+                vector = told[spelling]
+                return (float(vector["x"]), float(vector["y"]), float(vector["z"]))
+        return ZERO
+
+    def _render(self, force: Vector, now_s: float) -> None:
+        """Send the force through damper and gate to the motors."""
+        self._commanded_s = now_s
+        v = self.arm.velocity_m_per_s
+        kept = self._gate_share(force, now_s)
+        x, y, z = (kept * f - self.damping * speed for f, speed in zip(force, v, strict=True))
+        self.rendered_n = (x, y, z)
+        self.arm.force_n = (self.sign * x, self.sign * y, self.sign * z)
+
+    def _gate_share(self, force: Vector, now_s: float) -> float:
+        """Return what the oscillation guard leaves of a force: less of one that turns round often."""
+        sign = math.copysign(1.0, force[2]) if force[2] else self._sign_before
+        if sign != self._sign_before:
+            self._turns.append(now_s)
+            self._sign_before = sign
+        self._turns = [at_s for at_s in self._turns if now_s - at_s < _GATE_S]
+        return 1.0 - min(self.gate, 1.0) * (len(self._turns) > _GATE_HZ * _GATE_S)
+
+    def _states(self, full: bool) -> dict[str, Any]:
+        found: dict[str, Any] = {"inverse3": [], "wireless_verse_grip": [], "verse_grip": [], "custom_verse_grip": []}
+        if self.plugged:
+            found["inverse3"].append(self._inverse3(full))
+        if self.has_grip:
+            state = {
+                "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+                "buttons": dict(self._heard[1]),
+                "battery_level": 0.8,
+            }
+            found["wireless_verse_grip"].append(
+                {"device_id": "6060", "state": state, "status": {"awake": self.grip_awake, "connected": True}}
+            )
+        return found
+
+    def _inverse3(self, full: bool) -> dict[str, Any]:
+        place = self.arm.measured_m if self.frozen is None else self.frozen
+        place = (place[0], place[1], place[2] + self.offset_m)
+        speed = ZERO if self.frozen is not None else self.arm.velocity_m_per_s
+        domain, mode = ("cartesian", "force") if any(self.rendered_n) else ("undefined", "idle")
+        device: dict[str, Any] = {
+            "device_id": self.device_id,
+            "state": {
+                "cursor_position": _xyz(place),
+                "cursor_velocity": _xyz(speed),
+                "current_cursor_force": _xyz(self.rendered_n),
+                "body_orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+                "control_domain": domain,
+                "control_mode": mode,
+                "mode": mode,
+            },
+            "status": {
+                "calibrated": self.calibrated,
+                "in_use": True,
+                "power_supply": True,
+                "ready": True,
+                "started": True,
+            },
+        }
+        if self.not_a_number:
+            # JSON has no other word for it.
+            device["state"]["cursor_position"]["z"] = None
+        if full:
+            device["config"] = {
+                "type": "inverse3",
+                "port": "emulated",
+                "device_info": {"id": 0, "major_version": 3, "minor_version": 5, "model": EMULATED, "uuid": "0" * 32},
+                "handedness": "right",
+                "gravity_compensation": {"enabled": True, "scaling_factor": 1.0},
+                "torque_scaling": {"enabled": True},
+                "preset": "arm_front_centered",
+                "basis": {"permutation": "XYZ"},
+                "filters": {"force_gate": {"gain": self.gate}, "damping": {"scalar": self.damping}},
+            }
+        return device
+
+
+def _xyz(vector: Vector) -> dict[str, float]:
+    return dict(zip("xyz", vector, strict=True))
+
+
+ORDERS = (
+    "pull | plug | freeze | thaw | nan | number | jump M | sign | late S | sleep | wake | press a|b|c | release a|b|c"
+    " | lose-home | home"
+)
+
+
+def obey(service: HaplyService, line: str) -> str:
+    """Do to an emulated service what a line says, and return what was done, or what would be right."""
+    word, _, rest = line.strip().partition(" ")
+    simple: dict[str, tuple[str, Any, str]] = {
+        "pull": ("plugged", False, "the Inverse3 is unplugged"),
+        "plug": ("plugged", True, "the Inverse3 is plugged in"),
+        "freeze": ("frozen", service.arm.measured_m, "the place on the wire stands still"),
+        "thaw": ("frozen", None, "the place on the wire is that of the arm"),
+        "nan": ("not_a_number", True, "the place on the wire is no finite number"),
+        "number": ("not_a_number", False, "the place on the wire is a number again"),
+        "sign": ("sign", -service.sign, "the motors act the other way round"),
+        "sleep": ("grip_awake", False, "the grip is asleep"),
+        "wake": ("grip_awake", True, "the grip is awake"),
+        "lose-home": ("calibrated", False, "the Inverse3 has lost its calibration"),
+        "home": ("calibrated", True, "the Inverse3 is calibrated"),
+    }
+    if word in simple:
+        name, value, text = simple[word]
+        setattr(service, name, value)
+        return text
+    if word in ("press", "release") and rest in service.buttons:
+        service.buttons[rest] = word == "press"
+        return f"button {rest} is {'held' if word == 'press' else 'free'}"
+    try:
+        value = float(rest)
+    except ValueError:
+        value = math.nan
+    if word == "jump" and math.isfinite(value):
+        service.offset_m += value
+        return f"the place on the wire has jumped by {value:g} m"
+    if word == "late" and 0.0 <= value <= 10.0:
+        service.late_s = value
+        return f"answers come {value:g} s late"
+    return f"{line.strip()!r} is not known: {ORDERS}"
+
+
+async def serve_haply(
+    service: HaplyService,
+    host: str,
+    port: int,
+    ready: Callable[[int], None],
+    lines: "asyncio.Queue[str] | None" = None,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Serve until cancelled; `ready` is told the port. HTTP on the same port answers /version.
+
+    Args:
+        service: The service.
+        host: The address to serve on.
+        port: The port, 0 for any.
+        ready: Called once, with the port.
+        lines: What a person types; see `obey`.
+        say: Prints what was done.
+    """
+    from websockets.asyncio.server import ServerConnection, serve
+    from websockets.exceptions import ConnectionClosed
+    from websockets.http11 import Request, Response
+
+    async def converse(connection: ServerConnection) -> None:
+        try:
+            await connection.send(json.dumps(service.connected()))
+            async for message in connection:
+                reply = json.dumps(service.answer(message, time.monotonic()))
+                if service.late_s > 0.0:
+                    await asyncio.sleep(service.late_s)
+                await connection.send(reply)
+        except ConnectionClosed:
+            return
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            say(f"a message that format 3.x does not have has ended the session: {error}")
+
+    def http(connection: ServerConnection, request: Request) -> Response | None:
+        if "Upgrade" in request.headers:
+            return None
+        data = {"git_tag": "emulated", "git_describe": EMULATED, "project_version": PROJECT_VERSION}
+        body = {"ok": True, "data": data} if request.path == "/version" else {"ok": False, "error": "no such route"}
+        return connection.respond(200 if body["ok"] else 404, json.dumps(body))
+
+    async def listen() -> None:
+        while lines is not None:
+            say(obey(service, await lines.get()))
+
+    options: dict[str, Any] = {"compression": None, "ping_interval": None, "process_request": http}
+    async with serve(converse, host, port, **options) as server:
+        ready(next(iter(server.sockets)).getsockname()[1])
+        listener = asyncio.create_task(listen())
+        try:
+            await asyncio.Future()
+        finally:
+            listener.cancel()

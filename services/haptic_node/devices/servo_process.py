@@ -1,0 +1,386 @@
+"""The process of a servo: the coupling at the rate of a device of impedance type, beside the node's loop.
+
+The node starts `python -m services.haptic_node.devices.servo_process` and writes one line of JSON to its input, which
+device and where the shared memory is; the process answers with a line, what the device can do or why it is not there.
+From then on both talk through shared memory. The force is zero without a word of the node for 50 ms, and the process
+ends with the node.
+"""
+
+import contextlib
+import gc
+import json
+import mmap
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from services.haptic_node.coupling import Vector
+from services.haptic_node.devices.impedance_wire import ImpedanceWire
+from services.haptic_node.driver import Capabilities, DeviceError
+from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
+from services.runtime.loop.realtime import ordinary_scheduling
+
+if TYPE_CHECKING:
+    from services.haptic_node.config import HapticConfig
+
+RETRY_S = 0.5
+OPEN_S = 15.0
+_POLL_S = 0.01
+_END_S = 1.0
+# A servo that stood still for longer does not take the whole motion for one step of its filters.
+_LONGEST_STEP_S = 0.05
+_SHARED_MEMORY = Path("/dev/shm")
+_RUNS, _STOP = 1, 2
+_NOWHERE = (0.0, 0.0, 0.0)
+
+
+class SharedServo:
+    """The memory of both processes: a command, a sample, and a byte of flags, over any writable buffer of `SIZE`."""
+
+    SIZE = Slot(ServoCommand).size + Slot(ServoSample).size + 1
+
+    def __init__(self, buffer: Any) -> None:
+        self._buffer, whole = buffer, memoryview(buffer)
+        self._command, self._sample = Slot(ServoCommand), Slot(ServoSample)
+        self._places = whole[: self._command.size], whole[self._command.size : -1]
+        self._flags = whole[-1:]
+        self._seen = b""
+        self._newest: ServoCommand | None = None
+
+    def command(self) -> ServoCommand | None:
+        """Return the newest command; one that was read before is not decoded again, for a servo of 4 kHz."""
+        raw = bytes(self._places[0])
+        if raw != self._seen:
+            self._newest, self._seen = self._command.read(self._places[0]), raw
+        return self._newest
+
+    def write_command(self, command: ServoCommand) -> None:
+        self._command.write(self._places[0], command)
+
+    def sample(self) -> ServoSample | None:
+        return self._sample.read(self._places[1])
+
+    def write_sample(self, sample: ServoSample) -> None:
+        self._sample.write(self._places[1], sample)
+
+    def flag(self, runs: bool, stop: bool) -> None:
+        """Say whether the session runs, and whether the servo is to end."""
+        self._flags[0] = _RUNS * runs + _STOP * stop
+
+    @property
+    def session_runs(self) -> bool:
+        return bool(self._flags[0] & _RUNS)
+
+    @property
+    def stops(self) -> bool:
+        return bool(self._flags[0] & _STOP)
+
+    def close(self) -> None:
+        for place in (*self._places, self._flags):
+            place.release()
+        if isinstance(self._buffer, mmap.mmap):
+            with contextlib.suppress(BufferError):
+                self._buffer.close()
+
+
+class ServoLoop:
+    """The servo of one device, at the device's side of the shared memory.
+
+    Args:
+        shared: The memory.
+        wire: The device, open.
+        found: What it said of itself; another one that comes back in its place is refused.
+        now_ns: The monotonic clock [ns]; a test replaces it.
+        sleep: Waits while the device is lost.
+        goes_on: Whether the node is still there.
+    """
+
+    def __init__(
+        self,
+        shared: SharedServo,
+        wire: ImpedanceWire,
+        found: Capabilities,
+        *,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+        goes_on: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._shared, self._wire, self._found = shared, wire, found
+        self._now_ns, self._sleep, self._goes_on = now_ns, sleep, goes_on
+        self._period_s = 1.0 / found.rate_hz
+        self.servo = Servo(self._period_s)
+        self._sample = DeviceSample(_NOWHERE, 0)
+        self._turn_ns = 0
+        self._session_runs = False
+
+    def run(self) -> None:
+        """Serve the device until the node ends; one that is lost is looked for again every half second."""
+        error = ""
+        while not error or self._reopened(error):
+            try:
+                self._wire.run(self.turn)
+                return
+            except DeviceError as lost:
+                error = str(lost)
+            finally:
+                self._wire.close()
+
+    def turn(self, sample: DeviceSample) -> Vector | None:
+        """Return the force that answers a sample, and tell the node; None if the node is gone or asks for the end."""
+        if self._ends():
+            return None
+        if self._shared.session_runs != self._session_runs:
+            self._session_runs = not self._session_runs
+            self._wire.session(self._session_runs)
+        return self._step(sample)
+
+    def _ends(self) -> bool:
+        return self._shared.stops or not self._goes_on()
+
+    def _step(self, sample: DeviceSample) -> Vector:
+        now_ns = self._now_ns()
+        passed_s = (now_ns - self._turn_ns) * 1e-9 if self._turn_ns else self._period_s
+        self._turn_ns, self._sample = now_ns, sample
+        command = self._shared.command()
+        force, told = self.servo.step(command, sample, now_ns, min(max(passed_s, 1e-6), _LONGEST_STEP_S))
+        self._shared.write_sample(told)
+        return force
+
+    def _reopened(self, error: str) -> bool:
+        """Wait until the device is back, and tell the node why it waits; False if the node has ended before."""
+        waited_s = 0.0
+        while not self._ends():
+            self._step(self._sample._replace(error=error))
+            self._sleep(_POLL_S)
+            waited_s += _POLL_S
+            if waited_s < RETRY_S:
+                continue
+            waited_s = 0.0
+            try:
+                found = self._wire.open()
+                if found.identity == self._found.identity:
+                    # What the coupling knew is of the device before its loss: it begins with the hand at rest.
+                    self.servo.state = self.servo.state._replace(started=False)
+                    self._session_runs = False
+                    return True
+                self._wire.close()
+                error = f"the device is now {found.identity}, and it was {self._found.identity}: start the node anew"
+            except DeviceError as still:
+                error = str(still)
+        return False
+
+
+class ProcessLink:
+    """A `ServoLink` to a device whose servo is a process of its own.
+
+    Args:
+        kind: The name of the driver: haply, dhd or hd.
+        settings: The arguments of its wire.
+        command_line: What is started; a test replaces it.
+        now_ns: The monotonic clock [ns].
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        settings: dict[str, Any],
+        *,
+        command_line: tuple[str, ...] = (sys.executable, "-m", "services.haptic_node.devices.servo_process"),
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._kind, self._settings, self._command_line, self._now_ns = kind, settings, command_line, now_ns
+        self._process: subprocess.Popen[bytes] | None = None
+        self._shared: SharedServo | None = None
+        self._file: Path | None = None
+        self._found: Capabilities | None = None
+        self._retry_ns = 0
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Return what the device said of itself; DeviceError before it was open."""
+        if self._found is None:
+            raise DeviceError(f"haptic_node.{self._kind}: what the device can do is known once it is open")
+        return self._found
+
+    @property
+    def pid(self) -> int:
+        """Return the number of the servo's process, 0 if there is none."""
+        return 0 if self._process is None else self._process.pid
+
+    def open(self) -> None:
+        """Start the servo and wait until it has the device.
+
+        Raises:
+            DeviceError: The device is not there; the sentence is that of its driver.
+        """
+        self._start()
+        assert self._process is not None and self._process.stdout is not None
+        answer = b""
+        end_s = time.monotonic() + OPEN_S
+        while not answer.endswith(b"\n"):
+            ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, end_s - time.monotonic()))
+            part = os.read(self._process.stdout.fileno(), 65_536) if ready else b""
+            if not part:
+                self.close()
+                what = f"said nothing for {OPEN_S:g} s" if not ready else "ended; its reason is in the log above"
+                raise DeviceError(f"the servo of haptic_node.driver {self._kind} {what}")
+            answer += part
+        found = json.loads(answer)
+        if "error" in found:
+            self.close()
+            raise DeviceError(found["error"])
+        self._found = Capabilities(**{name: _as_tuples(value) for name, value in found["found"].items()})
+
+    def send(self, command: ServoCommand) -> None:
+        if self._shared is not None:
+            self._shared.write_command(command)
+
+    def newest(self, session_time_s: float, dt_s: float) -> ServoSample | None:
+        if self._shared is None or self._process is None:
+            return None
+        self._shared.flag(session_time_s >= 0.0, False)
+        code = self._process.poll()
+        if code is None:
+            return self._shared.sample()
+        # The force went with the process: the service and the device take it away when nobody commands them.
+        error = f"the process of the servo has ended with code {code}; it is started again"
+        if self._now_ns() >= self._retry_ns:
+            self._retry_ns = self._now_ns() + round(RETRY_S * 1e9)
+            self._end()
+            self._start()
+        return (self._shared.sample() or ServoSample())._replace(error=error)
+
+    def close(self) -> None:
+        if self._shared is not None:
+            self._shared.flag(False, True)
+        self._end()
+        if self._shared is not None:
+            self._shared.close()
+            self._shared = None
+        if self._file is not None:
+            self._file.unlink(missing_ok=True)
+            self._file = None
+
+    def _start(self) -> None:
+        folder = _SHARED_MEMORY if _SHARED_MEMORY.is_dir() else None
+        if self._shared is None:
+            descriptor, name = tempfile.mkstemp(prefix="telenano-servo-", dir=folder)
+            try:
+                os.ftruncate(descriptor, SharedServo.SIZE)
+                self._shared = SharedServo(mmap.mmap(descriptor, SharedServo.SIZE))
+                self._file = Path(name)
+            finally:
+                os.close(descriptor)
+        # Its start must not stop the loop: under SCHED_FIFO it would share the node's processor as an equal.
+        with ordinary_scheduling():
+            self._process = subprocess.Popen(self._command_line, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self._process.stdin is not None
+        order = {"kind": self._kind, "settings": self._settings, "shared": str(self._file)}
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.write(json.dumps(order).encode() + b"\n")
+            self._process.stdin.flush()
+
+    def _end(self) -> None:
+        if self._process is None:
+            return
+        process = self._process
+        ends: tuple[Callable[[], None], ...] = (lambda: None, process.terminate, process.kill)
+        for end in ends:
+            end()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_END_S)
+                break
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
+        self._process = None
+
+
+def link_of(config: "HapticConfig") -> ProcessLink:
+    """Return the link to the device that a section `haptic_node` names by its driver, not yet open."""
+    return ProcessLink(config.driver, getattr(config, config.driver).model_dump())
+
+
+def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
+    """Return the wire of a driver; the libraries of the others are not needed.
+
+    Raises:
+        DeviceError: There is no such driver.
+    """
+    if kind == "haply":
+        from services.haptic_node.devices.haply import HaplyWire
+
+        return HaplyWire(**settings)
+    if kind == "dhd":
+        from services.haptic_node.devices.dhd import DhdWire
+
+        return DhdWire(**settings)
+    if kind == "hd":
+        from services.haptic_node.devices.hd import HdWire
+
+        return HdWire(**settings)
+    raise DeviceError(f"there is no wire called {kind!r}")
+
+
+def main() -> int:
+    """Serve the device that the node names; return 0, or 2 if it could not be opened."""
+    parent = os.getppid()
+    # The node tells its end through the shared memory; Ctrl-C reaches the whole group of processes.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ended: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, frame: ended.append(number))
+    order = json.loads(sys.stdin.readline())
+    with Path(order["shared"]).open("r+b") as file:
+        shared = SharedServo(mmap.mmap(file.fileno(), SharedServo.SIZE))
+    try:
+        wire = wire_of(order["kind"], order["settings"])
+        found = wire.open()
+    except DeviceError as error:
+        _answer({"error": str(error)})
+        return 2
+    try:
+        _answer({"found": found._asdict()})
+        _run_ahead()
+        ServoLoop(shared, wire, found, goes_on=lambda: not ended and os.getppid() == parent).run()
+        return 0
+    finally:
+        wire.close()
+        if os.getppid() != parent:
+            # A node that was killed could not remove it.
+            Path(order["shared"]).unlink(missing_ok=True)
+
+
+def _answer(said: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(said) + "\n")
+    sys.stdout.flush()
+
+
+def _as_tuples(value: Any) -> Any:
+    return tuple(map(_as_tuples, value)) if isinstance(value, list) else value
+
+
+def _run_ahead() -> None:
+    """Request the scheduling of the nodes, on any processor: the node that started this one stays on its own."""
+    from services.runtime.loop.log import StructuredLog, configure_logging
+    from services.runtime.loop.realtime import PROCESSORS_VARIABLE, RealtimeConfig, apply_realtime
+
+    if hasattr(os, "sched_setaffinity"):
+        held = {int(part) for part in os.environ.get(PROCESSORS_VARIABLE, "").split(",") if part.isdigit()}
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, held or range(os.cpu_count() or 1))
+    configure_logging()
+    apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("servo"), "servo")
+    gc.collect()
+    gc.freeze()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,59 @@
+"""Settings of the drivers of devices of impedance type: their services and libraries. The coupling has its own."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from services.runtime.settings.config import Settings
+
+
+class HaplyConfig(Settings):
+    """Section `haptic_node.haply`: Haply Inverse3 with a VerseGrip, by the Inverse Service."""
+
+    service: str = Field(
+        default="ws://127.0.0.1:10001", description="Address of the Inverse Service, whose port can be changed there"
+    )
+    device_id: str | None = Field(default=None, description="Id of the Inverse3; none: the only one that there is")
+    rate_hz: float = Field(
+        default=1000.0, ge=100.0, le=4000.0, description="How often the service is asked [Hz]; [100, 4000]"
+    )
+    force_field: Literal["vector", "values"] = Field(
+        default="vector", description="Key of the force: vector as in the pages of 3.x, values as in most public code"
+    )
+    force_gate: float | None = Field(
+        default=0.0, ge=0.0, le=1.0, description="Gain of the service's force gate; 0 for none; none: as it is there"
+    )
+    damping: float | None = Field(
+        default=0.0, ge=0.0, le=100.0, description="Scalar of the service's damper; 0 for none; none: as it is there"
+    )
+    preset: Literal["arm_front_centered", "led_front_centered"] = Field(
+        default="arm_front_centered", description="How the device stands; zero is the centre of its workspace"
+    )
+    deadman: Literal["", "a", "b", "c"] = Field(
+        default="", description="Button of the grip that has to be held for any force; empty: none"
+    )
+
+
+class DhdConfig(Settings):
+    """Section `haptic_node.dhd`: omega, delta, sigma, lambda and Falcon, by Force Dimension's libdhd."""
+
+    library: str | None = Field(default=None, description="File of libdhd or libdrd; none: it is looked for")
+    serial: int | None = Field(default=None, ge=0, le=65_535, description="Serial number; none: the first free device")
+    rate_hz: float = Field(default=1000.0, ge=100.0, le=4000.0, description="Rate of the servo [Hz]; [100, 4000]")
+    deadman_button: int | None = Field(
+        default=None, ge=0, le=31, description="Number of the button that has to be held for any force; none: no button"
+    )
+
+
+class HdConfig(Settings):
+    """Section `haptic_node.hd`: 3D Systems Touch, by OpenHaptics' libHD."""
+
+    library: str | None = Field(default=None, description="File of libHD; none: it is looked for")
+    name: str | None = Field(default=None, description="Name of the device in its driver; none: the default one")
+    rate_hz: Literal[500, 1000] = Field(default=1000, description="Rate of the scheduler [Hz]: 500 or 1000")
+    deadman_button: int | None = Field(
+        default=None, ge=0, le=3, description="Number of the button that has to be held for any force; none: no button"
+    )
+
+
+WIRES = ("haply", "dhd", "hd")

@@ -1,0 +1,181 @@
+/* An emulated arm of three axes with a hand on it, behind the symbols of a vendor's library.
+ *
+ * m x'' + b x' + c sign(x') = u + F, in the frame of the vendor; F is the hand's, along one axis, and begins with the
+ * session. The values of m and b are chosen, not measured. Time is that of the machine, or what a test says.
+ */
+#ifndef TELENANO_DOUBLE_ARM_H
+#define TELENANO_DOUBLE_ARM_H
+
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#define ARM_STEP_S 25e-6
+#define ARM_LONGEST_S 0.05
+#define ARM_POINTS 32
+#define ARM_FAILURES 16
+
+struct arm {
+    double mass_kg, damping, friction_n, radius_m, resolution_m;
+    /* the axis of the hand, and the sign of "towards the sample" along it */
+    int hand_axis;
+    double hand_sign;
+    double place[3], speed[3], force[3];
+    double session_s, now_s, left_s, virtual_s;
+    int points;
+    double time_s[ARM_POINTS], hand_n[ARM_POINTS];
+    /* what a test has broken */
+    double offset_m, sign, latency_s;
+    /* a hand of a test, instead of the session's: its force, or held where it is */
+    double push_n;
+    int pushes, held;
+    int frozen, not_a_number, unplugged, uncalibrated, buttons;
+    double frozen_place[3];
+    char failing[ARM_FAILURES][40];
+    int failure[ARM_FAILURES];
+    pthread_mutex_t lock;
+};
+
+static double arm_clock(const struct arm *a) {
+    struct timespec t;
+    if (a->virtual_s >= 0.0) return a->virtual_s;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static double arm_hand(const struct arm *a) {
+    int i;
+    if (a->pushes) return a->push_n;
+    if (a->session_s < 0.0 || a->points == 0 || a->session_s < a->time_s[0]) return 0.0;
+    for (i = 1; i < a->points; i++)
+        if (a->session_s < a->time_s[i]) {
+            double share = (a->session_s - a->time_s[i - 1]) / (a->time_s[i] - a->time_s[i - 1]);
+            return a->hand_n[i - 1] + share * (a->hand_n[i] - a->hand_n[i - 1]);
+        }
+    return a->hand_n[a->points - 1];
+}
+
+static void arm_step(struct arm *a, double dt) {
+    double kept = exp(-a->damping * dt / a->mass_kg);
+    double given = a->damping > 0.0 ? (1.0 - kept) / a->damping : dt / a->mass_kg;
+    double far = 0.0;
+    int i;
+    for (i = 0; i < 3; i++) {
+        double v = a->speed[i], u = a->sign * a->force[i], next;
+        if (i == a->hand_axis) u += a->hand_sign * arm_hand(a);
+        if (a->friction_n > 0.0)
+            u -= v != 0.0 ? copysign(a->friction_n, v) : fmax(-a->friction_n, fmin(u, a->friction_n));
+        next = kept * v + given * u;
+        if (a->friction_n > 0.0 && v * next < 0.0) next = 0.0;
+        if (a->held) next = v = 0.0;
+        a->speed[i] = next;
+        a->place[i] += dt * 0.5 * (v + next);
+        far += a->place[i] * a->place[i];
+    }
+    if (far > a->radius_m * a->radius_m)
+        for (i = 0; i < 3; i++) {
+            a->place[i] *= a->radius_m / sqrt(far);
+            a->speed[i] = 0.0;
+        }
+    if (a->session_s >= 0.0) a->session_s += dt;
+}
+
+/* Go on to the present time; a process that stood still goes on from now. */
+static void arm_advance(struct arm *a) {
+    double now = arm_clock(a);
+    if (a->now_s < 0.0) a->now_s = now;
+    a->left_s += fmin(now - a->now_s, ARM_LONGEST_S);
+    a->now_s = now;
+    for (; a->left_s >= ARM_STEP_S; a->left_s -= ARM_STEP_S) arm_step(a, ARM_STEP_S);
+}
+
+static void arm_measured(const struct arm *a, double place[3]) {
+    int i;
+    for (i = 0; i < 3; i++) {
+        place[i] = a->frozen ? a->frozen_place[i] : a->place[i];
+        if (a->resolution_m > 0.0) place[i] = a->resolution_m * round(place[i] / a->resolution_m);
+    }
+    place[a->hand_axis] += a->offset_m;
+    if (a->not_a_number) place[a->hand_axis] = NAN;
+}
+
+/* Return the error that a test wants of this call, 0 for none. */
+static int arm_failure(const struct arm *a, const char *call) {
+    int i;
+    for (i = 0; i < ARM_FAILURES; i++)
+        if (a->failure[i] && strcmp(a->failing[i], call) == 0) return a->failure[i];
+    return 0;
+}
+
+static void arm_fail(struct arm *a, const char *call, int error) {
+    int i;
+    for (i = 0; i < ARM_FAILURES; i++)
+        if (!a->failing[i][0] || strcmp(a->failing[i], call) == 0) {
+            strncpy(a->failing[i], call, sizeof a->failing[i] - 1);
+            a->failure[i] = error;
+            return;
+        }
+}
+
+static void arm_set(struct arm *a, const char *name, double value) {
+    if (!strcmp(name, "virtual_s")) a->virtual_s = value;
+    if (!strcmp(name, "offset_m")) a->offset_m = value;
+    if (!strcmp(name, "sign")) a->sign = value;
+    if (!strcmp(name, "latency_s")) a->latency_s = value;
+    if (!strcmp(name, "frozen")) {
+        a->frozen = value != 0.0;
+        memcpy(a->frozen_place, a->place, sizeof a->place);
+    }
+    if (!strcmp(name, "not_a_number")) a->not_a_number = value != 0.0;
+    if (!strcmp(name, "unplugged")) {
+        a->unplugged = value != 0.0;
+        if (a->unplugged) memset(a->force, 0, sizeof a->force);
+    }
+    if (!strcmp(name, "uncalibrated")) a->uncalibrated = value != 0.0;
+    if (!strcmp(name, "buttons")) a->buttons = (int)value;
+    if (!strcmp(name, "session")) a->session_s = value != 0.0 ? (a->session_s < 0.0 ? 0.0 : a->session_s) : -1.0;
+    if (!strcmp(name, "push_n")) a->push_n = value, a->pushes = 1;
+    if (!strcmp(name, "held")) a->held = value != 0.0;
+    if (!strcmp(name, "place")) a->place[a->hand_axis] = value;
+}
+
+static double arm_get(const struct arm *a, const char *name) {
+    if (!strcmp(name, "place")) return a->place[a->hand_axis];
+    if (!strcmp(name, "force")) return a->force[a->hand_axis];
+    if (!strcmp(name, "force_size"))
+        return sqrt(a->force[0] * a->force[0] + a->force[1] * a->force[1] + a->force[2] * a->force[2]);
+    if (!strcmp(name, "virtual_s")) return a->virtual_s;
+    if (!strcmp(name, "session_s")) return a->session_s;
+    return NAN;
+}
+
+static void arm_sleep(struct arm *a, double duration_s) {
+    struct timespec t;
+    if (a->virtual_s >= 0.0) {
+        a->virtual_s += duration_s;
+        return;
+    }
+    t.tv_sec = (time_t)duration_s;
+    t.tv_nsec = (long)(1e9 * (duration_s - (double)t.tv_sec));
+    nanosleep(&t, NULL);
+}
+
+/* A fault of TELENANO_DOUBLE_FAULT, such as "unplugged@3.0=1", comes at that time of the session, for runs that are
+ * started as a whole. */
+static void arm_planned(struct arm *a) {
+    const char *plan = getenv("TELENANO_DOUBLE_FAULT");
+    char name[40];
+    const char *at = plan ? strchr(plan, '@') : NULL, *is = at ? strchr(at, '=') : NULL;
+    if (!is || (size_t)(at - plan) >= sizeof name || a->session_s < atof(at + 1)) return;
+    memcpy(name, plan, (size_t)(at - plan));
+    name[at - plan] = 0;
+    arm_set(a, name, atof(is + 1));
+    unsetenv("TELENANO_DOUBLE_FAULT");
+}
+
+/* The hand of Fig. 12. */
+#define ARM_FIG12 6, {0.8, 1.2, 2.6, 2.9, 4.5, 4.6}, {0.0, 1.0, 1.0, 2.0, 2.0, 0.0}
+
+#endif

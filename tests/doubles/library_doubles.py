@@ -1,0 +1,46 @@
+"""Libraries for tests with the symbols of Force Dimension's DHD and OpenHaptics' HD, compiled where there is a cc."""
+
+import ctypes
+import shutil
+from pathlib import Path
+
+import pytest
+
+from services.haptic_node.devices.firmware import compiled
+
+FOLDER = Path(__file__).parent
+needs_cc = pytest.mark.skipif(
+    shutil.which("cc") is None, reason="the doubles of vendors' libraries need a C compiler: apt install gcc libc6-dev"
+)
+
+
+def build(name: str) -> Path:
+    """Return the double of `dhd` or `hd`, compiled unless that was done before."""
+    source, header = FOLDER / f"{name}.c", FOLDER / "arm.h"
+    flags = ["-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", str(source), "-lm", "-pthread"]
+    return compiled(f"double-{name}", [source, header], flags, "the double of a vendor's library needs")
+
+
+class Double:
+    """What a test does to a double that is loaded in this process, beside the driver."""
+
+    def __init__(self, path: Path) -> None:
+        self._lib = ctypes.CDLL(str(path))
+        self._lib.telenano_double_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
+        self._lib.telenano_double_get.argtypes = [ctypes.c_char_p]
+        self._lib.telenano_double_get.restype = ctypes.c_double
+        self._lib.telenano_double_fail.argtypes = [ctypes.c_char_p, ctypes.c_int]
+
+    def set(self, name: str, value: float) -> None:
+        self._lib.telenano_double_set(name.encode(), value)
+
+    def get(self, name: str) -> float:
+        return float(self._lib.telenano_double_get(name.encode()))
+
+    def fail(self, call: str, error: int) -> None:
+        """Let a call fail with an error of the vendor, or, with 0, no longer."""
+        self._lib.telenano_double_fail(call.encode(), error)
+
+    def tick(self) -> None:
+        """Let the scheduler of HD call once."""
+        self._lib.telenano_double_tick()

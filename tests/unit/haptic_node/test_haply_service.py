@@ -1,0 +1,160 @@
+"""The emulated Inverse Service over its real wire, and what the driver says of one that is not as it should be."""
+
+import asyncio
+import json
+import threading
+import urllib.request
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from servo_bench import ServoBench
+
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.coupling import GATE_ACTIVE
+from services.haptic_node.devices.emulated_arm import INVERSE3, EmulatedArm
+from services.haptic_node.devices.haply import HaplyWire
+from services.haptic_node.devices.haply_service import HaplyService, obey, serve_haply
+from services.haptic_node.driver import DeviceError
+from services.haptic_node.servo import DeviceSample
+
+
+class Served:
+    """A service on a port of its own, in a thread."""
+
+    def __init__(self) -> None:
+        self.service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+        self.port = 0
+        self._ready = threading.Event()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        assert self._ready.wait(20.0)
+
+    def _run(self) -> None:
+        def ready(port: int) -> None:
+            self.port = port
+            self._ready.set()
+
+        async def serve() -> None:
+            self._task = asyncio.current_task()
+            await serve_haply(self.service, "127.0.0.1", 0, ready)
+
+        try:
+            self._loop.run_until_complete(serve())
+        except asyncio.CancelledError:
+            pass
+        finally:
+            self._loop.close()
+
+    @property
+    def address(self) -> str:
+        return f"ws://127.0.0.1:{self.port}"
+
+    def close(self) -> None:
+        if self._task is not None:
+            self._loop.call_soon_threadsafe(self._task.cancel)
+        self._thread.join()
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    found = Served()
+    yield found
+    found.close()
+
+
+def turns(count: int, seen: list[DeviceSample], push: float = 0.0) -> Callable[[DeviceSample], Any]:
+    def turn(sample: DeviceSample) -> Any:
+        seen.append(sample)
+        return None if len(seen) >= count else (0.0, 0.0, push)
+
+    return turn
+
+
+def test_the_driver_finds_the_device_and_drives_it_over_the_real_wire(served: Served) -> None:
+    wire, seen = HaplyWire(served.address), list[DeviceSample]()
+    found = wire.open()
+    assert found.identity == "Haply inverse3 049D, firmware 3.5, emulated"
+    assert (found.axes, found.kind, found.buttons) == (3, "impedance", ("a", "b", "c"))
+    assert (served.service.gate, served.service.damping) == (0.0, 0.0)
+    wire.session(True)
+    wire.run(turns(60, seen, push=0.5))
+    assert served.service.spellings == {"vector": 59 + 1, "values": 0} or served.service.spellings["values"] == 0
+    assert served.service.arm.session_s is not None
+    assert seen[-1].position_m[2] > seen[0].position_m[2]
+    assert all(sample.taken_ns > before.taken_ns for before, sample in pairwise(seen))
+    wire.close()
+
+
+def test_version_is_told_over_http(served: Served) -> None:
+    with urllib.request.urlopen(f"http://127.0.0.1:{served.port}/version", timeout=10) as answer:
+        said = json.load(answer)
+    assert said["ok"]
+    assert said["data"]["project_version"]
+
+
+def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.haptic_node.devices.haply._OPEN_S", 0.3)
+    with pytest.raises(DeviceError, match=r"no Inverse Service answers at ws://127.0.0.1:1 "):
+        HaplyWire("ws://127.0.0.1:1").open()
+    with pytest.raises(DeviceError, match="is no address such as ws://"):
+        HaplyWire("localhost").open()
+    with pytest.raises(DeviceError, match=r"has no Inverse3 FFFF \(there is 049D\): plug it in"):
+        HaplyWire(served.address, device_id="FFFF").open()
+
+
+@pytest.mark.parametrize("spelling", ["vector", "values"])
+def test_both_spellings_of_the_force_are_taken_and_a_service_that_knows_one_is_found_out(
+    spelling: str, tmp_path: Path
+) -> None:
+    bench = ServoBench("haply", tmp_path, force_field=spelling)
+    other = {"vector": "values", "values": "vector"}[spelling]
+    bench.at(0.3, lambda: bench.device.hand(1.0))
+    bench.run(0.5)
+    assert bench.device.service.spellings[spelling] > 400
+    assert bench.device.service.spellings[other] == 0
+    bench = ServoBench("haply", tmp_path, force_field=spelling)
+    bench.device.service.accepts = (other,)
+    bench.at(0.3, lambda: bench.device.hand(0.3))
+    bench.run(1.2)
+    assert any(f"renders no force: give haptic_node.haply.force_field: {other}" in error for error in bench.errors)
+
+
+def test_filters_of_the_service_are_switches_of_the_driver(tmp_path: Path) -> None:
+    own = ServoBench("haply", tmp_path, force_gate=None, damping=None)
+    assert own.device.service.gate == 0.3
+    bench = ServoBench("haply", tmp_path, force_gate=0.8, damping=2.0)
+    assert (bench.device.service.gate, bench.device.service.damping) == (0.8, 2.0)
+    bench.at(0.3, lambda: bench.device.hand(1.0))
+    bench.run(0.6)
+    speeds = bench.device.service.arm.velocity_m_per_s
+    sent, found = bench.newest.force_n[2], bench.device.service.rendered_n[2]
+    assert found != sent or speeds[2] == 0.0
+
+
+def test_grip_buttons_come_at_50_hz_and_a_sleeping_grip_is_not_a_loss(tmp_path: Path) -> None:
+    bench = ServoBench("haply", tmp_path)
+    bench.at(0.30, lambda: bench.device.service.buttons.update(b=True))
+    bench.at(0.40, lambda: bench.device.do("grip_awake", False))
+    bench.run(0.5)
+    pressed = [sample.taken_ns * 1e-9 - 1.0 for sample in bench.samples if sample.buttons == 0b010]
+    assert 0.30 <= pressed[0] <= 0.33
+    assert bench.newest.gate == GATE_ACTIVE
+    assert not bench.errors
+
+
+def test_lines_of_a_person_break_the_service_and_mend_it() -> None:
+    service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+    for line in ("pull", "freeze", "nan", "jump 0.01", "sign", "late 0.1", "sleep", "press a", "lose-home"):
+        assert "is not known" not in obey(service, line)
+    assert (service.plugged, service.calibrated, service.sign, service.late_s) == (False, False, -1.0, 0.1)
+    for line in ("plug", "thaw", "number", "jump -0.01", "sign", "late 0", "wake", "release a", "home"):
+        obey(service, line)
+    assert (service.plugged, service.calibrated, service.sign, service.late_s) == (True, True, 1.0, 0.0)
+    assert (service.frozen, service.not_a_number, service.offset_m) == (None, False, 0.0)
+    assert obey(service, "jump x").startswith("'jump x' is not known: pull")
