@@ -13,6 +13,7 @@ from services.haptic_node.coupling import (
 )
 from services.haptic_node.driver import Capabilities
 from services.haptic_node.physics.coupled import CoupledParams, LateralHand
+from services.haptic_node.physics.lateral_hand import LateralPoint
 from services.haptic_node.physics.operator import OperatorParams
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
 from services.runtime.settings.config import Settings
@@ -166,14 +167,6 @@ MODELS: dict[ModelName, DeviceModel] = {
     "omega": DeviceModel(0.25, 0.50, 12.0, 5000.0, 30.0, 0.075, 4000.0),
     "heavy": DeviceModel(0.35, 2.0, 20.0, 5000.0, 30.0, 0.15, 4000.0),
 }
-
-
-class LateralPoint(Settings):
-    """One corner of the way of the hand over the sample."""
-
-    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
-    x_m: float = Field(default=0.0, ge=-1.0, le=1.0, description="Where the hand means to be, to the right [m]")
-    y_m: float = Field(default=0.0, ge=-1.0, le=1.0, description="Where the hand means to be, forward [m]")
 
 
 class SimulatedImpedanceConfig(Settings):

@@ -104,7 +104,7 @@ class Part(NamedTuple):
     step: Callable[[Any, Any, PlantInputs, float], tuple[Any, AfmSample]]
     lateral: bool = True
     motion: Callable[[Any], Motion | None] | None = None
-    particles: Callable[[Any, Any], Particles] | None = None
+    particles: Callable[[Any, Any], Particles | None] | None = None
 
 
 _PARTS: dict[type, Part] = {}

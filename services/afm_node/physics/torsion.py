@@ -19,8 +19,10 @@ from services.afm_node.physics.part import (
     Motion,
     Oscillation,
     Part,
+    Particles,
     PlantInputs,
     motion_of,
+    part_of,
     part_start,
     part_step,
     register,
@@ -109,4 +111,9 @@ def _motion(params: TorsionParams) -> Motion | None:
     return Motion(settle, oscillation)
 
 
-register(TorsionParams, Part(_start, _step, motion=_motion))
+def _particles(params: TorsionParams, state: Any) -> Particles | None:
+    find = part_of(params.within).particles
+    return None if find is None else find(params.within, state)
+
+
+register(TorsionParams, Part(_start, _step, motion=_motion, particles=_particles))
