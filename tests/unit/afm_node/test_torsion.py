@@ -92,13 +92,13 @@ def test_the_guard_judges_what_is_measured() -> None:
 
 
 def test_what_judges_a_simulation_finds_the_particles_behind_the_channel() -> None:
-    afm = instrument([[1e-7, -2e-7]], torsion={"gain_error": 0.1})
+    afm = instrument([[1e-6, -5e-7]], torsion={"gain_error": 0.1})
     afm.device.exchange(0.0)
     simulation = afm.device.simulation
     assert simulation is not None
     found = simulation.particles
     assert found is not None
-    assert found.places_m.tolist() == [[1e-7, -2e-7]]
+    assert found.places_m.tolist() == [[1e-6, -5e-7]]
 
 
 def test_a_channel_that_cannot_read_the_limit_of_the_guard_is_refused() -> None:
