@@ -113,6 +113,8 @@ class Frames:
             return self._array() if kind == "Array" else self._object(root["$defs"][kind], root)
         if "anyOf" in schema:
             return self._value(rng.choice(schema["anyOf"]), root, name)
+        if "const" in schema:
+            return schema["const"]
         if "enum" in schema:
             return rng.choice(schema["enum"])
         if schema["type"] == "object":

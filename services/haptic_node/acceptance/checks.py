@@ -342,7 +342,7 @@ CHECKS: tuple[tuple[str, Check, str], ...] = (
 )
 
 
-def judge(take: Take) -> list[Verdict]:
+def verdicts_of(take: Take) -> list[Verdict]:
     """Return the verdict of every check, in order."""
     return [Verdict(name, *check(take), wanted) for name, check, wanted in CHECKS]
 

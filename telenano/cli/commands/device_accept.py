@@ -49,14 +49,14 @@ def accept(
     or asks for the motion once more.
     """
     with report_errors(as_json):
-        from services.haptic_node.acceptance.checks import judge, overall
+        from services.haptic_node.acceptance.checks import overall, verdicts_of
         from services.haptic_node.acceptance.take import read_take
 
         if taken is not None:
             take = read_take(taken)
         else:
             take = _new_take(driver, settings or [], (mass, stop), faults or [], quiet=as_json)
-        verdicts = judge(take)
+        verdicts = verdicts_of(take)
         result = overall(verdicts)
         document = {
             "result": result,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -88,7 +89,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     from services.afm_node.programs.settings import requested
     from services.afm_node.virtual import VirtualInstrument
 
-    document, given = merge(BENCH, {}), flag_overrides(overrides)
+    document, given = deepcopy(BENCH), flag_overrides(overrides)
     document["sample"]["particles"] = {}
     if not given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}:
         document["sample"]["particles"] = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}

@@ -101,7 +101,8 @@ def test_the_driver_behind_the_guard_gives_what_the_step_gives(params):
         assert sample.base_m == outputs.base_m
         assert sample.force_n == outputs.force_n
         assert (sample.distance_m, sample.in_contact, sample.meniscus) == outputs[1:2] + outputs[5:7]
-        assert tuple(allowed[1:]) == outputs[7:]
+        assert tuple(allowed[1:]) == outputs[7:11]
+        assert outputs[11:] == (sample.lateral_x_n, sample.lateral_y_n)
     afm.close()
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from proto.errors import ConfigError
-from services.haptic_node.acceptance.checks import CHECKS, Verdict, judge, overall
+from services.haptic_node.acceptance.checks import CHECKS, Verdict, overall, verdicts_of
 from services.haptic_node.acceptance.devices import Circumstances, make_take
 from services.haptic_node.acceptance.take import MASS_STEP, MOST_WITHOUT_STOP_N, STEPS, Take, read_take, steps_of
 from services.haptic_node.config import HapticConfig
@@ -62,7 +62,7 @@ def take_of(
 
 
 def found(take: Take) -> dict[str, Verdict]:
-    return {verdict.check: verdict for verdict in judge(take)}
+    return {verdict.check: verdict for verdict in verdicts_of(take)}
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def good() -> Take:
 
 def test_motion_takes_a_minute_and_every_check_passes_on_a_good_device(good: Take) -> None:
     assert 55.0 <= sum(step.seconds for step in STEPS) <= 65.0
-    verdicts = judge(good)
+    verdicts = verdicts_of(good)
     assert [verdict for verdict in verdicts if verdict.result != "pass"] == [] and overall(verdicts) == "pass"
     assert len(verdicts) == len(CHECKS) == 25
     assert set(SOME) | set(FURTHER) | {"workspace", "independent stop"} == {name for name, _, _ in CHECKS}
@@ -97,7 +97,7 @@ def test_each_further_check_finds_the_fault_that_it_is_for(name: str) -> None:
 
 def test_take_is_judged_the_same_from_its_file_and_another_file_is_refused(good: Take, tmp_path: Path) -> None:
     good.save(tmp_path / "take.npz")
-    assert judge(read_take(tmp_path / "take.npz")) == judge(good)
+    assert verdicts_of(read_take(tmp_path / "take.npz")) == verdicts_of(good)
     np.savez(tmp_path / "other.npz", rows=np.zeros(3), facts="{}")
     for name in ("other.npz", "none.npz"):
         with pytest.raises(ConfigError, match=name):

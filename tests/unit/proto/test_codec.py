@@ -570,6 +570,8 @@ def _strategy(schema: dict[str, Any], root: dict[str, Any], name: str = "") -> s
         return _arrays() if record == "Array" else _record(root["$defs"][record], root)
     if "anyOf" in schema:
         return st.one_of([_strategy(choice, root) for choice in schema["anyOf"]])
+    if "const" in schema:
+        return st.just(schema["const"])
     if "enum" in schema:
         return st.sampled_from(schema["enum"])
     if schema["type"] == "object":

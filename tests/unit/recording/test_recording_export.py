@@ -384,12 +384,10 @@ def test_nothing_is_overwritten(rich: Path, tmp_path: Path) -> None:
 
 def test_a_package_that_is_not_there_is_named(rich: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(ConfigError, match=r"hdf5 needs the package h5py: pip install 'telenano\[export\]'"):
+    with pytest.raises(ConfigError, match=r"hdf5 needs the package h5py: pip install .*\[export\]'"):
         export_recording(rich, tmp_path / "x.h5", "hdf5")
     monkeypatch.setitem(__import__("sys").modules, "google.protobuf.descriptor_pb2", None)
-    with pytest.raises(
-        ConfigError, match=r"mcap-protobuf needs the package protobuf: pip install 'telenano\[export\]'"
-    ):
+    with pytest.raises(ConfigError, match=r"mcap-protobuf needs the package protobuf: pip install .*\[export\]'"):
         export_recording(rich, tmp_path / "x.mcap", "mcap-protobuf")
     assert not (tmp_path / "x.mcap").exists()
 
