@@ -26,13 +26,15 @@ HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memor
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
     "afm/state": ("mode", "limited", "in_contact", "meniscus"),
-    "afm/program": ("program", "state", "text", "done_percent", "line", "lines"),
+    "afm/program": ("program", "state", "text", "done_percent", "line", "lines", "values"),
     "law/status": ("law", "switching", "passive", "heard", "silence_s", "dissipated_j", "left_j"),
 }
 # in afm/state, where what is felt is no force
 _FELT_KEYS = ("felt_channel", "felt_clamp")
 # the operator's time changes with each sample, and is shown with a tenth of a second
 _COARSE = {"session_s": 1, "silence_s": 1, "uptime_s": 0}
+# keys that a message may be without
+_OPTIONAL = frozenset({"values"})
 _WAY_KEYS = ("profile", "settings", "queue_depth", "delay_mean_s", "delay_max_s", "delay_valid", "dropped")
 
 
@@ -188,4 +190,6 @@ def _check(facts: Mapping[str, Any], most: int) -> int:
 
 
 def _facts(fields: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    return {key: round(fields[key], _COARSE[key]) if key in _COARSE else fields[key] for key in keys}
+    facts = {key: fields[key] for key in keys if key not in _OPTIONAL}
+    rounded = {key: round(facts[key], _COARSE[key]) for key in facts.keys() & _COARSE.keys()}
+    return facts | rounded | {key: fields[key] for key in _OPTIONAL.intersection(keys) & fields.keys()}

@@ -15,6 +15,8 @@ export class Flat {
   readonly element = make("div", { class: "flat", hidden: true }, this.canvas, this.note);
   onPlace: (x: number, y: number) => void = () => {};
   tool: () => string = () => "profile";
+  overlay: (pen: CanvasRenderingContext2D, at: (x: number, y: number) => [number, number], scale: number) => void = () => {};
+  grab: (x: number, y: number) => ((x: number, y: number) => void) | undefined = () => undefined;
   private readonly picture = make("canvas");
   private isDirty = true;
   private isStale = true;
@@ -35,6 +37,11 @@ export class Flat {
 
   invalidate(): void {
     this.isDirty = this.isStale = true;
+  }
+
+  /** Draw again what is over the image. */
+  redraw(): void {
+    this.isDirty = true;
   }
 
   /** Draw with a frame, if something has changed that is seen. */
@@ -66,6 +73,7 @@ export class Flat {
     pen.drawImage(this.picture, this.frame.left, this.frame.top, extent.width * scale, extent.depth * scale);
     this.drawAxes(pen, extent, height);
     this.drawLine(pen, extent);
+    this.overlay(pen, (atX, atY) => this.toCanvas(extent, atX, atY), scale);
     const [x, y] = this.toCanvas(extent, tip[0], tip[1]);
     if (Number.isFinite(x) && Number.isFinite(y)) {
       pen.strokeStyle = colour("stop");
@@ -172,12 +180,14 @@ export class Flat {
     const from = this.toSample(event);
     if (!from || event.button !== 0) return;
     const places = this.tool() === "place";
+    const grabbed = places ? undefined : this.grab(...from);
     if (places) this.onPlace(...from);
     this.canvas.setPointerCapture(event.pointerId);
     const move = (moved: PointerEvent): void => {
       const to = this.toSample(moved);
       if (!to) return;
       if (places) this.onPlace(...to);
+      else if (grabbed) grabbed(...to);
       else if (Math.hypot(to[0] - from[0], to[1] - from[1]) > 0.01) {
         this.section.set(from, to);
         if (!this.section.isOn) this.section.setOn(true);

@@ -20,6 +20,12 @@ export class Image {
   onLook: () => void = () => {};
   /** Gives the image as a picture; none where there is no scene. */
   onPicture: () => HTMLCanvasElement | undefined = () => undefined;
+  /** Draws over the image from above: `at` gives the place on the canvas of one on the sample [nm], `scale` pixels for a nm. */
+  onDraw: (pen: CanvasRenderingContext2D, at: (x: number, y: number) => [number, number], scale: number) => void = () => {};
+  /** Returns what moves with the pointer that was pressed at a place of the image from above [nm]; nothing where that is free. */
+  onGrab: (x: number, y: number) => ((x: number, y: number) => void) | undefined = () => undefined;
+  /** Called when what is drawn over the image has changed. */
+  redraw: () => void = () => {};
 
   constructor(
     private readonly commands: Commands,

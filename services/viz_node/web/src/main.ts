@@ -143,6 +143,8 @@ addEventListener("keydown", (event) => {
   if (event.key === "p") scopes.pause();
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
+  // the clutch of the hand across the sample, where there is one
+  if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();
 });
 if (!token) connection.onState("refused", "open the address that `telenano view` printed: it ends with a token");
 else connection.open();

@@ -6,6 +6,7 @@ import { ImagePanel } from "./panels/image";
 import { InstrumentPanel } from "./panels/instrument";
 import { LawPanel } from "./panels/law";
 import { LinkPanel } from "./panels/link";
+import { ParticlesPanel } from "./panels/particles";
 import { NodesPanel } from "./panels/nodes";
 import { ScenePanel } from "./panels/scene";
 import { ScopesPanel } from "./panels/scopes";
@@ -29,6 +30,7 @@ export const PANELS: readonly PanelRow[] = [
   { id: "link", title: "Link", region: "controls", shows: isLive, make: (root, cockpit) => new LinkPanel(root, cockpit) },
   { id: "summary", title: "Summary", region: "dock", shows: isRecording, make: (root, cockpit) => new SummaryPanel(root, cockpit) },
   { id: "image", title: "Image", region: "dock", make: (root, cockpit) => new ImagePanel(root, cockpit) },
+  { id: "particles", title: "Particles", region: "dock", shows: isLive, make: (root, cockpit) => new ParticlesPanel(root, cockpit) },
   { id: "gallery", title: "Delay", region: "dock", make: (root, cockpit) => new DelayPanel(root, cockpit) },
   { id: "settings", title: "Settings", region: "dock", shows: isLive, make: (root, cockpit) => new SettingsPanel(root, cockpit) },
   { id: "nodes", title: "Nodes", region: "watch", make: (root, cockpit) => new NodesPanel(root, cockpit) },

@@ -22,6 +22,9 @@ export class ScenePanel implements Panel {
       store.onRestart = () => view.clear();
       image.onLook = () => view.look();
       image.onPicture = () => (image.surface.isEmpty ? undefined : view.flat.export());
+      view.flat.overlay = (pen, at, scale) => image.onDraw(pen, at, scale);
+      view.flat.grab = (x, y) => image.onGrab(x, y);
+      image.redraw = () => view.flat.redraw();
       this.view = view;
     } catch (error) {
       root.append(make("p", { class: "error" }, `No picture in three dimensions: ${String(error)}. Everything else works.`));

@@ -1,0 +1,323 @@
+import type { Cockpit, Panel } from "../cockpit";
+import { colour, make } from "../dom";
+import { ACROSS_M } from "../hand";
+import { findParticles, isBlocked, SHORT, touchDistance, travelLeft, type Particle } from "../particles";
+import { INSTRUMENT } from "../tip";
+
+const NM = 1e9;
+const PROGRAM = "afm/program/slave";
+const AFM = "afm/state/slave";
+/** A particle has arrived within this share of its diameter. */
+const DONE_SHARE = 0.1;
+/** A lateral force above this is that of a particle [N]. */
+const FELT_N = 2e-9;
+const LOOK_MS = 100;
+const LONGEST_PUSH_MS = 600_000;
+/** The motion of the tip is known after so much of it [nm]. */
+const MOTION_NM = 3;
+
+/** A particle of the last image: where it was found, where it is believed to be now, and where it is to go [nm]. */
+interface Known extends Particle {
+  found: readonly [number, number];
+  target?: { x: number; y: number };
+  isLost: boolean;
+}
+
+type Values = Record<string, number | string | boolean>;
+
+/** Particles in the last image, where they are believed to be now, their targets, and who pushes them: hand or program. */
+export class ParticlesPanel implements Panel {
+  private known: Known[] = [];
+  private pushed: Known | undefined;
+  private isAssembling = false;
+  private isTakenOver = false;
+  private words = "No image yet: Scan takes one, with its tip clear of the particles.";
+  private aside = NaN;
+  private before: [number, number] | undefined;
+  private motion: [number, number] | undefined;
+  private ran = "";
+  private drawn = "";
+  private readonly list = make("ol", { id: "particles-list", "aria-label": "Particles in the last image" });
+  private readonly state = make("p", { class: "quiet", id: "particles-state", role: "status" });
+  private readonly left = make("meter", { id: "travel-left", min: 0, max: 3, low: SHORT, optimum: 3, "aria-label": "Travel left until the particle slips off, in distances of the axes" });
+  private readonly leftText = make("span", { class: "quiet", id: "travel-left-text" });
+  private readonly find = this.button("particles-find", "Find", () => this.look());
+  private readonly assemble = this.button("assemble", "Assemble", () => void this.run());
+  private readonly takeOver = this.button("take-over", "Take over", () => void this.take());
+  private readonly giveBack = this.button("give-back", "Give back", () => void this.give());
+  private readonly mode = make("select", { id: "lateral-mode", "aria-label": "What the hand across the sample is", onchange: () => void this.set({ "lateral.mode": this.mode.value }) }, ...["rate", "position"].map((name) => make("option", { value: name }, `hand is ${name === "rate" ? "velocity" : "place"}`)));
+  private readonly switches = [
+    this.toggle("lateral-clutch", "Clutch", "The hand moves freely and the tip stands", (on) => ({ "lateral.clutch": on ? "released" : "engaged" })),
+    this.toggle("hold-depth", "Hold depth", "The hand stays at its depth", (on) => ({ "lateral.depth.enabled": on })),
+    this.toggle("guide", "Guide", "The hand is drawn to the line from the pushed particle to its target", (on) => ({ "lateral.guide.enabled": on, ...this.line() })),
+  ];
+  private readonly pad = make("div", { class: "pad steer", id: "steer-pad", tabindex: 0, role: "application", "aria-label": "Hand across the sample: drag from the middle, or hold the arrow keys, to move the tip" });
+
+  constructor(
+    root: HTMLElement,
+    private readonly cockpit: Cockpit,
+  ) {
+    const bar = make("div", { class: "row" }, make("span", { class: "quiet" }, "Travel left"), this.left, this.leftText);
+    root.append(
+      this.state,
+      make("div", { class: "row" }, this.find, this.assemble, this.takeOver, this.giveBack),
+      make("div", { class: "row" }, this.mode, ...this.switches),
+      this.pad,
+      bar,
+      this.list,
+    );
+    const { image, hand } = cockpit;
+    image.onDraw = (pen, at, scale) => this.draw(pen, at, scale);
+    image.onGrab = (x, y) => this.grab(x, y);
+    this.pad.addEventListener("pointerdown", (event) => {
+      this.pad.setPointerCapture(event.pointerId);
+      this.steer(event);
+    });
+    this.pad.addEventListener("pointermove", (event) => this.pad.hasPointerCapture(event.pointerId) && this.steer(event));
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) this.pad.addEventListener(name, () => hand.steer(null));
+    this.pad.addEventListener("keydown", (event) => hand.steerByKey(event.key) && event.preventDefault());
+    this.pad.addEventListener("keyup", (event) => event.key.startsWith("Arrow") && hand.steer(null));
+  }
+
+  begin(): void {
+    const may = this.cockpit.commands.may && this.cockpit.tip.isThere;
+    for (const control of [this.assemble, this.takeOver, this.giveBack, this.mode, ...this.switches]) control.disabled = !may;
+    this.pad.setAttribute("aria-disabled", String(!this.cockpit.hand.isOffered));
+    this.pad.tabIndex = this.cockpit.hand.isOffered ? 0 : -1;
+  }
+
+  frame(): void {
+    this.follow();
+  }
+
+  write(): void {
+    const { store, image, tip } = this.cockpit;
+    const runs = tip.program;
+    if (this.ran === "scan" && !runs) this.look();
+    this.ran = runs;
+    this.find.disabled = image.surface.isEmpty;
+    const program = store.state.get(PROGRAM);
+    const own = runs === "push" ? String(program?.["text"] ?? "") : this.byHand();
+    const sentence = [own, this.words].filter(Boolean).join(" · ");
+    if (this.state.textContent !== sentence) this.state.textContent = sentence;
+    const d = this.pushed ? touchDistance(this.pushed.radius) : NaN;
+    const left = Number.isNaN(this.aside) || !this.pushed ? NaN : travelLeft(d, this.aside) / d;
+    this.left.value = Number.isNaN(left) ? 0 : Math.min(3, left);
+    const text = Number.isNaN(left) ? "–" : left > 3 ? "more than 3 d" : `${left.toFixed(1)} d`;
+    if (this.leftText.textContent !== text) this.leftText.textContent = text;
+    const rows = this.known.map((one) => {
+      const target = one.target ? `, ${Math.hypot(one.target.x - one.x, one.target.y - one.y).toFixed(0)} nm from its target` : "";
+      return `${one.x.toFixed(0)}, ${one.y.toFixed(0)} nm ± ${(2 * one.error).toFixed(1)}, radius ${one.radius.toFixed(0)}${target}${one.isLost ? ", lost: scan again" : one === this.pushed ? ", pushed" : ""}`;
+    });
+    if (rows.join() !== this.drawn) {
+      this.drawn = rows.join();
+      this.list.replaceChildren(...rows.map((row) => make("li", {}, row)));
+      image.redraw();
+    }
+  }
+
+  /** Find the particles of the image that is there; targets stay with those that are where they were. */
+  private look(): void {
+    const { surface } = this.cockpit.image;
+    const extent = surface.extent;
+    if (!extent) return;
+    const { measured, rows, columns } = surface.grid();
+    const was = this.known;
+    this.known = findParticles({ values: measured, rows, columns, extent }).map((one) => {
+      const same = was.find((other) => Math.hypot(other.x - one.x, other.y - one.y) < one.radius);
+      return { ...one, found: [one.x, one.y] as const, isLost: false, ...(same?.target && { target: same.target }) };
+    });
+    this.pushed = undefined;
+    this.words = this.known.length ? `${this.known.length} particles found. Drag one in the flat image: that is its target.` : "No particle was found in the image.";
+  }
+
+  /** Take up where the pushed particle is: from the report of a push, or from the lateral force under a hand. */
+  private follow(): void {
+    const { store, tip } = this.cockpit;
+    const runs = tip.program;
+    const [x, y] = [store.last("tip", "x") * NM, store.last("tip", "y") * NM];
+    if (runs === "push") {
+      const values = store.fact(PROGRAM, "values") as Values | undefined;
+      if (this.pushed && values?.["in_contact"] === true) {
+        this.believe(this.pushed, Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM);
+        this.aside = Number(values["aside_rad"]);
+      }
+      return;
+    }
+    const [fx, fy] = [store.last("tip", "force_x"), store.last("tip", "force_y")];
+    const size = Math.hypot(fx, fy);
+    if (runs || !(size > FELT_N) || store.fact(AFM, "mode") !== "follow") {
+      this.before = undefined;
+      return;
+    }
+    const [ex, ey] = [-fx / size, -fy / size];
+    const near = this.known.find((one) => Math.hypot(x + touchDistance(one.radius) * ex - one.x, y + touchDistance(one.radius) * ey - one.y) < one.radius);
+    if (!near) return;
+    this.pushed = near;
+    const d = touchDistance(near.radius);
+    this.before ??= [x, y];
+    const [dx, dy] = [x - this.before[0], y - this.before[1]];
+    const way = Math.hypot(dx, dy);
+    if (way < MOTION_NM) return;
+    this.motion = [dx / way, dy / way];
+    this.before = [x, y];
+    this.aside = Math.acos(Math.min(1, Math.max(-1, this.motion[0] * ex + this.motion[1] * ey)));
+    // what is not seen grows by e^(s / d) in a straight push
+    near.error *= Math.exp(way / d);
+    this.believe(near, x + d * ex, y + d * ey);
+  }
+
+  private believe(one: Known, x: number, y: number): void {
+    [one.x, one.y] = [x, y];
+    one.isLost = false;
+    // the force tells the place again, so the error does not outgrow the particle
+    one.error = Math.min(one.error, one.radius);
+  }
+
+  /** What the hand does, in words; nothing where it does not move the tip. */
+  private byHand(): string {
+    const { store, hand } = this.cockpit;
+    if (!hand.meantAcross) return "";
+    const size = Math.hypot(store.last("tip", "force_x"), store.last("tip", "force_y"));
+    const news = store.events.findLast(({ src, text }) => src.startsWith("controller") && /^(met|lost): /.test(text));
+    if (size > FELT_N) return `Pushing, ${(size * NM).toFixed(1)} nN`;
+    return news?.text.startsWith("lost") ? "The particle is lost" : "Nothing is met yet";
+  }
+
+  /** Push each particle that has a target and is not there, the next one that nothing blocks. */
+  private async run(): Promise<void> {
+    if (this.isAssembling) return;
+    this.isAssembling = true;
+    this.isTakenOver = false;
+    while (!this.isTakenOver) {
+      const open = this.known.filter((one) => one.target && !one.isLost && Math.hypot(one.target.x - one.x, one.target.y - one.y) > 2 * DONE_SHARE * one.radius);
+      const next = open.find((one) => !isBlocked(one, one.target!, this.known.filter((other) => other !== one)));
+      if (!next) {
+        const [lost, waits] = [this.known.filter((one) => one.isLost).length, open.length];
+        this.words = lost ? `${lost} particles are lost: scan again.` : waits ? `${waits} particles have others in their way: move these first.` : this.known.some((one) => one.target) ? "Every particle is at its target, as far as is known: scan to see." : "No particle has a target yet: drag one in the flat image.";
+        break;
+      }
+      if (!(await this.push(next))) break;
+    }
+    this.isAssembling = false;
+  }
+
+  private async push(one: Known): Promise<boolean> {
+    const { commands, store, tip } = this.cockpit;
+    this.pushed = one;
+    this.words = `Particle ${this.known.indexOf(one) + 1} of ${this.known.length}`;
+    const [x0, y0, x1, y1, radius] = [one.x, one.y, one.target!.x, one.target!.y, one.radius].map((value) => value / NM);
+    const keys = { program: "push", "push.x0_m": x0!, "push.y0_m": y0!, "push.x1_m": x1!, "push.y1_m": y1!, "push.radius_m": radius! };
+    if (!(await this.until(() => !tip.program && store.fact(AFM, "mode") !== "retracting"))) return false;
+    if (!(await commands.command("push begins", "set", INSTRUMENT, keys))) return false;
+    await this.until(() => tip.program === "push", 3000);
+    await this.until(() => tip.program !== "push");
+    const values = store.fact(PROGRAM, "values") as Values | undefined;
+    const isThere = values?.["why"] === "the particle is at its goal";
+    if (values?.["in_contact"] === true) this.believe(one, Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM);
+    if (isThere) one.error = Math.hypot(one.error, Number(values?.["believed_error_m"] ?? 0) * NM);
+    else if (!this.isTakenOver) {
+      one.isLost = true;
+      this.words = `The push ended: ${String(values?.["why"] || store.fact(PROGRAM, "text"))}.`;
+    }
+    return isThere;
+  }
+
+  /** Let the hand go on where the program is: the tip comes up, and down again at the same place. */
+  private async take(): Promise<void> {
+    this.isTakenOver = true;
+    this.words = "By hand: press down with Keep holding, and steer across.";
+    await this.cockpit.tip.followHand();
+    await this.set({ "lateral.mode": this.mode.value, "lateral.clutch": "engaged", ...this.line() });
+  }
+
+  /** Let the program go on from where the particles are believed to be now. */
+  private async give(): Promise<void> {
+    const { hand, tip } = this.cockpit;
+    hand.letGo();
+    await this.until(() => !this.isAssembling && !tip.program, 3000);
+    await this.run();
+  }
+
+  /** The guide from where the pushed particle, or the nearest with a target, is to where it is to go. */
+  private line(): Values {
+    const one = this.pushed ?? this.known.find(({ target }) => target);
+    if (!one?.target) return {};
+    return { "lateral.guide.x0_m": one.x / NM, "lateral.guide.y0_m": one.y / NM, "lateral.guide.x1_m": one.target.x / NM, "lateral.guide.y1_m": one.target.y / NM };
+  }
+
+  private async set(values: Values): Promise<boolean> {
+    return this.cockpit.commands.command("hand across the sample", "set", "controller", values);
+  }
+
+  private async until(holds: () => boolean, longest_ms = LONGEST_PUSH_MS): Promise<boolean> {
+    for (let waited = 0; waited < longest_ms; waited += LOOK_MS) {
+      if (holds()) return true;
+      await new Promise((go) => setTimeout(go, LOOK_MS));
+    }
+    return holds();
+  }
+
+  private steer(event: PointerEvent): void {
+    const { clientWidth: width, clientHeight: height } = this.pad;
+    const box = this.pad.getBoundingClientRect();
+    const side = Math.min(width, height) / 2;
+    this.cockpit.hand.steer([(ACROSS_M * (event.clientX - box.left - width / 2)) / side, (-ACROSS_M * (event.clientY - box.top - height / 2)) / side]);
+  }
+
+  /** Begin to drag the target of the particle at a place; none where there is no particle or target. */
+  private grab(x: number, y: number): ((x: number, y: number) => void) | undefined {
+    const one = this.known.find((other) => Math.hypot(other.x - x, other.y - y) < other.radius || (other.target && Math.hypot(other.target.x - x, other.target.y - y) < other.radius));
+    if (!one || !this.cockpit.commands.may) return undefined;
+    return (toX, toY) => {
+      one.target = { x: toX, y: toY };
+      this.cockpit.image.redraw();
+    };
+  }
+
+  private draw(pen: CanvasRenderingContext2D, at: (x: number, y: number) => [number, number], scale: number): void {
+    const ring = (x: number, y: number, radius: number): void => {
+      pen.beginPath();
+      pen.arc(...at(x, y), radius * scale, 0, 7);
+    };
+    for (const one of this.known) {
+      if (Math.hypot(one.x - one.found[0], one.y - one.found[1]) > one.radius) {
+        pen.fillStyle = "rgba(128, 128, 128, 0.75)";
+        ring(...one.found, one.radius * 1.3);
+        pen.fill();
+      }
+      pen.lineWidth = one === this.pushed ? 3 : 2;
+      pen.strokeStyle = one.isLost ? colour("bad") : "#ffffff";
+      pen.setLineDash(one.isLost ? [3, 3] : []);
+      ring(one.x, one.y, one.radius);
+      pen.stroke();
+      pen.strokeStyle = colour("c2");
+      ring(one.x, one.y, Math.max(2 * one.error, 2 / scale));
+      pen.stroke();
+      if (!one.target) continue;
+      pen.setLineDash([5, 4]);
+      pen.strokeStyle = colour("accent");
+      pen.beginPath();
+      pen.moveTo(...at(one.x, one.y));
+      pen.lineTo(...at(one.target.x, one.target.y));
+      pen.stroke();
+      ring(one.target.x, one.target.y, one.radius);
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+    pen.setLineDash([]);
+  }
+
+  private button(id: string, text: string, action: () => void): HTMLButtonElement {
+    return make("button", { type: "button", id, onclick: action }, text);
+  }
+
+  private toggle(id: string, text: string, title: string, values: (on: boolean) => Values): HTMLButtonElement {
+    const button = make("button", { type: "button", id, title, "aria-pressed": "false" }, text);
+    button.addEventListener("click", () => {
+      const on = button.getAttribute("aria-pressed") !== "true";
+      void this.set(values(on)).then((done) => done && button.setAttribute("aria-pressed", String(on)));
+    });
+    return button;
+  }
+}

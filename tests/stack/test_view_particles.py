@@ -1,0 +1,105 @@
+"""A hand in the browser pushes a particle on a live rig, and gives it back: judged by what is on the bus."""
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_page import PATIENCE_S, PATIENT, Page, View, browser, needs_browser, open_page
+from stack_rig import Rig
+
+from services.afm_node.physics.particles.settings import ParticlesConfig
+
+pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
+
+ONE = "afm_node.sample.particles.count=1"
+# 1.3 d
+BEHIND_M = 4.34e-7
+DEEP_MM, WAY_M = 14.0, 1e-6
+# the kinetic friction of latex_250
+PLATEAU_N = 10.75e-9
+
+
+def pushed_m(rig: Rig, begin_ns: int) -> float:
+    """Return the way of the stage under the force of a particle that slides [m]."""
+    rows = [row.decode() for row in rig.recording().messages("afm/state", begin_ns)]
+    way, before = 0.0, rows[0]
+    for row in rows[1:]:
+        if abs(math.hypot(*row.tip_force_n[:2]) - PLATEAU_N) < 0.05 * PLATEAU_N and row.mode == "follow":
+            way += math.dist(row.base_position_m[:2], before.base_position_m[:2])
+        before = row
+    return way
+
+
+def newest(rig: Rig, topic: str) -> Any:
+    return rig.recording().messages(topic)[-1].decode()
+
+
+def steer(page: Page, right: float) -> None:
+    """Take hold of the pad across with the pointer, and mean to be at a share of its half to the right."""
+    pad = page.page.locator("#steer-pad")
+    pad.evaluate("pad => pad.scrollIntoView()")
+    box = pad.bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    page.page.mouse.move(x, y)
+    page.page.mouse.down()
+    page.page.mouse.move(x + 0.5 * right * min(box["width"], box["height"]), y, steps=6)
+
+
+def test_a_hand_in_the_browser_pushes_a_particle_a_micrometre(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    try:
+        rig.start("--duration", "300", "--no-view", "--set", ONE, "--set", PATIENT, scenario="assembly")
+        rig.wait_until(rig.running, "a running session")
+        view = View(rig.environment)
+        try:
+            with browser() as chromium:
+                walk(rig, open_page(chromium, view.operator))
+        finally:
+            view.close()
+    finally:
+        rig.close()
+
+
+def walk(rig: Rig, page: Page) -> None:
+    page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
+    page.until("document.querySelector('#assemble') !== null", "the panel of the particles")
+    page.value("document.querySelector('#tab-particles')?.click()")
+    x_m, y_m = ParticlesConfig(count=1).placed(8e-6, 8e-6)[0].tolist()
+    # The tip comes from 0, 0, and the particle is not on its way. It goes along x: a push that is a few degrees
+    # beside its middle loses it within a micrometre.
+    at_x, at_y = x_m - BEHIND_M, y_m
+    page.follow()
+    page.fill("#tip-x", f"{1e9 * at_x:.3f}")
+    page.fill("#tip-y", f"{1e9 * at_y:.3f}")
+    assert "acknowledged" in page.answered(lambda: page.click("#tip-go"))
+    rig.wait_until(
+        lambda: math.dist(newest(rig, "afm/state").base_position_m[:2], (at_x, at_y)) < 1e-9,
+        "a tip beside the particle",
+    )
+    page.click("#hand-keep")
+    page.press(DEEP_MM)
+    page.page.mouse.up()
+    rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
+    begin_ns = time.time_ns()
+    steer(page, 0.7)
+    end = time.monotonic() + PATIENCE_S
+    while pushed_m(rig, begin_ns) < WAY_M:
+        assert time.monotonic() < end, page.page.inner_text("#particles-state")
+        page.page.wait_for_timeout(300.0)
+    felt = max(math.hypot(*row.decode().force_n[:2]) for row in rig.recording().messages("haptic/command", begin_ns))
+    assert felt > 1.0
+    assert "Pushing" in page.page.inner_text("#particles-state")
+    page.picture("particles")
+    page.page.mouse.up()
+    page.page.wait_for_timeout(1500.0)
+    stood = newest(rig, "afm/state").base_position_m[:2]
+    page.page.wait_for_timeout(1000.0)
+    # the hand is back in its middle, and the tip stands
+    assert newest(rig, "afm/state").base_position_m[:2] == stood
+    events = [row.decode().data for row in rig.recording().messages("session/event", begin_ns)]
+    assert "met" in [event.get("lateral") for event in events]
+    status = newest(rig, "law/status")
+    assert status.passive
+    assert page.faults == []
