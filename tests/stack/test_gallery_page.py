@@ -73,7 +73,7 @@ def test_the_tab_of_the_view_shows_the_same(chromium: Any, tmp_path: Path) -> No
     try:
         page = open_page(chromium, view.operator)
         page.click("#tab-gallery")
-        page.until("document.querySelector('#delay .gallery-said')?.textContent", "the gallery in its tab")
+        page.until("document.querySelector('#gallery .gallery-said')?.textContent", "the gallery in its tab")
         document = json.loads((FOLDER / "gallery.json").read_text())
         for law in document["laws"]:
             said = move(page, law["law"], 120.0)

@@ -10,6 +10,7 @@ from browser_page import PATIENCE_S, PATIENT, Page, View, browser, needs_browser
 from stack_rig import Rig
 
 from services.afm_node.physics.particles.settings import ParticlesConfig
+from services.afm_node.physics.particles.steering import steered
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 
@@ -36,15 +37,31 @@ def newest(rig: Rig, topic: str) -> Any:
     return rig.recording().messages(topic)[-1].decode()
 
 
-def steer(page: Page, right: float) -> None:
-    """Take hold of the pad across with the pointer, and mean to be at a share of its half to the right."""
-    pad = page.page.locator("#steer-pad")
-    pad.evaluate("pad => pad.scrollIntoView()")
-    box = pad.bounding_box()
-    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
-    page.page.mouse.move(x, y)
-    page.page.mouse.down()
-    page.page.mouse.move(x + 0.5 * right * min(box["width"], box["height"]), y, steps=6)
+class Hand:
+    """Holds the pad across with the pointer, and pulls from its middle in a direction, by a share of its half."""
+
+    def __init__(self, page: Page) -> None:
+        pad = page.page.locator("#steer-pad")
+        pad.evaluate("pad => pad.scrollIntoView()")
+        box = pad.bounding_box()
+        self.mouse, self.half = page.page.mouse, 0.5 * min(box["width"], box["height"])
+        self.x, self.y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+        self.mouse.move(self.x, self.y)
+        self.mouse.down()
+
+    def pull(self, right: float, up: float, share: float) -> None:
+        self.mouse.move(self.x + share * self.half * right, self.y - share * self.half * up, steps=4)
+
+
+def steer(rig: Rig, hand: Hand, share: float) -> None:
+    """Pull to the right, and where a particle resists to one side, so that it is pushed from behind.
+
+    A particle that is pushed through its middle turns aside by itself: who pushes has to follow the force that is felt.
+    """
+    force_x, force_y, _ = newest(rig, "afm/state").tip_force_n
+    size = math.hypot(force_x, force_y)
+    is_felt = size > 0.5 * PLATEAU_N
+    hand.pull(*(steered(-force_x / size, -force_y / size, 1.0, 0.0) if is_felt else (1.0, 0.0)), share)
 
 
 def test_a_hand_in_the_browser_pushes_a_particle_a_micrometre(tmp_path: Path) -> None:
@@ -83,11 +100,12 @@ def walk(rig: Rig, page: Page) -> None:
     page.page.mouse.up()
     rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
     begin_ns = time.time_ns()
-    steer(page, 0.7)
+    hand = Hand(page)
     end = time.monotonic() + PATIENCE_S
-    while pushed_m(rig, begin_ns) < WAY_M:
-        assert time.monotonic() < end, page.page.inner_text("#particles-state")
-        page.page.wait_for_timeout(300.0)
+    while (way := pushed_m(rig, begin_ns)) < WAY_M:
+        assert time.monotonic() < end, f"{way}: {page.page.inner_text('#particles-state')}"
+        steer(rig, hand, 0.5)
+        page.page.wait_for_timeout(100.0)
     felt = max(math.hypot(*row.decode().force_n[:2]) for row in rig.recording().messages("haptic/command", begin_ns))
     assert felt > 1.0
     assert "Pushing" in page.page.inner_text("#particles-state")
