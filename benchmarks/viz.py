@@ -225,7 +225,8 @@ def repeated(source: str, length_s: float, folder: Path) -> Path:
     for name, entries in recording.metadata.items():
         writer.add_metadata(name, entries)
     messages = [message for message in recording.select() if message.topic in TOPICS]
-    channels = {m.channel: writer.channel(m.topic, m.src, m.site) for m in messages}
+    places = {m.channel: (m.topic, m.src, m.site) for m in messages}
+    channels = {channel: writer.channel(*place) for channel, place in places.items()}
     counts = {message.channel: message.seq + 1 for message in messages}
     flushed_ns = 0
     for turn in range(round(length_s * 1e9 / (end_ns - begin_ns))):
