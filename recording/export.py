@@ -178,13 +178,20 @@ def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextMan
     types = {int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_(), str: arrow.string()}
     types |= {list: arrow.list_(arrow.float64()), type(None): arrow.null()}
 
+    def type_of(column: str, kind: type) -> Any:
+        # times are whole numbers that a float does not hold
+        is_times = kind is list and column.endswith("_ns")
+        return arrow.list_(arrow.int64()) if is_times else types[kind]
+
     @contextmanager
     def tables(folder: Path) -> Iterator[OpenTable]:
         with ExitStack() as files:
 
             def open_table(name: str, kinds: Kinds) -> Write:
                 fields = [
-                    arrow.field(column, types[_kind(found)], metadata=quantity(topic_of(name), column)._asdict())
+                    arrow.field(
+                        column, type_of(column, _kind(found)), metadata=quantity(topic_of(name), column)._asdict()
+                    )
                     for column, found in kinds.items()
                 ]
                 schema = arrow.schema(fields, metadata=origin)

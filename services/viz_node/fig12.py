@@ -1,12 +1,10 @@
 """The paper's Fig. 12 from the series of a session: forces, positions, and the force-distance path of the tip."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from services.viz_node.figure_style import (
     COLUMN_IN,
@@ -19,6 +17,10 @@ from services.viz_node.figure_style import (
     lettered,
     styled,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Series = npt.NDArray[np.float64]
 
@@ -55,11 +57,15 @@ class SessionSeries:
     gaps_s: tuple[tuple[float, float], ...] = ()
 
 
-def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> Figure:
+def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> "Figure":
     """Draw the three panels of Fig. 12: F_m and alpha_f F_s, x_mr and x_m, and F_s against h.
 
     For paper it is one column wide and has no title, whose words belong into the caption.
     """
+    # the numbers of a session are read without what draws them
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     paper = options.style == "paper"
     with styled(options):
         figure = Figure(figsize=(COLUMN_IN, 6.2) if paper else (7.2, 9.0), layout="constrained")
@@ -81,7 +87,7 @@ def fig12_files(
     return drawn(draw_fig12(series, title, options), "fig12", options, origin)
 
 
-def _draw_forces(axes: Axes, series: SessionSeries) -> None:
+def _draw_forces(axes: "Axes", series: SessionSeries) -> None:
     scaled = series.force_scale * series.tip_force_n
     _shade_gaps(axes, series)
     axes.plot(
@@ -98,7 +104,7 @@ def _draw_forces(axes: Axes, series: SessionSeries) -> None:
     _legend_above(axes)
 
 
-def _draw_positions(axes: Axes, series: SessionSeries) -> None:
+def _draw_positions(axes: "Axes", series: SessionSeries) -> None:
     _shade_gaps(axes, series)
     reference = _broken(series, series.reference_time_s, 100.0 * series.reference_m)
     axes.plot(*reference, color=REFERENCE, lw=2.2, label=r"$x_{mr}$ (law)")
@@ -108,7 +114,7 @@ def _draw_positions(axes: Axes, series: SessionSeries) -> None:
     _legend_above(axes)
 
 
-def _draw_path(axes: Axes, series: SessionSeries) -> None:
+def _draw_path(axes: "Axes", series: SessionSeries) -> None:
     time_s, separation_m = _broken(series, series.tip_time_s, series.separation_m)
     _, force_n = _broken(series, series.tip_time_s, series.tip_force_n)
     retracts = retracting(time_s, separation_m)
@@ -148,7 +154,7 @@ def retracting(time_s: Series, separation_m: Series) -> npt.NDArray[np.bool_]:
     return found
 
 
-def _mark_jumps(axes: Axes, separation_m: Series, force_n: Series) -> None:
+def _mark_jumps(axes: "Axes", separation_m: Series, force_n: Series) -> None:
     """Write beside the path where the tip jumps to the sample or its water takes hold of it, and where either ends."""
     steps_m = np.diff(separation_m)
     if not np.isfinite(steps_m).any():
@@ -166,13 +172,13 @@ def _mark_jumps(axes: Axes, separation_m: Series, force_n: Series) -> None:
             )  # fmt: skip
 
 
-def _legend_above(axes: Axes) -> None:
+def _legend_above(axes: "Axes") -> None:
     """Put the legend over the panel, where it hides no data."""
     if axes.get_legend_handles_labels()[0]:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=8, frameon=False, borderaxespad=0.2)
 
 
-def _shade_gaps(axes: Axes, series: SessionSeries) -> None:
+def _shade_gaps(axes: "Axes", series: SessionSeries) -> None:
     for first_s, last_s in series.gaps_s:
         axes.axvspan(first_s, last_s, color="0.9", zorder=-1)
 

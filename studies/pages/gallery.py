@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from services.controller.config import OWN_LAWS
-from services.viz_node.build_page import WEB
 from studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
 from studies.loops.linear_loop import linear_loop, not_linear
 
@@ -27,7 +26,7 @@ _ENERGY_J, _MOST_J = 1e-6, 0.02
 _CURVE, _MOST_CURVE = 1e-2, 9.0
 _FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
 
-FOLDER = WEB / "gallery"
+FOLDER = Path(__file__).resolve().parents[2] / "services" / "viz_node" / "web" / "gallery"
 
 
 def cell_of(law: str, round_trip_ms: float, stiffness_n_per_m: float = STIFFNESS_N_PER_M) -> Cell:

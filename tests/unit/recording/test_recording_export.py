@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -471,3 +472,14 @@ def test_a_reader_that_keeps_numbers_as_doubles_has_each_time_in_digits(rich: Pa
         assert int(fields["t_ns_text"]) == fields["t_ns"] == haptic_state(seq).t_ns
         assert int(fields["answered_t_ns_text"]) == fields["answered_t_ns"]
     assert any(int(float(fields["t_ns"])) != int(fields["t_ns_text"]) for _, fields in rows)
+
+
+def test_a_recording_with_journals_becomes_tables_whose_times_are_whole(
+    recording_of: Callable[[str], Path], tmp_path: Path
+) -> None:
+    export_recording(recording_of("fig12_wave"), tmp_path / "tables", "parquet")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    (journal,) = (parquet.read_table(path) for path in (tmp_path / "tables").glob("*journal*.parquet"))
+    times = journal["time_ns"].to_pylist()[0]
+    assert all(isinstance(time_ns, int) for time_ns in times)
+    assert times == sorted(times)
