@@ -3,7 +3,7 @@
 import re
 
 DISTRIBUTION = "telenano"
-# distributions whose module has another name
+# These distributions have another name than their module.
 _DISTRIBUTIONS = {
     "google": "protobuf",
     "mcap_ros2": "mcap-ros2-support",
@@ -12,7 +12,7 @@ _DISTRIBUTIONS = {
     "zenoh_ros2_sdk": "zenoh-ros2-sdk",
     "zmq": "pyzmq",
 }
-_REQUIREMENT = re.compile(r"^([A-Za-z0-9._-]+)(?:\[[^]]*\])?[^;]*(?:;.*extra == ['\"]([^'\"]+)['\"].*)?$")
+_EXTRA = re.compile(r"extra == ['\"]([^'\"]+)['\"]")
 
 
 def how_to_install(extra: str) -> str:
@@ -23,19 +23,28 @@ def how_to_install(extra: str) -> str:
 
 def extra_of(module: str) -> str:
     """Return the smallest extra that a module comes with, `rig`, which has all that a rig uses, where none names it."""
+    from packaging.requirements import Requirement
+    from packaging.utils import canonicalize_name
+
     top = module.partition(".")[0]
-    wanted = _normal(_DISTRIBUTIONS.get(top, top))
+    wanted = canonicalize_name(_DISTRIBUTIONS.get(top, top))
     sizes: dict[str, int] = {}
     having: list[str] = []
-    for line in _required():
-        found = _REQUIREMENT.match(line)
-        if found is None or found[2] is None:
+    for requirement in map(Requirement, _required()):
+        extra = extra_in(requirement.marker)
+        if not extra:
             continue
-        sizes[found[2]] = sizes.get(found[2], 0) + 1
-        if _normal(found[1]) == wanted:
-            having.append(found[2])
-    # of two that bring the same the shorter name is the plainer one
+        sizes[extra] = sizes.get(extra, 0) + 1
+        if canonicalize_name(requirement.name) == wanted:
+            having.append(extra)
+    # Of two that bring the same the shorter name is the plainer one.
     return min(having, key=lambda extra: (sizes[extra], len(extra), extra), default="rig")
+
+
+def extra_in(marker: object) -> str:
+    """Return the extra that the marker of a requirement names, empty where it names none."""
+    found = _EXTRA.search(str(marker))
+    return found[1] if found else ""
 
 
 def missing(module: str) -> str:
@@ -68,7 +77,3 @@ def _source() -> tuple[bool, str]:
     if address.scheme == "file":
         return bool(origin.get("dir_info", {}).get("editable")), unquote(address.path)
     return False, str(origin.get("url") or DISTRIBUTION)
-
-
-def _normal(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()

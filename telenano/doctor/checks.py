@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from proto.errors import ConfigError
+from proto.extras import extra_in
 from services.launcher.processors import FOR_A_RIG, fits_text
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
         from packaging.requirements import Requirement
     except ImportError:
         return [Finding("packages", "warning", "versions cannot be compared", "run `pip install packaging`")]
-    wanted = [(_extra_of(requirement.marker), requirement) for requirement in map(Requirement, requires)]
+    wanted = [(extra_in(requirement.marker), requirement) for requirement in map(Requirement, requires)]
     wanted = [(extra, requirement) for extra, requirement in wanted if extra not in _NOT_LISTED]
     versions = {requirement.name: installed(requirement.name) for _, requirement in wanted}
     # Several extras may require the same package.
@@ -113,11 +114,6 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
         Finding("packages", "ok", listed or "none"),
         Finding("extras", "ok", f"not installed: {lacking}" if lacking else "all are installed"),
     ]
-
-
-def _extra_of(marker: object) -> str:
-    match = re.search(r"extra == ['\"]([^'\"]+)['\"]", str(marker))
-    return match.group(1) if match else ""
 
 
 def check_zmq(libzmq: str, *, curve: bool) -> Finding:
