@@ -51,7 +51,11 @@ class Jitter(Settings):
         le=100.0,
         description="shape a of the Pareto law; its standard deviation exists for a > 2 only",
     )
-    table_file: str | None = Field(default=None, description="file of samples, any count per line, # begins a comment")
+    table_file: str | None = Field(
+        default=None,
+        description="file of samples, any count per line, # begins a comment; or what `ping` printed: half of each "
+        "round trip [s], with scale_s = 1",
+    )
 
 
 By = Annotated[
@@ -65,7 +69,11 @@ By = Annotated[
 class DelayTrace(Settings):
     """A recorded delay, by time or by number; adds to delay_s."""
 
-    file: str | None = Field(default=None, description="file of lines `time_s delay_s`, times strictly increasing")
+    file: str | None = Field(
+        default=None,
+        description="file of lines `time_s delay_s`, times strictly increasing; or what `ping -D` printed: half of each"
+        " round trip at its time",
+    )
     by: By = "time"
     interpolation: Literal["hold", "linear"] = Field(default="linear", description="course between two lines")
     repeat: bool = Field(default=True, description="start again after the last line; otherwise keep its delay")
@@ -238,6 +246,8 @@ class Impairment(Settings):
     def _shape_problems(self) -> Iterator[Problem]:
         if self.jitter.distribution == "table" and self.jitter.table_file is None:
             yield "jitter.table_file", "distribution 'table' needs a file of samples"
+        if self.jitter.distribution == "table" and self.jitter.scale_s == 0.0:
+            yield "jitter.scale_s", "is 0, by which every sample of the table is multiplied; 1 where they are seconds"
         if self.order != "any" and self.reordering.probability > 0.0:
             yield "order", f"{self.order!r} forbids overtaking, but reordering.probability asks for it; set one of them"
         if self.rate.rate_bytes_per_s is not None and self.delivery_trace.file is not None:

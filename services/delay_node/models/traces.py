@@ -1,6 +1,7 @@
 """Files that drive the link: delay over time, delivery opportunities, jitter samples.
 
-Text, one record a line; `#` begins a comment, empty lines are skipped. Every error names file and line, and shows
+Text, one record a line; `#` begins a comment, empty lines are skipped. Delays, losses and samples are read from what
+`ping` printed as well (`ping_log`). Every error names file and line, and shows
 nothing of what is there: whoever may set the link could otherwise read any file that the node can.
 """
 
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from proto.errors import ConfigError
+from services.delay_node.models import ping_log
 
 LARGEST_FILE_BYTES = 32_000_000
 # delays, and samples of a jitter in its own unit; times of a trace
@@ -63,7 +65,7 @@ def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> Delay
     """
     times_ns: list[int] = []
     delays_ns: list[int] = []
-    for number, words in _lines(text):
+    for number, words in _lines(_delays_of(text, name, by_number=by_number)):
         place = f"{name}, line {number}"
         if len(words) != 2:
             raise ConfigError(f"{place}: is not a pair `time_s delay_s`")
@@ -88,7 +90,7 @@ def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCo
     """
     times_ns: list[int] = []
     lost: list[bool] = []
-    for number, words in _lines(text):
+    for number, words in _lines(_losses_of(text, name, by_number=by_number)):
         place = f"{name}, line {number}"
         if len(words) != 2 or words[1] not in ("0", "1"):
             raise ConfigError(f"{place}: is not a pair `time_s lost`, with 1 for lost and 0 for not")
@@ -128,9 +130,13 @@ def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]
 def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
     """Return the samples of a jitter table: finite numbers separated by white space.
 
+    Those of a log of ping are half its round trips [s].
+
     Raises:
         ConfigError: A line is wrong; the message names file and line.
     """
+    if ping_log.is_ping_log(text):
+        return tuple(answer.delay_s for answer in ping_log.answers(text, name))
     samples = tuple(
         _number(word, f"{name}, line {number}", -_LARGEST_SAMPLE, _LARGEST_SAMPLE)
         for number, words in _lines(text)
@@ -139,6 +145,18 @@ def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
     if not samples:
         raise ConfigError(f"{name}: holds no samples")
     return samples
+
+
+def _delays_of(text: str, name: str, *, by_number: bool) -> str:
+    if by_number or not ping_log.is_ping_log(text):
+        return text
+    return "\n".join(f"{time_s!r} {delay_s!r}" for time_s, delay_s in ping_log.delay_lines(text, name))
+
+
+def _losses_of(text: str, name: str, *, by_number: bool) -> str:
+    if by_number or not ping_log.is_ping_log(text):
+        return text
+    return "\n".join(f"{time_s!r} {int(lost)}" for time_s, lost in ping_log.loss_lines(text, name))
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:

@@ -43,6 +43,11 @@ REPOSITORY = Path(__file__).parents[3]
         ({"forward.jitter.correlation": 1.0}, "forward.jitter.correlation", "less than 1"),
         ({"forward.jitter.pareto_shape": 2.0}, "forward.jitter.pareto_shape", "greater than 2"),
         ({"forward.jitter.distribution": "table"}, "forward.jitter.table_file", "needs a file"),
+        (
+            {"forward.jitter.distribution": "table", "forward.jitter.table_file": "t.txt"},
+            "forward.jitter.scale_s",
+            "every sample of the table is multiplied",
+        ),
         ({"forward.jitter.distribution": "cauchy"}, "forward.jitter.distribution", "'uniform', 'normal'"),
         ({"forward.order": "link", "forward.reordering.probability": 0.1}, "forward.order", "forbids overtaking"),
         ({"forward.markov_loss.p13": 0.6, "forward.markov_loss.p14": 0.5}, "forward.markov_loss.p13", "more than 1"),
