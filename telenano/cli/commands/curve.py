@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
@@ -16,6 +14,7 @@ from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption, require, results_in
 
 if TYPE_CHECKING:
@@ -68,13 +67,11 @@ def curve(
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
             found = _live(site_file, CurveSettings(**given), given, as_json)
         else:
-            columns = (TextColumn("curve"), BarColumn(), TimeRemainingColumn())
-            with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-                task = bar.add_task("curve", total=2 * points)
+            with progress("curve", 2 * points, shown=not as_json) as show:
                 s = CurveSettings.in_simulated_time(**given)
                 found = curves.force_curve(
                     config, s.start_m, s.load_n, points, s.speed_m_per_s,
-                    dynamic=model is CurveModel.DYNAMIC, progress=lambda n, of: bar.update(task, completed=n),
+                    dynamic=model is CurveModel.DYNAMIC, progress=show,
                 )  # fmt: skip
         marks = curves.marks_of(found)
         other = None if measured is None else (measured, curves.marks_of(measured))

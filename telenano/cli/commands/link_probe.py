@@ -8,8 +8,6 @@ from typing import Annotated, Any, cast
 
 import typer
 import yaml
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from presets import TWO_SITES_FILE
 from proto.errors import RigError, TelenanoError
@@ -22,6 +20,7 @@ from services.runtime.loop.commands import Command
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import results_in
 
 _TOPIC = "link/network"
@@ -127,7 +126,6 @@ def _recorded(path: Path) -> Iterator[LinkNetwork]:
 
 def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNetwork]:
     """Return the reports of a running rig within a time [s]."""
-    columns = (TextColumn("probe"), BarColumn(), TimeRemainingColumn())
     found: dict[tuple[str, int], LinkNetwork] = {}
     # Without the role of a commander here, what was measured at the start of the rig has to do.
     with contextlib.suppress(TelenanoError):
@@ -135,14 +133,13 @@ def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNe
     begin = time.monotonic()
     with (
         open_observer(site_file, _TOPIC) as observer,
-        Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True) as bar,
+        progress("probe", duration_s, shown=shown) as show,
     ):
-        task = bar.add_task("probe", total=duration_s)
         for observed in observer.listen(duration_s):
             message = observed.received.message
             if isinstance(message, LinkNetwork):
                 found[message.src, message.seq] = message
-            bar.update(task, completed=time.monotonic() - begin)
+            show(time.monotonic() - begin)
     return sorted(found.values(), key=lambda message: message.t_ns)
 
 

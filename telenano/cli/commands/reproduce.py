@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors, results_folder
+from telenano.cli.progress import progress
 
 
 class PaperFigure(StrEnum):
@@ -41,11 +40,8 @@ def reproduce(
         from studies.pages.reproduce import reproduce as make
 
         chosen = FIGURES if what is PaperFigure.ALL else (what.value,)
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        show = Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True)
-        with results_folder(out), show as bar:
-            tasks = {name: bar.add_task(name, total=None) for name in chosen}
-            summary = make(chosen, out, pixels, lambda name, n, of: bar.update(tasks[name], completed=n, total=of))
+        with results_folder(out), progress("reproduce", shown=not as_json) as show:
+            summary = make(chosen, out, pixels, lambda name, n, of: show(n, of, name))
     failed: Any = summary.get("failed", {})
     if as_json:
         print_json(summary)

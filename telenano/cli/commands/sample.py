@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from proto.errors import ConfigError
 from services.runtime.settings.config import flag_overrides
 from telenano.cli.options import HELP_NAMES, JsonOption
 from telenano.cli.output import print_document, report_errors
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import (
     ChannelOption,
     SampleOption,
@@ -153,11 +152,8 @@ def _read(
     given = flag_overrides(members or ())
     if unknown := sorted(set(given) - set(MEMBERS)):
         raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(MEMBERS)}")
-    columns = (TextColumn(file.name), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-        task = bar.add_task("import", total=1.0)
-        wanted = Wanted(given, channel, level, points, 0.01 * baseline)
-        return import_map(file, wanted, lambda share: bar.update(task, completed=share))
+    with progress(file.name, 1.0, shown=not as_json) as show:
+        return import_map(file, Wanted(given, channel, level, points, 0.01 * baseline), show)
 
 
 def _about(found: "Imported") -> dict[str, Any]:

@@ -4,8 +4,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
@@ -17,6 +15,7 @@ from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
+from telenano.cli.progress import Show, progress
 from telenano.cli.sample_options import (
     AfmOption,
     ChannelOption,
@@ -90,11 +89,9 @@ def scan(
         request = ScanSettings.in_simulated_time(**given)
         noise = scans.Noise(temperature, seed)
         surface = sample.build()
-        columns = (TextColumn("lines"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with results_in(out) as folder:
-            with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-                task = bar.add_task("lines", total=request.lines)
-                result = scans.scan(surface, request, config, lambda n, of: _show(bar, task, n), noise)
+            with progress("lines", request.lines, shown=not as_json, counted=True) as show:
+                result = scans.scan(surface, request, config, lambda n, of: _shown(show, n), noise)
             _say_if_interrupted(result.partial)
             write_images(folder, _images(result, mode))
     document: dict[str, Any] = {
@@ -186,8 +183,8 @@ def _exit_if_interrupted() -> None:
         raise typer.Exit(interrupts.exit_code())
 
 
-def _show(bar: Progress, task: TaskID, lines: int) -> bool:
-    bar.update(task, completed=lines)
+def _shown(show: Show, lines: int) -> bool:
+    show(lines)
     return True
 
 

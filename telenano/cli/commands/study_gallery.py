@@ -4,14 +4,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from studies import option_values
 from studies.pages.gallery import STIFFNESS_N_PER_M, gallery, page_of, write_data
 from telenano.cli.commands.study_results import print_result
 from telenano.cli.options import JsonOption
 from telenano.cli.output import report_errors
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import results_in
 
 
@@ -25,10 +24,8 @@ def gallery_command(
     """Draw Nyquist curve, roots, course and energy of each law on one page, for one slider of delay."""
     with report_errors(as_json):
         (stiffness_n_per_m,) = option_values.stiffnesses(stiffness)[:1]
-        columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-            task = bar.add_task("cells", total=None)
-            document = gallery(stiffness_n_per_m, lambda done, of: bar.update(task, completed=done, total=of))
+        with progress("cells", shown=not as_json, counted=True) as show:
+            document = gallery(stiffness_n_per_m, show)
         with results_in(out) as folder:
             (folder / "gallery.html").write_text(page_of(document), encoding="utf-8")
             write_data(document, folder / "gallery.json")

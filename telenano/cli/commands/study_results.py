@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
 from studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
 from studies.pages.page import Page, text, write_parquet
 from telenano.cli.output import console, print_json, results_folder
+from telenano.cli.progress import progress
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 _PIPE_COLUMNS = 160
@@ -26,15 +25,12 @@ def sweep_in(
     out: Path, workers: int | None, scheduler: str | None, *, shown: bool, kind: Kind = HOLDS
 ) -> Iterator[Sweep]:
     """Open the journal of a folder, with a progress bar on stderr while the sweep runs."""
-    columns = (TextColumn("cells"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, console=Console(stderr=True), disable=not shown, transient=True)
-    with results_folder(out), bar:
-        task = bar.add_task("cells", total=None)
+    with results_folder(out), progress("cells", shown=shown, counted=True) as show:
         yield Sweep(
             Journal(out / JOURNAL_NAME, kind),
             workers or os.cpu_count() or 1,
             scheduler,
-            lambda done, total: bar.update(task, completed=done, total=total),
+            show,
             warn_of,
         )
 
