@@ -1,5 +1,7 @@
 """What the shell completes besides commands and options. Nothing is imported here that takes time."""
 
+from typing import Any
+
 
 def scenario_names(incomplete: str) -> list[str]:
     """Return the known scenarios that begin so."""
@@ -13,6 +15,47 @@ def scenario_sections(incomplete: str) -> list[str]:
     from proto.nodes import SERVICES
 
     return [name for name in SERVICES if name.startswith(incomplete)]
+
+
+def scenario_keys(incomplete: str) -> list[str]:
+    """Return what can follow in `SECTION.KEY=VALUE`: a section with its dot, a key with its `=`, a value of a list."""
+    import json
+
+    from presets import SCHEMA_DIRECTORY
+
+    schema = json.loads((SCHEMA_DIRECTORY / "scenario.json").read_text(encoding="utf-8"))
+    key, sign, value = incomplete.partition("=")
+    names, last = key.split(".")[:-1], key.split(".")[-1]
+    choices = _properties(schema, schema)
+    for name in names:
+        choices = _properties(schema, choices.get(name, {}))
+    if sign:
+        given = [text for part in _alternatives(schema, choices.get(last, {})) for text in _values(part)]
+        return [f"{key}={text}" for text in given if text.startswith(value)]
+    before = "".join(f"{name}." for name in names)
+    return [
+        f"{before}{name}{'.' if _properties(schema, part) else '='}"
+        for name, part in choices.items()
+        if name.startswith(last) and (names or _properties(schema, part))
+    ]
+
+
+def _properties(schema: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of a part of a JSON Schema and of its alternatives, by their names."""
+    return {name: found for one in _alternatives(schema, part) for name, found in one.get("properties", {}).items()}
+
+
+def _alternatives(schema: dict[str, Any], part: dict[str, Any]) -> list[dict[str, Any]]:
+    if "$ref" in part:
+        part = schema["$defs"][part["$ref"].rpartition("/")[2]]
+    several = [*part.get("anyOf", ()), *part.get("oneOf", ())]
+    return [one for other in several for one in _alternatives(schema, other)] if several else [part]
+
+
+def _values(part: dict[str, Any]) -> list[str]:
+    if part.get("type") == "boolean":
+        return ["true", "false"]
+    return [str(value) for value in part.get("enum", [part["const"]] if "const" in part else [])]
 
 
 def topic_names(incomplete: str) -> list[str]:

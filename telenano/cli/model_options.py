@@ -22,7 +22,7 @@ from proto.errors import ConfigError
 from services.afm_node.programs.program_settings import stated
 from services.runtime.settings.config import bounds_of
 from services.runtime.settings.option import Option
-from telenano.cli.completion import law_names, node_names, scenario_names
+from telenano.cli.completion import law_names, node_names, scenario_keys, scenario_names
 
 F = TypeVar("F", bound=Callable[..., Any])
 M = TypeVar("M", bound=BaseModel)
@@ -56,6 +56,8 @@ SECONDS = {"_s": Unit("s", "s", 1.0)}
 _NO_UNIT = Unit("", "", 1.0)
 _PLAIN = (bool, int, float, str, Path)
 _COMPLETIONS = {"--law": law_names, "--without": node_names, "--scenario": scenario_names}
+# Options of one name may take different texts.
+_TEXTS = {"SECTION.KEY=VALUE": scenario_keys}
 
 
 class ModelOption(NamedTuple):
@@ -188,9 +190,8 @@ def _parameter(option: ModelOption) -> inspect.Parameter:
         metavar = option.own.metavar or metavar
     elif option.kind is bool:
         flags = (f"{option.flag}/--no-{option.flag[2:]}",)
-    made = typer.Option(
-        *flags, help=_help(option), metavar=metavar, autocompletion=_COMPLETIONS.get(option.flag), show_default=False
-    )
+    complete = _TEXTS.get(metavar or "", _COMPLETIONS.get(option.flag))
+    made = typer.Option(*flags, help=_help(option), metavar=metavar, autocompletion=complete, show_default=False)
     required = option.about.is_required() and option.default is None
     kind = option.kind if required else option.kind | None
     annotation: Any = Annotated[kind, made]

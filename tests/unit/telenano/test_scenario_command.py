@@ -144,6 +144,15 @@ def test_the_shell_completes_names() -> None:
     assert completion.scenario_sections("af") == ["afm_node"]
 
 
+def test_the_shell_completes_keys_of_a_scenario_and_their_values() -> None:
+    assert completion.scenario_keys("del") == ["delay_node."]
+    assert completion.scenario_keys("delay_node.forward.jitter.d") == ["delay_node.forward.jitter.distribution="]
+    assert completion.scenario_keys("delay_node.fo") == ["delay_node.forward."]
+    assert completion.scenario_keys("controller.law=w") == ["controller.law=wave"]
+    assert completion.scenario_keys("recorder.") != []
+    assert completion.scenario_keys("no_such.key") == []
+
+
 def test_names_of_laws_are_completed_without_importing_one() -> None:
     code = (
         "import sys; from telenano.cli.completion import law_names; law_names('');"
