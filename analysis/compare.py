@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analysis.published import PANELS, Published, nearest
-from analysis.report import Session, read_session, read_traffic, summarise
+from analysis.report import Session, read_session, read_traffic, scenario_in, summarise
 from proto.errors import ConfigError
 from recording.multi_file import open_recordings
 from services.viz_node.fig12 import SessionSeries
@@ -31,16 +31,19 @@ _COLUMNS = (
 )
 
 
+# A pattern such as `out/delay/*` gives these with the sessions that they were made from.
+_RESULTS = (".csv", ".json", ".mat", ".parquet", ".pdf", ".png", ".svg")
 # Each file of published points has a marker of its own.
 _MARKERS = "osD^v"
 
 
 class Compared(NamedTuple):
-    """A session, what it is called beside the others, and its summary."""
+    """A session, what it is called beside the others, its summary, and the scenario that ran."""
 
     name: str
     session: Session
     summary: dict[str, Any]
+    scenario: dict[str, Any]
 
 
 def recordings_of(path: Path) -> list[Path]:
@@ -51,6 +54,11 @@ def recordings_of(path: Path) -> list[Path]:
     if not found:
         raise ConfigError(f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`")
     return found
+
+
+def sessions_in(paths: Sequence[Path]) -> list[Path]:
+    """Return the paths without the figures and tables that stand beside the folders of a sweep."""
+    return [path for path in paths if not (path.is_file() and path.suffix in _RESULTS)]
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
@@ -82,7 +90,8 @@ def compare(paths: Sequence[Path]) -> list[Compared]:
     for name, path in zip(names_of(paths), paths, strict=True):
         recording = open_recordings(recordings_of(path))
         session = read_session(recording)
-        found.append(Compared(name, session, summarise(session, recording.info(), read_traffic(recording, session))))
+        summary = summarise(session, recording.info(), read_traffic(recording, session))
+        found.append(Compared(name, session, summary, scenario_in(recording).model_dump(mode="json")))
     return found
 
 
@@ -90,7 +99,7 @@ def rows_of(sessions: Sequence[Compared]) -> list[dict[str, Any]]:
     """Return a row for each session: what distinguishes it first, then its figures, in the units of the headings."""
     changed = _differing([session.summary["parameters"] for session in sessions])
     rows = []
-    for name, _, summary in sessions:
+    for name, _, summary, _ in sessions:
         values = {heading: _value(summary[key]) for key, heading in _COLUMNS}
         values |= {key: summary["parameters"].get(key) for key in changed}
         age = summary["loop_age_ms"]
@@ -113,7 +122,7 @@ def beside(sessions: Sequence[Compared], published: Published) -> dict[str, Any]
     for point in published.points:
         own = {
             name: dict(zip("xy", _known(nearest(session.series(), point)), strict=True))
-            for name, session, _ in sessions
+            for name, session, *_ in sessions
         }
         x_error, y_error = _known((point.x_error, point.y_error))
         facts = {"x": point.x, "y": point.y, "x_error": x_error, "y_error": y_error, "note": point.note}
@@ -142,7 +151,7 @@ def compare_figure(
         panels[0].plot(
             first.hand_time_s, first.hand_force_n, color=REFERENCE, lw=2.4, zorder=0, label=f"$F_m$, {sessions[0].name}"
         )
-        for number, (name, session, summary) in enumerate(sessions):
+        for number, (name, session, summary, _) in enumerate(sessions):
             colour, style = LINES[number % len(LINES)]
             look = {"color": colour, "ls": style, "lw": 1.0}
             _draw(panels, session.series(), look, f"{name}: {summary['verdict'].replace('_', ' ')}")

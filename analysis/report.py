@@ -203,7 +203,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
         raise RecordingError(f"{recording.path}: the operator's programme never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
     end_ns = int(hand["t_ns"][running[-1]])
-    document = _scenario(recording)
+    document = scenario_in(recording)
     found = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         found["lines"] = lines
@@ -349,7 +349,7 @@ def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
             first, _ = overruns.get(message.src, (count, count))
             overruns[message.src] = (first, count)
     late = sum(max(0, last - first) for first, last in overruns.values())
-    return Traffic(messages, late, 1.0 / _scenario(recording).period_s)
+    return Traffic(messages, late, 1.0 / scenario_in(recording).period_s)
 
 
 def _hold_ratio(series: SessionSeries) -> float | None:
@@ -421,7 +421,8 @@ def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, 
     return {name: values[inside] for name, values in series.items()}
 
 
-def _scenario(recording: RecordingSource) -> Scenario:
+def scenario_in(recording: RecordingSource) -> Scenario:
+    """Return the scenario that is attached to a recording; RecordingError where there is none."""
     try:
         content = recording.attachments["scenario.yaml"]
     except KeyError as error:

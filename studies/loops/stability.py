@@ -3,11 +3,12 @@
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from analysis.statistics import Statistic, statistic
 from proto.errors import ConfigError
 from services.runtime.settings.option import Option
 from studies import option_values
@@ -41,6 +42,9 @@ class Axes(Conditions):
     )
     losses: Annotated[tuple[float, ...], Option(("--loss",), "LIST", option_values.losses, written="0")] = Field(
         default=(0.0,), description="Share of messages lost each way, 0 to 1, or n%"
+    )
+    seeds: int = Field(
+        default=1, ge=1, le=10_000, description="Seeds of whatever is random, from --seed on: mean and interval of each"
     )
 
     def lines(self) -> list["Line"]:
@@ -86,6 +90,11 @@ class Line:
         )
 
     @property
+    def is_random(self) -> bool:
+        """Return whether another seed gives another map."""
+        return bool(self.jitter.value or self.loss or self.axes.disturbances)
+
+    @property
     def label(self) -> str:
         parts = [f"{'K' if self.axes.environment == 'spring' else 'k'} = {self.stiffness_n_per_m:g} N/m"]
         parts += [f"K_f = {self.gain:g}"] if self.gain is not None else []
@@ -103,7 +112,9 @@ class LineResult:
     critical_delay_ms: round trip of the loop that is neutral, the half period of the hold and the declared latency of
     the devices included: what compares with T_c of the theory; critical_link_ms: what the link alone may add. Both are
     None when no cell up to the longest delay is unstable. theory_ms, theory_link_ms: T_c and T_d, None where the law
-    has no such loop, and where no delay makes it neutral (`theory_unlimited`).
+    has no such loop, and where no delay makes it neutral (`theory_unlimited`). Of several seeds, `cells` have the first
+    verdict that is not stable at each delay, `stable_shares` how many were, and the critical delays are the means of
+    those seeds that have one, with the statistic of that of the link in `seeds`.
     """
 
     line: Line
@@ -113,6 +124,8 @@ class LineResult:
     theory_ms: float | None
     theory_link_ms: float | None
     theory_unlimited: bool = False
+    seeds: Statistic | None = None
+    stable_shares: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         line = self.line
@@ -133,18 +146,51 @@ class LineResult:
             "theory_unlimited": self.theory_unlimited,
             "longest_delay_ms": max(line.axes.delays_ms),
             "verdicts": {f"{cell.cell.round_trip_ms:g}": cell.verdict for cell in self.cells},
+            **({"over_seeds": self._over_seeds()} if self.stable_shares else {}),
+        }
+
+    def _over_seeds(self) -> dict[str, Any]:
+        shares = {f"{c.cell.round_trip_ms:g}": share for c, share in zip(self.cells, self.stable_shares, strict=True)}
+        return {
+            "seeds": self.line.axes.seeds,
+            "critical_link_delay_ms": self.seeds._asdict() if self.seeds else None,
+            "stable_shares": shares,
         }
 
 
 def run_stability(axes: Axes, sweep: Sweep) -> list[LineResult]:
-    """Run the grid, then close in on the critical delay of each line."""
-    lines = axes.lines()
-    delays = sorted(set(axes.delays_ms))
+    """Run the grid, then close in on the critical delay of each line; where something is random, for each seed."""
+    seeded = [axes.model_copy(update={"seed": axes.seed + number}).lines() for number in range(axes.seeds)]
+    runs = [draws if draws[0].is_random else draws[:1] for draws in zip(*seeded, strict=True)]
+    results = iter(_run([line for draws in runs for line in draws], sweep))
+    return [_over_seeds([next(results) for _ in draws]) for draws in runs]
+
+
+def _run(lines: Sequence[Line], sweep: Sweep) -> list[LineResult]:
+    delays = sorted(set(lines[0].axes.delays_ms))
     grid = [line.cell(delay) for line in lines for delay in delays]
     results = sweep.run(grid)
     rows = [tuple(results[i : i + len(delays)]) for i in range(0, len(results), len(delays))]
     edges = find_edges(lines, rows, sweep)
     return [line_result(line, row, edge) for line, row, edge in zip(lines, rows, edges, strict=True)]
+
+
+def _over_seeds(draws: Sequence[LineResult]) -> LineResult:
+    """Return what the draws of a line have in common."""
+    first = draws[0]
+    if len(draws) == 1:
+        return first
+    columns = list(zip(*(draw.cells for draw in draws), strict=True))
+    edges = [draw.critical_link_ms for draw in draws if draw.critical_link_ms is not None]
+    whole = [draw.critical_delay_ms for draw in draws if draw.critical_delay_ms is not None]
+    return replace(
+        first,
+        cells=tuple(next((cell for cell in cells if cell.verdict != "stable"), cells[0]) for cells in columns),
+        critical_delay_ms=statistic(whole).mean if whole else None,
+        critical_link_ms=statistic(edges).mean if edges else None,
+        seeds=statistic(edges) if edges else None,
+        stable_shares=tuple(sum(cell.verdict == "stable" for cell in cells) / len(cells) for cells in columns),
+    )
 
 
 @dataclass(frozen=True)

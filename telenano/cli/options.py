@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from presets import site_file_named
-from telenano.cli.completion import node_names, topic_names
+from telenano.cli.completion import node_names, scenario_keys, topic_names
 
 # ros2 and docker have the same names.
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
@@ -75,7 +75,12 @@ ExcludeOption = Annotated[
 ]
 SettingsOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Change one key first (SI units); may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="SECTION.KEY=VALUE",
+        help="Change one key first (SI units); may be repeated.",
+        autocompletion=scenario_keys,
+    ),
 ]
 FormatOption = Annotated[
     str, typer.Option("--format", metavar="png,pdf,svg", help="Formats of the figures, one or several.")
@@ -83,6 +88,9 @@ FormatOption = Annotated[
 StyleOption = Annotated[
     str,
     typer.Option("--style", metavar="screen|paper", help="paper: one column of a journal, letters of 8 pt, no title."),
+]
+TableOption = Annotated[
+    str, typer.Option("--table", metavar="csv,parquet,mat", help="Formats of the tables, one or several.")
 ]
 # Commands that serve browsers share this option.
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; others need TLS.")]

@@ -12,7 +12,12 @@ from telenano.cli.exit_codes import EXIT_INCOMPLETE
 
 # the delay of the link has no single key in a scenario
 DELAY_OPTIONS = {"round_trip_ms": "--round-trip-ms", "delay_ms": "--delay-ms"}
+# A seed of the session is that of everything in it that is random.
+SEED = "seed"
+_SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _MOST_SESSIONS = 100
+# Options of the sweep, with a value each.
+_OWN = ("--sweep", "--seeds", "--table", "--out")
 
 
 class Point(NamedTuple):
@@ -40,9 +45,9 @@ def without_sweep(words: Sequence[str]) -> list[str]:
     kept, skip = [], False
     for word in words[words.index("up") + 1 :]:
         name, sign, _ = word.partition("=")
-        if not skip and word != "--json" and name not in ("--sweep", "--out"):
+        if not skip and word != "--json" and name not in _OWN:
             kept.append(word)
-        skip = not skip and name in ("--sweep", "--out") and not sign
+        skip = not skip and name in _OWN and not sign
     return kept
 
 
@@ -58,7 +63,9 @@ def _short(key: str) -> str:
     return key.rpartition(".")[2]
 
 
-def _option(key: str, value: str) -> tuple[str, str]:
+def _option(key: str, value: str) -> tuple[str, ...]:
+    if key == SEED:
+        return tuple(word for seed in _SEEDS for word in ("--set", f"{seed}={value}"))
     return (DELAY_OPTIONS[key], value) if key in DELAY_OPTIONS else ("--set", f"{key}={value}")
 
 

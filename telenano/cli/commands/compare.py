@@ -1,17 +1,16 @@
 """`telenano compare`: several sessions in one figure and one table."""
 
-import csv
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from analysis.statistics import CONFIDENCE
 from proto.errors import ConfigError, ReportError
 from services.viz_node.figure_style import FigureOptions, figure_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption
 from telenano.cli.output import print_json, print_rows, report_errors
 
 
@@ -21,7 +20,7 @@ def compare(
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for compare.png, compare.csv and compare.json.")
-    ] = Path("compare"),
+    ] = Path("out/compare"),
     paper: Annotated[
         bool,
         typer.Option("--paper", help="Draw what the paper says of its Fig. 12 beneath; one session is enough then."),
@@ -34,20 +33,39 @@ def compare(
     ] = None,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
+    table: TableOption = "csv",
     as_json: JsonOption = False,
 ) -> None:
-    """Draw sessions over one another, and put their figures into one table."""
+    """Draw sessions over one another, and put their figures into one table; with statistics where seeds differ."""
     with report_errors(as_json):
+        from analysis.compare import sessions_in
+
+        sessions = sessions_in(sessions)
         if len(sessions) < 2 and not paper and not published:
             raise ConfigError("compare: give two sessions or more, or one with --paper or --published")
-        rows = compare_sessions(sessions, out, figure_options(formats, style), published or (), paper=paper)
-    print_comparison(rows, out, as_json=as_json)
+        found = compare_sessions(
+            sessions, out, figure_options(formats, style), published or (), paper=paper, tables=table
+        )
+    print_comparison(found, out, as_json=as_json)
+
+
+class Comparison(NamedTuple):
+    """The rows of the sessions, and of what repetitions have in common; none where nothing was repeated."""
+
+    sessions: list[dict[str, Any]]
+    statistics: list[dict[str, Any]]
 
 
 def compare_sessions(
-    sessions: list[Path], out: Path, options: FigureOptions, published: Sequence[Path] = (), *, paper: bool = False
-) -> list[dict[str, Any]]:
-    """Write figure and tables of sessions into a folder; return the rows of the table.
+    sessions: list[Path],
+    out: Path,
+    options: FigureOptions,
+    published: Sequence[Path] = (),
+    *,
+    paper: bool = False,
+    tables: str = "csv",
+) -> Comparison:
+    """Write figure and tables of sessions into a folder; return the rows of the tables.
 
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
@@ -57,19 +75,20 @@ def compare_sessions(
     from analysis.conditions import described
     from analysis.published import paper_points, read_published
     from analysis.report import write_files
+    from analysis.statistics import statistics_of
+    from analysis.table_files import table_files, table_formats
     from services.viz_node.figure_style import drawn
 
+    kinds = table_formats(tables)
     points = [*([paper_points()] if paper else []), *map(read_published, published)]
     found = read(sessions)
     rows = rows_of(found)
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(rows[0]))
-    writer.writeheader()
-    writer.writerows(rows)
+    statistics = statistics_of(rows, [session.scenario for session in found])
     summaries = {session.name: session.summary for session in found}
-    origin = "\n".join(f"{name}: {described(summary['scenario'], summary)}" for name, _, summary in found)
+    origin = "\n".join(f"{name}: {described(summary['scenario'], summary)}" for name, _, summary, _ in found)
     files = drawn(compare_figure(found, options, points), "compare", options, origin)
-    files["compare.csv"] = table.getvalue().encode()
+    files |= table_files("compare", rows, kinds)
+    files |= table_files("statistics", statistics, kinds) if statistics else {}
     files["compare.json"] = _json(summaries)
     if points:
         files["published.json"] = _json([beside(found, part) for part in points])
@@ -77,18 +96,27 @@ def compare_sessions(
         write_files(out, files)
     except OSError as error:
         raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", {}) from error
-    return rows
+    return Comparison(rows, statistics)
 
 
 def _json(document: Any) -> bytes:
     return (json.dumps(document, indent=2) + "\n").encode()
 
 
-def print_comparison(rows: list[dict[str, Any]], out: Path, *, as_json: bool) -> None:
-    """Print the table: a row a session as JSON, or a column a session, which a terminal has room for."""
+def print_comparison(found: Comparison, out: Path, *, as_json: bool) -> None:
+    """Print the tables: a row a session as JSON, or a column a session, which a terminal has room for."""
     if as_json:
-        print_json({"sessions": rows, "folder": str(out)})
+        repeated = {"statistics": found.statistics} if found.statistics else {}
+        print_json({"sessions": found.sessions, **repeated, "folder": str(out)})
         return
-    keys = [key for key in rows[0] if key != "session"]
-    print_rows([{"": key, **{row["session"]: row[key] for row in rows}} for key in keys])
+    if not found.statistics:
+        keys = [key for key in found.sessions[0] if key != "session"]
+        print_rows([{"": key, **{row["session"]: row[key] for row in found.sessions}} for key in keys])
+    else:
+        print_rows([{key: _rounded(value) for key, value in row.items()} for row in found.statistics])
+        typer.echo(f"low and high: interval of the mean, or of the share, with {100.0 * CONFIDENCE:g} % confidence")
     typer.echo(f"figure and tables: {out}")
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.5g}") if isinstance(value, float) else value

@@ -13,7 +13,7 @@ from services.viz_node.figure_style import figure_options, styled
 from studies.loops import advice
 from studies.loops.advice import Question
 from studies.loops.sample import drawn_cells
-from studies.loops.stability import Axes, run_stability
+from studies.loops.stability import Axes, LineResult, run_stability
 from studies.pages.compare import (
     Feel,
     Request,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 _BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
 # A study of one link and one environment does not have these options.
-_ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances")
+_ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances", "seeds")
 # defaults of a study in place of those of the model, as a person would write them
 _TRANSPARENCY = {"laws": "all", "environment": "spring", "delays_ms": "0,20,40,100,200", "stiffnesses_n_per_m": "10"}
 _VALIDATE = {"laws": "virtual_impedance", "environment": "contact", "delays_ms": "0,40,60"}
@@ -74,7 +74,8 @@ def stability(
         with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
         summary = write_stability(results, out, command_line(), figure_options(formats, style))
-        head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]")
+        over_seeds = ("link, over seeds [ms]",) if axes.seeds > 1 else ()
+        head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]", *over_seeds)
         rows = [
             (
                 r.line.law,
@@ -82,6 +83,7 @@ def stability(
                 "any" if r.theory_unlimited else _ms(r.theory_ms),
                 _ms(r.critical_delay_ms),
                 _ms(r.critical_link_ms),
+                *([_over_seeds(r)] if over_seeds else []),
             )
             for r in results
         ]
@@ -159,7 +161,7 @@ def advise(
     given: Given,
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for page, table and journal; resumes a journal.")
-    ] = Path("advice"),
+    ] = Path("out/advice"),
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -264,6 +266,16 @@ def _agreed(agreement: "Agreement") -> str:
     if agreement.near_an_edge:
         return "yes, near an edge"
     return "undecided" if agreement.undecided else "yes"
+
+
+def _over_seeds(result: LineResult) -> str:
+    """Return deviation, interval and number of the seeds that have an edge; what is not random has one course."""
+    if not result.stable_shares:
+        return "not random"
+    of = f"{result.seeds.n if result.seeds else 0} of {result.line.axes.seeds} seeds"
+    if result.seeds is None or result.seeds.deviation is None:
+        return of
+    return f"± {result.seeds.deviation:.2f}, mean {result.seeds.low:.1f} to {result.seeds.high:.1f}, {of}"
 
 
 def _ms(value: float | None) -> str:

@@ -23,7 +23,7 @@ from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.live_view import LineView, LiveView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption
 from telenano.cli.output import (
     console,
     fail,
@@ -34,6 +34,7 @@ from telenano.cli.output import (
     print_summary,
     report_errors,
 )
+from telenano.cli.sweep import SEED
 
 
 @with_options(UpRequest, ("page",), units=SECONDS)
@@ -47,8 +48,19 @@ def up(
             help="Run a session for each value of a key, or of round_trip_ms, and compare them (repeatable).",
         ),
     ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            "--seeds",
+            min=2,
+            max=100,
+            metavar="N",
+            help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
+        ),
+    ] = None,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
+    table: TableOption = "csv",
     headless: Annotated[
         bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
     ] = False,
@@ -61,8 +73,9 @@ def up(
     with report_errors(as_json):
         options = figure_options(formats, style)
         request = validated(UpRequest, {**given, "page": not (no_view or as_json or headless)})
-        if sweep:
-            _sweep(sweep, request, options, as_json=as_json)
+        repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
+        if sweep or repeated:
+            _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
             return
         with _folder_of(request) as folder:
             outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
@@ -130,15 +143,18 @@ def _clock_text(plan: Plan) -> str:
     return "" if found.level == "ok" else f"the clock of this machine is {found.found}; {found.advice}"
 
 
-def _sweep(given: list[str], request: UpRequest, options: FigureOptions, *, as_json: bool) -> None:
+def _sweep(given: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
     """Run this very command once for each point of a sweep, and compare the sessions."""
+    from analysis.table_files import table_formats
     from telenano.cli.commands.compare import compare_sessions, print_comparison
     from telenano.cli.sweep import points_of, run_sweep, without_sweep
+
+    table_formats(tables)
 
     folder = request.out or default_folder(request.scenario, datetime.now())
     points = points_of(given)
     folders = run_sweep(points, without_sweep(sys.argv), folder, lambda text: typer.echo(text, err=True))
-    print_comparison(compare_sessions(folders, folder, options), folder, as_json=as_json)
+    print_comparison(compare_sessions(folders, folder, options, tables=tables), folder, as_json=as_json)
 
 
 def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:

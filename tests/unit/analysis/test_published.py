@@ -28,7 +28,7 @@ class Session:
         )  # fmt: skip
 
 
-SESSIONS: Any = [Compared("ours", Session(), {"verdict": "stable"})]  # type: ignore[arg-type]
+SESSIONS: Any = [Compared("ours", Session(), {"verdict": "stable"}, {})]  # type: ignore[arg-type]
 
 
 def test_what_the_paper_says_of_its_figure_is_met_by_a_hand_of_the_scenario() -> None:

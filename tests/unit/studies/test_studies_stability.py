@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,33 @@ def test_paper_in_the_contact_is_steady_at_40_ms_and_cycles_at_60_ms() -> None:
     assert steady.out_of_contact_share == 0.0
     assert cycling.peak_to_peak_n == pytest.approx(7.1, rel=0.02, abs=0.0)
     assert cycling.out_of_contact_share > 0.1
+
+
+class Told(Sweep):
+    """A sweep whose cells are stable up to a delay that goes with the seed: 40, 50, 60 ms."""
+
+    def run(self, cells: Sequence[Cell]) -> list[CellResult]:
+        found = []
+        for cell in cells:
+            over_ms = cell.round_trip_ms - 40.0 - 10.0 * cell.seed
+            verdict = "stable" if over_ms <= 0.0 else "diverged"
+            found.append(CellResult(cell, verdict, over_ms - 0.5, 0.0, 0.0, 1.0, 0.0, False))
+        return found
+
+
+def test_over_seeds_an_edge_has_a_mean_an_interval_and_a_share_of_what_is_stable(tmp_path: Path) -> None:
+    told = Told(Journal(tmp_path / "journal.jsonl"), workers=1)
+    spring = {"stiffnesses_n_per_m": (10.0,), "seeds": 3}
+    constant, lossy = run_stability(axes(**spring, losses=(0.0, 0.1)), told)
+    assert (constant.seeds, constant.stable_shares) == (None, ())
+    assert "over_seeds" not in constant.as_dict()
+    assert [cell.verdict for cell in lossy.cells] == ["stable", "diverged", "diverged"]
+    assert lossy.stable_shares == pytest.approx((1.0, 2.0 / 3.0, 0.0), rel=1e-12)
+    assert lossy.seeds is not None
+    assert (lossy.seeds.n, lossy.seeds.mean) == (3, pytest.approx(50.5, rel=1e-9))
+    assert lossy.seeds.deviation == pytest.approx(10.0, rel=1e-9)
+    assert lossy.critical_link_ms == lossy.seeds.mean
+    assert lossy.as_dict()["over_seeds"]["stable_shares"]["50"] == pytest.approx(2.0 / 3.0, rel=1e-12)
 
 
 def test_finished_cells_are_not_computed_again(

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from analysis.compare import names_of, recordings_of
+from analysis.compare import names_of, recordings_of, sessions_in
 from proto.errors import ConfigError, RigError
 from telenano.cli import sweep
 from telenano.cli.root import app
@@ -63,6 +63,14 @@ def test_one_session_and_a_folder_without_one_are_refused(tmp_path: Path) -> Non
         recordings_of(tmp_path)
 
 
+def test_the_results_of_a_sweep_beside_its_sessions_are_no_sessions(tmp_path: Path) -> None:
+    """`compare out/delay/*` gives the figure and the tables of the sweep with its folders."""
+    (tmp_path / "round_trip_ms=0").mkdir()
+    for name in ("compare.csv", "compare.json", "compare.png", "session.mcap"):
+        (tmp_path / name).touch()
+    assert [path.name for path in sessions_in(sorted(tmp_path.glob("*")))] == ["round_trip_ms=0", "session.mcap"]
+
+
 @pytest.mark.parametrize(
     ("paths", "names"),
     [
@@ -89,6 +97,15 @@ def test_a_sweep_is_every_combination_of_its_values() -> None:
     assert points[3].options == ("--round-trip-ms", "40", "--set", "controller.law=smith")
 
 
+def test_a_seed_is_that_of_everything_in_a_session_that_is_random() -> None:
+    [_, point] = points_of(["seed=0,1"])
+    assert point.name == "seed=1"
+    assert point.options == (
+        "--set", "delay_node.seed=1", "--set", "haptic_node.disturbances.seed=1",
+        "--set", "afm_node.disturbances.seed=1",
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("text", ["round_trip_ms", "=1,2", "a.b=", "a.b=1,,2"])
 def test_a_sweep_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="is not of the form KEY=V1,V2"):
@@ -109,6 +126,9 @@ def test_each_session_has_the_options_of_the_sweep_but_its_own() -> None:
         "a.b=1,2",
         "--out=x",
         "--sweep=c=1",
+        "--seeds",
+        "3",
+        "--table=mat",
         "--no-view",
         "--json",
     ]
