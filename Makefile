@@ -16,7 +16,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: firmware setup page demo test endurance mutation lint bench reliability schemas site lock image-locks images clean
+.PHONY: firmware setup page demo test endurance mutation lint bench reliability schemas site dist lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -99,6 +99,12 @@ site: setup
 	$(BIN)/mkdocs build --strict --quiet
 	$(BIN)/telenano study gallery --out out/site/gallery
 	@echo "out/site/index.html"
+
+# wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
+dist: page
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[release]'
+	$(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/release
+	$(BIN)/python deploy/release.py out/release/session.mcap
 
 lock: $(BIN)/uv
 	$(COMPILE) pyproject.toml --all-extras -o requirements.lock

@@ -87,7 +87,11 @@ class Installation:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wheel")
+    return built(tmp_path_factory.mktemp("wheel"))
+
+
+def built(folder: Path) -> Path:
+    """Build the wheel in a folder."""
     # the page of the view is built by npm, which this is not about
     unwanted = shutil.ignore_patterns("node_modules", "dist", "__pycache__", "build_page.py")
     for name in SETTINGS["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
@@ -109,6 +113,10 @@ def installed(
     installation = Installation(tmp_path_factory.mktemp("installation"), wheel, request.param)
     yield installation
     shutil.rmtree(installation.folder)
+
+
+def test_the_same_source_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    assert built(tmp_path).read_bytes() == wheel.read_bytes()
 
 
 # a command of every group that needs neither a rig nor a device, and the extras with which it works

@@ -1,0 +1,167 @@
+"""Make what a release consists of, and try it: `make dist` runs this with the Python of `.venv`.
+
+In the folder that is given: wheel and source distribution, an inventory of all packages that the extra `rig` brings
+(CycloneDX), the list of their licences, and SHA256SUMS. Each is made from the commit, dated by it, so that the same
+commit gives the same bytes. The wheel is then installed without an extra, from the index that pip knows, with every
+Python from 3.11 to 3.14 that the machine has, and has to read the recording that is given and to simulate.
+"""
+
+import argparse
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterable, Sequence
+from importlib.metadata import Distribution, distributions
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
+# Words of the licences that ask something of who passes the package on, beside naming it.
+COPYLEFT = ("GPL", "MPL", "EPL", "CDDL", "GNU")
+# A wheel has no tests and none of what the page is built from.
+FORBIDDEN = ("tests/", "docs/", "services/viz_node/web/src/", "benchmarks/")
+WANTED = ("telenano/py.typed", "presets/scenarios/fig12.yaml", "services/viz_node/web/dist/index.html")
+TRIAL = """
+import sys, telenano
+session = telenano.open(sys.argv[1])
+rows = len(session.table("afm/state")["time_s"])
+print(telenano.__version__, rows, session.summary["hold_ratio"], telenano.simulate("fig12").verdict)
+assert rows > 100
+"""
+
+
+class ReleaseError(Exception):
+    """The release cannot go out; the text says why."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make and try a release; return 1 with the reason on stderr where it cannot go out."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", type=Path, help="a recording that the installed wheel has to read")
+    parser.add_argument("--out", type=Path, default=Path("out/dist"), help="folder for the release; replaced")
+    given = parser.parse_args(arguments)
+    try:
+        release(given.out, given.recording)
+    except (ReleaseError, subprocess.CalledProcessError) as error:
+        print(f"release: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def release(out: Path, recording: Path) -> None:
+    """Write the files of a release into a folder, and try them."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    wheel = built(out)
+    check_wheel(wheel)
+    run([sys.executable, "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano-*")))])
+    rig = installed("rig", Path(sys.executable), wheel, out, "[rig]")
+    inventory = [str(Path(sys.executable).parent / "cyclonedx-py"), "environment", str(rig), "--output-reproducible"]
+    run([*inventory, "--of", "JSON", "-o", str(out / "sbom.json")])
+    (out / "licences.md").write_text(licences(distributions(path=[site_of(rig)])), encoding="utf-8")
+    shutil.rmtree(out / "rig")
+    tried = [tried_with(python, wheel, out, recording) for python in PYTHONS if starts(python)]
+    names = sorted(path for path in out.iterdir() if path.is_file())
+    sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in names)
+    (out / "SHA256SUMS").write_text(sums, encoding="utf-8")
+    print("\n".join(tried))
+    print(sums, end="")
+
+
+def built(out: Path) -> Path:
+    """Build the source distribution, and the wheel from it, dated by the commit; return the wheel."""
+    date = run(["git", "log", "-1", "--format=%ct"]).strip()
+    command = [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)]
+    run(command, env={**os.environ, "SOURCE_DATE_EPOCH": date})
+    (wheel,) = out.glob("telenano-*.whl")
+    return wheel
+
+
+def check_wheel(wheel: Path) -> None:
+    """Raise ReleaseError if a wheel lacks a part, or has one that is for developers."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    if lacks := [name for name in WANTED if name not in names]:
+        raise ReleaseError(f"{wheel.name}: lacks {', '.join(lacks)}")
+    if extra := [name for name in names if name.startswith(FORBIDDEN)]:
+        raise ReleaseError(f"{wheel.name}: has {extra[0]} and {len(extra) - 1} more that do not belong into it")
+
+
+def installed(name: str, python: Path | str, wheel: Path, out: Path, extra: str = "") -> Path:
+    """Install a wheel into an environment of its own; return the interpreter there."""
+    folder = out / name
+    run([str(python), "-m", "venv", str(folder)])
+    interpreter = (folder / "bin" / "python").absolute()
+    run([str(interpreter), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}{extra}"])
+    return interpreter
+
+
+def starts(python: str) -> bool:
+    """Return whether an interpreter is there; a name that a version manager has put there may have none behind it."""
+    found = shutil.which(python)
+    return found is not None and subprocess.run([found, "-c", ""], capture_output=True, check=False).returncode == 0
+
+
+def tried_with(python: str, wheel: Path, out: Path, recording: Path) -> str:
+    """Install the wheel without an extra, let it read a recording and simulate, and return a line about it."""
+    interpreter = installed(python, python, wheel, out)
+    said = run([str(interpreter), "-c", TRIAL, str(recording.absolute())], cwd=out)
+    run([str(interpreter.parent / "telenano"), "bag", "verify", str(recording.absolute())], cwd=out)
+    shutil.rmtree(out / python)
+    return f"{python}: {said.strip()}"
+
+
+def site_of(interpreter: Path) -> str:
+    """Return the folder of the packages of an environment."""
+    return run([str(interpreter), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]).strip()
+
+
+def licences(found: Iterable[Distribution]) -> str:
+    """Return a table of packages, versions and licences; those that ask more than to be named come first."""
+    rows = sorted(
+        {(one.metadata["Name"], one.version, licence_of(one)) for one in found}, key=lambda row: row[0].lower()
+    )
+    rows = [row for row in rows if row[0] not in ("telenano", "pip", "setuptools")]
+    rows.sort(key=lambda row: not asks_more(row[2]))
+    lines = [
+        f"| {name} | {version} | {licence}{' **(copyleft)**' if asks_more(licence) else ''} |"
+        for name, version, licence in rows
+    ]
+    head = "# Licences of what the extra `rig` installs\n\nAs each package states it.\n\n"
+    head += "| package | version | licence |\n|---|---|---|\n"
+    return head + "\n".join(lines) + "\n"
+
+
+def asks_more(licence: str) -> bool:
+    """Return whether the name of a licence has a word of those that bind who passes the package on."""
+    return any(word in licence for word in COPYLEFT)
+
+
+def licence_of(one: Distribution) -> str:
+    """Return the licence of a package by its expression, its classifiers, or the first line of its text."""
+    metadata = one.metadata
+    expression = metadata.get("License-Expression")
+    if expression:
+        return str(expression)
+    classified = [
+        line.rpartition(" :: ")[2] for line in metadata.get_all("Classifier") or () if line.startswith("License")
+    ]
+    if classified:
+        return ", ".join(dict.fromkeys(classified))
+    text = (metadata.get("License") or "").strip()
+    return text.splitlines()[0][:60] if text else "not stated"
+
+
+def run(command: Sequence[str], **options: object) -> str:
+    """Run a command in the repository; CalledProcessError with what it said where it fails."""
+    done = subprocess.run(command, **{"cwd": ROOT, "capture_output": True, "text": True, **options})  # type: ignore[call-overload]
+    if done.returncode:
+        raise ReleaseError(f"{' '.join(command)}: {(done.stderr or done.stdout).strip()[-2000:]}")
+    return str(done.stdout)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
