@@ -8,10 +8,13 @@ from typing import NamedTuple
 
 from proto.errors import ConfigError, RigError
 from services.launcher.child_session import run_session
+from services.launcher.plan import UpRequest
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.cli.model_options import validated
 
 # the delay of the link has no single key in a scenario
 DELAY_OPTIONS = {"round_trip_ms": "--round-trip-ms", "delay_ms": "--delay-ms"}
+_DELAY_FIELDS = {option: field for field, option in DELAY_OPTIONS.items()}
 # A seed of the session is that of everything in it that is random.
 SEED = "seed"
 _SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
@@ -25,6 +28,13 @@ class Point(NamedTuple):
 
     name: str
     options: tuple[str, ...]
+
+    def asked_of(self, request: UpRequest, folder: Path) -> UpRequest:
+        """Return what a request becomes with these options, in a folder of its own."""
+        pairs = list(zip(self.options[::2], self.options[1::2], strict=True))
+        fields = {_DELAY_FIELDS[option]: _number(option, value) for option, value in pairs if option in _DELAY_FIELDS}
+        settings = (*request.settings, *(value for option, value in pairs if option == "--set"))
+        return validated(UpRequest, {**dict(request), **fields, "settings": settings, "out": folder / self.name})
 
 
 def points_of(sweeps: Sequence[str]) -> list[Point]:
@@ -67,6 +77,13 @@ def _option(key: str, value: str) -> tuple[str, ...]:
     if key == SEED:
         return tuple(word for seed in _SEEDS for word in ("--set", f"{seed}={value}"))
     return (DELAY_OPTIONS[key], value) if key in DELAY_OPTIONS else ("--set", f"{key}={value}")
+
+
+def _number(option: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise ConfigError(f"{option} = {value}: is not a number of milliseconds") from None
 
 
 def run_sweep(points: Sequence[Point], arguments: Sequence[str], out: Path, show: Callable[[str], None]) -> list[Path]:

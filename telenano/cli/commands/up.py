@@ -153,6 +153,9 @@ def _sweep(given: list[str], request: UpRequest, options: FigureOptions, tables:
 
     folder = request.out or default_folder(request.scenario, datetime.now())
     points = points_of(given)
+    for point in points:
+        # A wrong key or value is found before the first session runs.
+        make_plan(point.asked_of(request, folder), folder)
     folders = run_sweep(points, without_sweep(sys.argv), folder, lambda text: typer.echo(text, err=True))
     print_comparison(compare_sessions(folders, folder, options, tables=tables), folder, as_json=as_json)
 

@@ -97,6 +97,23 @@ def test_a_sweep_is_every_combination_of_its_values() -> None:
     assert points[3].options == ("--round-trip-ms", "40", "--set", "controller.law=smith")
 
 
+@pytest.mark.parametrize(
+    ("sweep_text", "reason"),
+    [
+        ("roundtrip=1,2", "roundtrip: unknown key"),
+        ("round_trip_ms=1,fast", "--round-trip-ms = fast: is not a number of milliseconds"),
+        ("controller.law=wave,waves", "waves"),
+    ],
+)
+def test_a_wrong_value_is_found_before_the_first_session(tmp_path: Path, sweep_text: str, reason: str) -> None:
+    arguments = ["up", "--scenario", "fig12", "--no-view", "--out", str(tmp_path / "out"), "--sweep", sweep_text]
+    done = RUNNER.invoke(app, arguments)
+    assert done.exit_code == 2
+    assert reason in done.stderr
+    assert "1/2" not in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_seed_is_that_of_everything_in_a_session_that_is_random() -> None:
     [_, point] = points_of(["seed=0,1"])
     assert point.name == "seed=1"
