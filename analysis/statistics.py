@@ -13,6 +13,8 @@ from services.runtime.settings.config import flatten
 
 CONFIDENCE = 0.95
 _NAMES = ("name", "description")
+# Where a session is kept and shown does not change it.
+_SECTIONS = ("recorder", "viz_node")
 
 
 class Statistic(NamedTuple):
@@ -46,10 +48,12 @@ def share(count: int, of: int) -> Statistic:
 
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a scenario, with dots, in which experiments differ: all but names and seeds."""
-    return {
-        key: value for key, value in flatten(scenario).items() if key not in _NAMES and key.rpartition(".")[2] != "seed"
-    }
+    """Return the keys of a scenario, with dots, in which experiments differ: no names, no seeds, no place of files."""
+    return {key: value for key, value in flatten(scenario).items() if not _is_no_condition(key)}
+
+
+def _is_no_condition(key: str) -> bool:
+    return key in _NAMES or key.partition(".")[0] in _SECTIONS or key.rpartition(".")[2] == "seed"
 
 
 def repetitions(scenarios: Sequence[Mapping[str, Any]]) -> list[list[int]]:

@@ -39,7 +39,8 @@ def test_a_share_has_an_interval_within_0_and_1() -> None:
 
 
 def scenario(delay_s: float, seed: int) -> dict[str, Any]:
-    return {"name": f"s{seed}", "delay_node": {"seed": seed, "forward": {"delay_s": delay_s}}}
+    link = {"seed": seed, "forward": {"delay_s": delay_s}}
+    return {"name": f"s{seed}", "delay_node": link, "recorder": {"directory": f"out/seed={seed}"}}
 
 
 def test_sessions_are_repetitions_where_only_names_and_seeds_differ() -> None:
