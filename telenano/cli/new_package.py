@@ -16,7 +16,10 @@ _TRY_IT = {
     "sample": "telenano up --scenario fig12 --set afm_node.environment=$name",
     "program": "telenano up --scenario image\ntelenano session set --target afm_node program=$name $name.radius_m=3e-8",
     "device": "telenano up --scenario fig12 --set haptic_node.driver=$name",
+    "instrument": "telenano up --scenario fig12 --set afm_node.driver=$name",
 }
+# An instrument is a device of the AFM's node.
+_GROUPS = {"instrument": "devices"}
 KINDS = tuple(_TRY_IT)
 
 
@@ -33,11 +36,11 @@ def _taken(kind: str) -> Collection[str]:
     from services.haptic_node.config import TAKEN as TAKEN_HAPTIC
     from services.haptic_node.physics.operator_models import OWN_OPERATORS
 
-    return TAKEN_HAPTIC | TAKEN_AFM if kind == "device" else OWN_OPERATORS
+    return TAKEN_HAPTIC | TAKEN_AFM if kind in ("device", "instrument") else OWN_OPERATORS
 
 
 def new_package(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a package with a law, device, operator, sample or program, and a test of it; return its files.
+    """Write a package with a law, device, instrument, operator, sample or program, and a test of it; return its files.
 
     Raises:
         ConfigError: The name cannot be that of a package, or the folder exists.
@@ -52,7 +55,7 @@ def new_package(kind: str, name: str, folder: Path) -> list[Path]:
         raise ConfigError(f"{folder}: exists already; give another name or --out")
     words = {
         "kind": kind,
-        "group": f"{kind}s",
+        "group": _GROUPS.get(kind, f"{kind}s"),
         "name": name,
         "dashed": name.replace("_", "-"),
         "constant": name.upper(),

@@ -1,8 +1,8 @@
 """A driver of one's own, for a handle (`haptic_node`) or for an instrument (`afm_node`); the guard stays in front."""
 
-from services.afm_node.driver import AfmDriver
+from services.afm_node.driver import AfmDriver, LateralStage, VibratingCantilever
 from services.afm_node.driver import DeviceReport as AfmReport
-from services.afm_node.physics.part import AfmSample
+from services.afm_node.physics.part import AfmSample, Oscillation
 from services.afm_node.safety import SafetyParams as AfmLimits
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, HapticDevice
 from services.haptic_node.driver import DeviceReport as HapticReport
@@ -25,5 +25,8 @@ __all__ = [
     "DriveCommand",
     "HapticDevice",
     "HapticReport",
+    "LateralStage",
+    "Oscillation",
     "Settings",
+    "VibratingCantilever",
 ]

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from proto.errors import ConfigError
 from telenano.cli.new_package import new_package
 from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors
@@ -16,21 +17,29 @@ class Kind(StrEnum):
 
     LAW = "law"
     DEVICE = "device"
+    INSTRUMENT = "instrument"
     OPERATOR = "operator"
     SAMPLE = "sample"
     PROGRAM = "program"
 
 
 def new(
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="law, device, operator, sample or program.")],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="law, device, instrument, operator, sample or program.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in a scenario, such as my_law.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to make; default: telenano-NAME.")
     ] = None,
+    node: Annotated[
+        str, typer.Option("--node", metavar="NODE", help="Node of a device: afm_node is the same as `instrument`.")
+    ] = "haptic_node",
     as_json: JsonOption = False,
 ) -> None:
-    """Make a package with a law, device, operator, sample or program of your own, and a test of it."""
+    """Make a package with a law, device, instrument, operator, sample or program of your own, and a test of it."""
     with report_errors(as_json):
+        if node not in ("haptic_node", "afm_node"):
+            raise ConfigError(f"--node {node}: devices are those of haptic_node and of afm_node")
+        if kind is Kind.DEVICE and node == "afm_node":
+            kind = Kind.INSTRUMENT
         folder = out or Path(f"telenano-{name.replace('_', '-')}")
         written = new_package(kind.value, name, folder)
     if as_json:
