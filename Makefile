@@ -41,9 +41,6 @@ page: setup
 demo: setup
 	-@$(MAKE) --no-print-directory page
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite
-	@echo "the page of this session again: $(BIN)/telenano view $(OUT)/session.mcap"
-	@echo "touch the sample yourself:      $(BIN)/telenano up --scenario touch"
-	@echo "image, touch, delay, hold:      docs/view.md, A first walk"
 
 # what is not timed runs side by side, the rigs have the machine to themselves
 test: lint

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import json
 import os
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -127,12 +128,43 @@ def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> No
 
 
 def print_summary(summary: dict[str, Any], title: str, *, as_json: bool) -> None:
-    """Print the summary of a session; exit with EXIT_INCOMPLETE and a sentence when its recording is not whole."""
+    """Print the summary of a session, whose folder is the title, with what to do next in its last three lines.
+
+    Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
+    """
     print_document(summary, title, as_json=as_json)
+    if not as_json:
+        for line in closing_lines(summary, Path(title)):
+            typer.echo(line)
     if text := clock_warning(summary):
         typer.echo(f"telenano: warning: {text}", err=True)
     if missing := summary["recording"]["missing"]:
         fail_incomplete(missing)
+
+
+def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, str]:
+    """Return in three lines what happened in a session, where its picture is, and what to do next."""
+    laws = " then ".join(summary["law"])
+    delay_ms = summary["link_round_trip_ms"]
+    link = f", {delay_ms:g} ms by the link" if delay_ms else ""
+    ratio = summary["hold_ratio"]
+    hold = f"; the hand held {ratio:.3f} N for each newton at the tip" if ratio is not None else ""
+    figures = [path for path in sorted(folder.glob("*")) if path.suffix in (".png", ".pdf", ".svg")]
+    return (
+        f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{hold}",
+        f"picture: {figures[0] if figures else 'none'}; all numbers: {folder / 'summary.json'}",
+        f"next: `{own_command()} view {summary['recording']['file']}` shows it again, "
+        f"`{own_command()} up --scenario touch` lets you press",
+    )
+
+
+def own_command() -> str:
+    """Return how this command was called, by its name alone where the shell finds it so."""
+    called = Path(sys.argv[0])
+    found = shutil.which("telenano")
+    if called.name != "telenano" or (found is not None and called.resolve() == Path(found).resolve()):
+        return "telenano"
+    return os.path.relpath(called) if called.is_absolute() else str(called)
 
 
 def clock_warning(summary: Mapping[str, Any]) -> str:

@@ -154,6 +154,10 @@ def test_renaming_is_read_and_wrong_ones_are_refused() -> None:
 
 SUMMARY = {
     "scenario": "fig12",
+    "law": ["wave", "passivity"],
+    "link_round_trip_ms": 40.0,
+    "hold_ratio": 1.05,
+    "verdict": "limit_cycle",
     "recording": {"file": "s.mcap", "complete": True, "missing": [], "lost": 0, "messages": 9},
     "holds": [],
 }
@@ -175,6 +179,20 @@ def test_a_loss_is_in_the_table_and_in_the_exit_code(capsys: pytest.CaptureFixtu
         assert json.loads(out)["recording"]["missing"] == MISSING
     else:
         assert "recording.parts" in out
+
+
+def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_next(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "fig12.png").touch()
+    monkeypatch.setattr("sys.argv", ["bin/telenano", "up"])
+    print_summary(SUMMARY, str(tmp_path), as_json=False)
+    assert capsys.readouterr().out.splitlines()[-3:] == [
+        "fig12 with wave then passivity, 40 ms by the link: limit cycle; "
+        "the hand held 1.050 N for each newton at the tip",
+        f"picture: {tmp_path / 'fig12.png'}; all numbers: {tmp_path / 'summary.json'}",
+        "next: `bin/telenano view s.mcap` shows it again, `bin/telenano up --scenario touch` lets you press",
+    ]
 
 
 def test_what_is_missing_is_red() -> None:
