@@ -59,13 +59,39 @@ def fit_resonance(values_m: Array, rate_hz: float, resonance_hz: float, quality:
     """
     count = len(values_m)
     frequency = np.asarray(np.fft.rfftfreq(count, 1.0 / rate_hz), dtype=np.float64)
+    power = np.abs(np.fft.rfft(values_m - values_m.mean())) ** 2 * (2.0 / (rate_hz * count))
+    return fit_spectrum(frequency, power, rate_hz, resonance_hz, quality, float(np.var(values_m)))
+
+
+def fit_spectrum(
+    frequency_hz: Array,
+    power: Array,
+    rate_hz: float,
+    resonance_hz: float,
+    quality: float,
+    mean_square: float,
+    averages: float = 1.0,
+) -> Resonance:
+    """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms.
+
+    Args:
+        frequency_hz: The lines [Hz], shape (n,).
+        power: The density there [m^2/Hz], shape (n,).
+        rate_hz: The rate at which the deflection was sampled [Hz].
+        resonance_hz: The resonance, near which it is looked for [Hz].
+        quality: Q, near which it is looked for.
+        mean_square: The mean square of the motion, where the search begins [m^2].
+        averages: How many periodograms each line is the mean of.
+
+    Raises:
+        ValueError: The fit ends at a bound, which the message names.
+    """
     low, high = BAND[0] * resonance_hz, min(BAND[1] * resonance_hz, 0.45 * rate_hz)
-    chosen = (frequency > low) & (frequency < high)
-    power = np.abs(np.fft.rfft(values_m - values_m.mean())[chosen]) ** 2 * (2.0 / (rate_hz * count))
-    lines = frequency[chosen]
+    chosen = (frequency_hz > low) & (frequency_hz < high)
+    power, lines = power[chosen], frequency_hz[chosen]
     # all in units of order one: log s^2, log f0, log Q, floor in the mean density of the band
     unit = float(power.mean())
-    free = np.log(np.array([float(np.var(values_m)), resonance_hz, quality, 1.0]))
+    free = np.log(np.array([mean_square, resonance_hz, quality, 1.0]))
     free[3] = 1e-3
 
     def logs(point: Array) -> Array:
@@ -109,5 +135,5 @@ def fit_resonance(values_m: Array, rate_hz: float, resonance_hz: float, quality:
         for bound in bounds:
             if abs(math.log(value / bound)) < 1e-3 or not bounds[0] < value < bounds[1]:
                 raise ValueError(f"the fit of the resonance ends at the bound of its {name}, {form.format(bound)}")
-    error = math.sqrt(float(np.linalg.inv(information)[0, 0]))
+    error = math.sqrt(float(np.linalg.inv(information)[0, 0]) / averages)
     return Resonance(s2, f0, q, max(float(free[3]) * unit, 0.0), error)

@@ -1,13 +1,18 @@
-"""`telenano calibrate`: the calibrations of a laboratory, on the simulated instrument."""
+"""`telenano calibrate`: calibrations on the simulated instrument, or from the measurements of a real one."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from proto.errors import ConfigError
 from services.runtime.settings.config import flag_overrides, validate
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.sample_options import AfmOption
+
+if TYPE_CHECKING:
+    from studies.instrument.own_calibration import Thermal
 
 app = command_group()
 
@@ -21,11 +26,21 @@ def sensitivity(
     noise: Annotated[float, typer.Option("--noise", metavar="MV", help="White noise of a point [mV].")] = 1.0,
     bits: Annotated[int, typer.Option("--bits", min=4, max=32, metavar="N", help="Bits of a +-10 V converter.")] = 16,
     seed: SeedOption = 0,
+    curve: Annotated[
+        Path | None,
+        typer.Option("--curve", metavar="FILE", help="An own curve on a hard sample: way [nm] and deflection [V]."),
+    ] = None,
+    part: Annotated[
+        tuple[float, float], typer.Option("--part", metavar="LOW HIGH", help="Shares of its span of voltage to use.")
+    ] = (0.3, 0.95),
     afm: AfmOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find S_c of Eq. 3: press onto a hard sample and regress the voltage on the way, with the standard error."""
     with report_errors(as_json):
+        if curve is not None:
+            _own_sensitivity(curve, part, as_json=as_json)
+            return
         import studies.instrument.instrument_calibration as calibration
         from services.afm_node.config import AfmConfig
 
@@ -42,14 +57,74 @@ def stiffness(
         float, typer.Option("--floor", metavar="FM", help="White noise of the read-out [fm/sqrt(Hz)].")
     ] = 0.0,
     seed: SeedOption = 0,
-    afm: AfmOption = None,
+    spectrum: Annotated[
+        Path | None,
+        typer.Option("--spectrum", metavar="FILE", help="An own thermal spectrum: frequency [Hz], density [V^2/Hz]."),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="FILE", help="An own record of the free deflection [V].")
+    ] = None,
+    sensitivity_nm: Annotated[
+        float | None, typer.Option("--sensitivity", min=1e-6, metavar="NM/V", help="Way for a volt [nm/V].")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option("--rate", min=1e-3, metavar="HZ", help="Rate of the samples [Hz].")
+    ] = None,
+    averages: Annotated[
+        float, typer.Option("--averages", min=1.0, metavar="N", help="Periodograms in a line of the spectrum.")
+    ] = 1.0,
+    factor: Annotated[
+        float | None, typer.Option("--factor", min=0.1, max=2.0, metavar="C", help="Factor of the mode and read-out.")
+    ] = None,
+    size: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [um]: Sader's method as well."),
+    ] = None,
     as_json: JsonOption = False,
+    afm: AfmOption = None,
 ) -> None:
     """Find the stiffness of the cantilever from its thermal noise, by the area of the fitted resonance."""
     with report_errors(as_json):
+        if spectrum is not None or record is not None:
+            from studies.instrument.own_calibration import BY_ANGLE, Thermal
+
+            if sensitivity_nm is None:
+                raise ConfigError("--sensitivity: a spectrum in volts needs the way for a volt [nm/V]")
+            width, length = (1e-6 * value for value in size) if size else (None, None)
+            mode = BY_ANGLE if factor is None else factor
+            known = Thermal(1e-9 * sensitivity_nm, temperature, mode, width, length, rate, averages)
+            _own_stiffness(spectrum, record, known, as_json=as_json)
+            return
         import studies.instrument.instrument_calibration as calibration
         from services.afm_node.config import AfmConfig
 
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
         found = calibration.calibrate_stiffness(config, duration, temperature, floor * 1e-15, seed)
     print_document(found.as_dict(), "stiffness by thermal noise", as_json=as_json)
+
+
+def _own_sensitivity(curve: Path, part: tuple[float, float], *, as_json: bool) -> None:
+    from studies.instrument.own_calibration import columns_of, sensitivity_of_curve
+
+    way_nm, volts = columns_of(curve, 2)
+    found = sensitivity_of_curve(1e-9 * way_nm, volts, *part)
+    document = {
+        "sensitivity_nm_per_v": 1e9 * found.m_per_v,
+        "standard_error_nm_per_v": 1e9 * found.standard_error_m_per_v,
+        "points": found.points,
+        "residual_nm": 1e9 * found.residual_m,
+    }
+    print_document(document, str(curve), as_json=as_json)
+
+
+def _own_stiffness(spectrum: Path | None, record: Path | None, known: "Thermal", *, as_json: bool) -> None:
+    from studies.instrument.own_calibration import columns_of, stiffness_of_record, stiffness_of_spectrum
+
+    if spectrum is not None and record is not None:
+        raise ConfigError("--spectrum, --record: give one of them")
+    if spectrum is not None:
+        frequency_hz, density = columns_of(spectrum, 2)
+        found = stiffness_of_spectrum(frequency_hz, density, known)
+    else:
+        found = stiffness_of_record(columns_of(record or Path(), 1)[0], known)
+    print_document(found._asdict(), str(spectrum or record), as_json=as_json)

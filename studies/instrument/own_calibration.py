@@ -1,0 +1,260 @@
+"""Calibrations from what one's own instrument measured: a thermal spectrum or record, a curve on a hard sample.
+
+*Thermal*: k = c k_B T / <zeta^2>, where <zeta^2> is the mean square of the first mode, by the area of the fitted
+resonance. The factor c is that of the mode and of the way the deflection is read (H.-J. Butt, M. Jaschke,
+Nanotechnology 6 (1995) 1): a point mass on a spring has 1, a rectangular lever whose deflection is read as a way 0.971.
+One that is read by the angle of its end, with a sensitivity from a curve on a hard sample, has 0.971/1.09^2 = 0.817,
+because a lever that swings freely has another shape than one that is pressed.
+
+*Sader*: k = 0.1906 rho b^2 L Q Im(Gamma(w0)) w0^2 for a rectangular lever in a fluid (J. E. Sader, J. W. M. Chon,
+P. Mulvaney, Rev. Sci. Instrum. 70 (1999) 3967), with the hydrodynamic function Gamma of a rectangular beam (J. E.
+Sader, J. Appl. Phys. 84 (1998) 64, Eqs. 20 and 21). It needs no sensitivity.
+
+*Sensitivity*: the slope of the way of the base over the voltage in contact with a sample that does not give way.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from presets.regular_files import read_regular
+from proto.errors import ConfigError
+from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
+from studies.instrument.resonance import Resonance, fit_resonance, fit_spectrum
+
+Array = npt.NDArray[np.float64]
+
+# c for a lever that is read by its angle, the usual one
+BY_ANGLE = 0.971 / 1.09**2
+# air at 20 degrees Celsius and 1013 hPa
+AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
+_LARGEST_BYTES = 256_000_000
+# numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
+_REAL = (
+    (0.91324, -0.48274, 0.46842, -0.12886, 0.044055, -0.0035117, 0.00069085),
+    (1.0, -0.56964, 0.48690, -0.13444, 0.045155, -0.0035862, 0.00069085),
+)
+_IMAGINARY = (
+    (-0.024134, -0.029256, 0.016294, -0.00010961, 0.000064577, -0.000044510),
+    (1.0, -0.59702, 0.55182, -0.18357, 0.079156, -0.014369, 0.0028361),
+)
+# The correction was fitted to Reynolds numbers in this range.
+_REYNOLDS = (1e-6, 1e4)
+
+
+class Stiffness(NamedTuple):
+    """k [N/m] and its standard error; resonance [Hz], Q, floor of the read-out [m^2/Hz], and the factor c.
+
+    standard_error_n_per_m: of the noise of the spectrum alone; that of the sensitivity comes on top, twice its share.
+    sader_n_per_m: by Sader's method, None without width and length; its error is that of Q, width and length.
+    """
+
+    stiffness_n_per_m: float
+    standard_error_n_per_m: float
+    resonance_hz: float
+    quality: float
+    floor_m2_per_hz: float
+    factor: float
+    sader_n_per_m: float | None = None
+
+
+class Sensitivity(NamedTuple):
+    """Way for a volt [m/V] with its standard error, the points in contact, and the scatter about the line [m]."""
+
+    m_per_v: float
+    standard_error_m_per_v: float
+    points: int
+    residual_m: float
+
+    @property
+    def share(self) -> float:
+        """The standard error as a share, which counts twice in a stiffness."""
+        return self.standard_error_m_per_v / abs(self.m_per_v)
+
+
+class Thermal(NamedTuple):
+    """What a thermal calibration needs beside the measurement.
+
+    sensitivity_m_per_v [m/V]; temperature_k [K]; factor: c; width_m, length_m: of the lever, for Sader's method [m];
+    rate_hz: at which the deflection was sampled [Hz]; averages: how many periodograms each line is the mean of.
+    """
+
+    sensitivity_m_per_v: float
+    temperature_k: float = 295.0
+    factor: float = BY_ANGLE
+    width_m: float | None = None
+    length_m: float | None = None
+    rate_hz: float | None = None
+    averages: float = 1.0
+
+
+def columns_of(path: Path, count: int) -> Array:
+    """Return the columns of numbers of a text file, shape (count, n); lines that are no numbers are a head.
+
+    Raises:
+        ConfigError: The file cannot be read, or has too few numbers; the message names it and the line.
+    """
+    try:
+        text = read_regular(path, _LARGEST_BYTES).decode("utf-8", errors="replace")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        try:
+            row = [float(word) for word in words[:count]]
+        except ValueError:
+            if rows and not line.lstrip().startswith("#"):
+                raise ConfigError(f"{path}, line {number}: is no line of numbers, after {len(rows)} that are") from None
+            continue
+        if len(row) == count and all(map(math.isfinite, row)):
+            rows.append(row)
+        elif words:
+            raise ConfigError(f"{path}, line {number}: has {len(words)} columns, {count} finite numbers are needed")
+    if len(rows) < 16:
+        raise ConfigError(f"{path}: has {len(rows)} lines of {count} numbers, 16 or more are needed")
+    return np.array(rows).T
+
+
+def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: Thermal) -> Stiffness:
+    """Return the stiffness by a thermal spectrum: lines [Hz] and one-sided density [V^2/Hz], shape (n,) each.
+
+    Raises:
+        ConfigError: The spectrum is none, or its fit ends at a bound, which the message names.
+    """
+    if np.any(np.diff(frequency_hz) <= 0.0) or np.any(density_v2_per_hz < 0.0):
+        raise ConfigError("the spectrum needs frequencies that rise, and densities of 0 or more")
+    rate_hz = known.rate_hz if known.rate_hz is not None else 2.0 * float(frequency_hz[-1])
+    density = density_v2_per_hz * known.sensitivity_m_per_v**2
+    peak_hz, quality = _peak(frequency_hz, density)
+    mean_square = float(np.sum(density[1:] * np.diff(frequency_hz)))
+    return _stiffness(
+        known, lambda: fit_spectrum(frequency_hz, density, rate_hz, peak_hz, quality, mean_square, known.averages)
+    )
+
+
+def stiffness_of_record(deflection_v: Array, known: Thermal) -> Stiffness:
+    """Return the stiffness by a record of the free lever's deflection [V], shape (n,), at `known.rate_hz`.
+
+    Raises:
+        ConfigError: The rate is missing, or the fit ends at a bound, which the message names.
+    """
+    if known.rate_hz is None:
+        raise ConfigError("--rate: a record needs the rate at which it was sampled [Hz]")
+    rate_hz, deflection_m = known.rate_hz, deflection_v * known.sensitivity_m_per_v
+    frequency = np.asarray(np.fft.rfftfreq(len(deflection_m), 1.0 / rate_hz), dtype=np.float64)
+    power = np.abs(np.fft.rfft(deflection_m - deflection_m.mean())) ** 2 * (2.0 / (rate_hz * len(deflection_m)))
+    peak_hz, quality = _peak(frequency[1:], power[1:])
+    return _stiffness(known, lambda: fit_resonance(deflection_m, rate_hz, peak_hz, quality))
+
+
+def _stiffness(known: Thermal, fit: Any) -> Stiffness:
+    try:
+        found: Resonance = fit()
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    k = known.factor * BOLTZMANN_J_PER_K * known.temperature_k / found.mean_square_m2
+    by_sader = None
+    if known.width_m is not None and known.length_m is not None:
+        by_sader = sader_n_per_m(known.width_m, known.length_m, found.resonance_hz, found.quality)
+    return Stiffness(
+        k, k * found.share, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor, by_sader
+    )
+
+
+def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:
+    """Return where the greatest resonance is [Hz], and a Q to begin with, by means of neighbouring lines.
+
+    What is below a hundredth of the band is drift, and no resonance is looked for there.
+    """
+    block = max(1, len(density) // 512)
+    count = len(density) // block * block
+    means = density[:count].reshape(-1, block).mean(axis=1)
+    places = frequency_hz[:count].reshape(-1, block).mean(axis=1)
+    means = np.where(places > 0.01 * places[-1], means, 0.0)
+    top = int(np.argmax(means))
+    half = np.flatnonzero(means < 0.5 * means[top])
+    above = half[half > top]
+    below = half[half < top]
+    width = (places[above[0]] if len(above) else places[-1]) - (places[below[-1]] if len(below) else places[0])
+    return float(places[top]), float(np.clip(places[top] / max(width, 1e-12), 0.6, 1e6))
+
+
+def hydrodynamic(reynolds: float) -> complex:
+    """Return Gamma of a rectangular beam at a Reynolds number rho w b^2 / (4 eta), 1e-6 to 1e4 (Sader 1998, Eq. 20)."""
+    from scipy.special import kv
+
+    if not _REYNOLDS[0] <= reynolds <= _REYNOLDS[1]:
+        raise ConfigError(f"a Reynolds number of {reynolds:g} is outside of {_REYNOLDS[0]:g} to {_REYNOLDS[1]:g}")
+    root = np.sqrt(1j * reynolds)
+    circular = 1.0 + 4.0j * kv(1, -1j * root) / (root * kv(0, -1j * root))
+    tau = math.log10(reynolds)
+
+    def ratio(parts: tuple[tuple[float, ...], tuple[float, ...]]) -> float:
+        above, below = (sum(factor * tau**power for power, factor in enumerate(part)) for part in parts)
+        return above / below
+
+    return complex(circular * complex(ratio(_REAL), ratio(_IMAGINARY)))
+
+
+def sader_n_per_m(
+    width_m: float,
+    length_m: float,
+    resonance_hz: float,
+    quality: float,
+    density_kg_per_m3: float = AIR_DENSITY_KG_PER_M3,
+    viscosity_pa_s: float = AIR_VISCOSITY_PA_S,
+) -> float:
+    """Return the stiffness [N/m] of a rectangular lever by its size [m], its resonance [Hz] and its Q in a fluid."""
+    omega = 2.0 * math.pi * resonance_hz
+    reynolds = density_kg_per_m3 * omega * width_m**2 / (4.0 * viscosity_pa_s)
+    return 0.1906 * density_kg_per_m3 * width_m**2 * length_m * quality * hydrodynamic(reynolds).imag * omega**2
+
+
+def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: float = 0.95) -> Sensitivity:
+    """Return the way for a volt in contact: of the points between two shares of the span of the voltage.
+
+    Args:
+        way_m: Way of the base towards the sample [m], shape (n,).
+        volts: Deflection [V], shape (n,).
+        low: Share of the span at which contact is sure.
+        high: Share up to which the read-out is linear.
+
+    Raises:
+        ConfigError: Too few points lie there, or the voltage does not follow the way.
+    """
+    span = float(np.ptp(volts))
+    # The free lever is where the base is farthest, whatever the sign of the read-out.
+    shares = np.abs(volts - volts[np.argmin(way_m)]) / span if span > 0.0 else np.zeros(len(volts))
+    chosen = (shares >= low) & (shares <= high)
+    _require(int(chosen.sum()), low, high)
+    # Points that are chosen by their voltage are chosen by its noise too: their line chooses the ways.
+    slope, error, scatter = _line(way_m[chosen], shares[chosen])
+    if slope > 0.0:
+        predicted = shares[chosen].mean() + slope * (way_m - way_m[chosen].mean())
+        chosen = (predicted >= low) & (predicted <= high)
+        _require(int(chosen.sum()), low, high)
+        slope, error, scatter = (span * part for part in _line(way_m[chosen], shares[chosen]))
+    if not slope > 3.0 * error:
+        raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
+    return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
+
+
+def _require(points: int, low: float, high: float) -> None:
+    if points < 8:
+        raise ConfigError(f"{points} points lie between {low:g} and {high:g} of the span: 8 are needed")
+
+
+def _line(x: Array, y: Array) -> tuple[float, float, float]:
+    """Return the slope of a line, its standard error and the scatter about it."""
+    x = x - x.mean()
+    square = float((x * x).sum())
+    if not square > 0.0:
+        return 0.0, math.inf, math.inf
+    slope = float((x * y).sum()) / square
+    residual = y - y.mean() - slope * x
+    scatter = math.sqrt(float((residual**2).sum()) / (len(x) - 2))
+    return slope, scatter / math.sqrt(square), scatter
