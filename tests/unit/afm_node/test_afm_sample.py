@@ -112,8 +112,6 @@ def test_an_array_needs_its_side_and_must_be_square_finite_and_of_numbers(tmp_pa
 
 
 def test_files_of_other_kinds_and_sizes_that_contradict_are_refused(gsf, tmp_path):
-    with pytest.raises(ConfigError, match=r"map.spm: is no height map that can be read; .*Gwyddion opens"):
-        read_surface(tmp_path / "map.spm")
     with pytest.raises(ConfigError, match="says its own size"):
         read_surface(gsf, size_m=1e-7)
     with pytest.raises(ConfigError, match="cannot be read: No such file"):

@@ -44,7 +44,8 @@ class SampleConfig(Settings):
     name: str = Field(
         "dots",
         min_length=1,
-        description="flat, dots, grating, a file (.gsf, .gwy, .ibw, .npy), or module:function of x and y [m].",
+        description="flat, dots, grating, a file (.gsf, .gwy, .ibw, .npy; others with the extra images), or"
+        " module:function of x and y [m].",
     )
     map: str | None = Field(
         None,

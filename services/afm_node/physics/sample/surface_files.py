@@ -1,8 +1,8 @@
-"""Height maps from files of other instruments and programs: .gsf, .gwy, .ibw, .npy.
+"""Height maps from files of other instruments and programs: .gsf, .gwy, .ibw, .npy, and those of `foreign_images`.
 
 Rows in a file run from the top of the picture down, except in Igor's waves, which run from the bottom; here y rises
 with the row. No memory is taken for what a header says before it was compared with the length of the file; `igor2`,
-which reads .ibw, does so in a child process with limits.
+which reads .ibw, does so in a child process with limits, and so do the libraries that read what is foreign.
 """
 
 import math
@@ -19,16 +19,18 @@ from numpy.lib import format as npy
 from presets.regular_files import open_regular
 from proto.errors import ConfigError
 from proto.extras import how_to_install
+from services.afm_node.physics.sample.foreign_images import load_image, load_nanonis
 from services.afm_node.physics.sample.gwy_reader import read_gwy
 from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
 from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
-from services.runtime.untrusted.limited_child import read_in_child
+from services.runtime.untrusted.limited_child import limits_for, read_in_child
 
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LONGEST_GSF_HEADER = 1 << 16
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 # metres in a unit of length, as files write it
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
+_LIBRARIES_BYTES = 2 << 30
 _HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
 
 
@@ -54,13 +56,7 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
     Raises:
         ConfigError: The file cannot be used; the message names it and what is wrong with it.
     """
-    read = _READERS.get(path.suffix.lower())
-    if read is None:
-        known = ", ".join(sorted(_READERS))
-        raise ConfigError(
-            f"{path}: is no height map that can be read; these are {known}. Gwyddion opens those of Bruker, JPK,"
-            " Nanosurf, Nanonis and others, and saves them as .gwy"
-        )
+    read = _READERS.get(path.suffix.lower(), _read_foreign)
     if size_m is not None and path.suffix.lower() != ".npy":
         raise ConfigError(f"{path}: says its own size; a size is given for .npy files only")
     try:
@@ -69,6 +65,11 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
         side = _metres(found.unit_xy, f"the sides of channel {found.name}")
         return checked(found.values.astype(np.float64) * scale, found.width * side, found.depth * side)
     except ImportError as error:
+        if read in (_read_foreign, _read_sxm):
+            raise ConfigError(
+                f"{path}: images of other makers need {error.name}: {how_to_install('images')}; without it"
+                f" {', '.join(sorted(_READERS.keys() - {'.sxm'}))} are read, and Gwyddion saves most images as .gwy"
+            ) from error
         raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -200,9 +201,31 @@ def _layer_unit(name: str, unit: str) -> str:
     return next((found for part, found in other.items() if part in name.lower()), unit)
 
 
+def _read_foreign(path: Path, size_m: float | None) -> list[_Channel]:
+    return _foreign(path, load_image)
+
+
+def _read_sxm(path: Path, size_m: float | None) -> list[_Channel]:
+    return _foreign(path, load_nanonis)
+
+
+def _foreign(path: Path, load: Callable[[str], object]) -> list[_Channel]:
+    limits = limits_for(path.stat().st_size)
+    # pandas and scipy, which SurfaceTopography imports, take address space and time of their own.
+    limits = limits._replace(memory_bytes=limits.memory_bytes + _LIBRARIES_BYTES, cpu_s=2 * limits.cpu_s)
+    found, maps = read_in_child(f"{load.__module__}:{load.__name__}", path, limits=limits)
+    for values in maps:
+        _check_pixels(values.shape)
+    return [
+        _Channel(fact["name"], values, fact["sides"][0], fact["sides"][1], fact["unit"], fact["z"])
+        for fact, values in zip(found["channels"], maps, strict=True)
+    ]
+
+
 _READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {
     ".npy": _read_npy,
     ".gsf": _read_gsf,
     ".gwy": _read_gwy,
     ".ibw": _read_ibw,
+    ".sxm": _read_sxm,
 }
