@@ -356,8 +356,14 @@ def _schedule(
     return schedule_of(symmetric_link(*link), ticks, period_s, play_out=play_out)
 
 
-def judged(cell: Cell, course: Trajectory) -> CellResult:
-    """Return the verdict on a session of this cell, with its figures."""
+def judged(cell: Cell, course: Trajectory, *, noisy: bool = False) -> CellResult:
+    """Return the verdict on a session of this cell, with its figures.
+
+    Args:
+        cell: The cell.
+        course: Its session.
+        noisy: Whether the link of the session was random although the cell's is not.
+    """
     scales = scales_of(cell.controller())
     start_s, end_s = cell.hold_s()
     # a pause in the commands makes the instrument hold for a moment; what ends the session is the retraction
@@ -379,7 +385,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         _LEVELS_N[cell.environment][-1],
         Circumstances(
             guarded=ended < len(lost),
-            noisy=cell.has_random_link or bool(cell.disturbances),
+            noisy=noisy or cell.has_random_link or bool(cell.disturbances),
             touching=float(course.in_contact[later].mean()) if later.stop > later.start else None,
             expected_n=float(course.hand_force_n[later].mean()) if later.stop > later.start else None,
             touching_at_end=float(course.in_contact[last].mean()) if last.stop > last.start else None,
