@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from proto.errors import ConfigError, TelenanoError
-from recording.whole_files import whole_file
+from proto.errors import ConfigError
+from telenano.cli.commands.device_files import write_document
 from telenano.cli.output import report_errors
 
 _PERIOD_S = 1e-3
@@ -79,12 +79,7 @@ def calibrate_stage(
         }
         _measure_travel(document, outputs)
         _measure_deflection(document, step, press_m)
-        try:
-            with whole_file(out) as file:
-                file.write_text(yaml.safe_dump(document, sort_keys=False))
-        except OSError as error:
-            raise TelenanoError(f"{out}: cannot be written: {error.strerror}") from error
-        typer.echo(f"wrote {out}")
+        write_document(out, document)
 
 
 def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
