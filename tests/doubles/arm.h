@@ -8,6 +8,7 @@
 
 #include <math.h>
 #include <pthread.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
@@ -16,6 +17,14 @@
 #define ARM_LONGEST_S 0.05
 #define ARM_POINTS 32
 #define ARM_FAILURES 16
+#define ARM_LATE 1024
+#define ARM_LOOK_S 0.005
+
+/* A moment of a hand that a test has written: an arm with a spring and a damper that means to be at `to`, a force. */
+struct hand {
+    double at_s, to[3], k, c, force[3];
+    int buttons, plugged;
+};
 
 struct arm {
     double mass_kg, damping, friction_n, radius_m, resolution_m;
@@ -36,13 +45,89 @@ struct arm {
     char failing[ARM_FAILURES][40];
     int failure[ARM_FAILURES];
     pthread_mutex_t lock;
+    /* forces on their way through a drive that is late, and when each acts; at_s is the time of the arm itself */
+    double drive_delay_s, at_s, late_at[ARM_LATE], late[ARM_LATE][3];
+    int late_first, late_last;
+    /* the scheduler of HD calls no more */
+    int stopped;
+    /* a hand with an arm, and the rows of a test's file */
+    struct hand arm_of_hand, *rows;
+    int row_count, row_now;
+    FILE *orders;
+    double looked_s;
 };
+
+static void arm_set(struct arm *a, const char *name, double value);
 
 static double arm_clock(const struct arm *a) {
     struct timespec t;
     if (a->virtual_s >= 0.0) return a->virtual_s;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+/* Take the force away, and what is on its way. */
+static void arm_let_go(struct arm *a) {
+    memset(a->force, 0, sizeof a->force);
+    a->late_first = a->late_last;
+}
+
+/* Drive with a force, at once or after the delay of the drive. */
+static void arm_drive(struct arm *a, const double force[3]) {
+    int next = (a->late_last + 1) % ARM_LATE;
+    if (a->drive_delay_s <= 0.0 || next == a->late_first) {
+        memcpy(a->force, force, sizeof a->force);
+        return;
+    }
+    memcpy(a->late[a->late_last], force, sizeof a->force);
+    a->late_at[a->late_last] = arm_clock(a) + a->drive_delay_s;
+    a->late_last = next;
+}
+
+/* Read the rows of a hand: time, place, spring, damper, force, buttons, whether the cable is in. */
+static void arm_read_hand(struct arm *a, const char *path) {
+    FILE *file = fopen(path, "r");
+    struct hand h;
+    a->row_count = a->row_now = 0;
+    while (file && fscanf(file, "%lf %lf %lf %lf %lf %lf %lf %lf %lf %d %d", &h.at_s, h.to, h.to + 1, h.to + 2, &h.k,
+                          &h.c, h.force, h.force + 1, h.force + 2, &h.buttons, &h.plugged) == 11) {
+        if (a->row_count % 1024 == 0)
+            a->rows = realloc(a->rows, (size_t)(a->row_count + 1024) * sizeof *a->rows);
+        a->rows[a->row_count++] = h;
+    }
+    if (file) fclose(file);
+}
+
+/* Let the hand of the file be as it is at this time of the session. */
+static void arm_follow(struct arm *a) {
+    const struct hand *now, *next;
+    double share;
+    int i;
+    if (a->row_count == 0 || a->session_s < 0.0) return;
+    while (a->row_now + 1 < a->row_count && a->rows[a->row_now + 1].at_s <= a->session_s) a->row_now++;
+    now = a->rows + a->row_now;
+    a->arm_of_hand = *now;
+    if (a->row_now + 1 < a->row_count) {
+        next = now + 1;
+        share = (a->session_s - now->at_s) / (next->at_s - now->at_s);
+        for (i = 0; i < 3; i++) a->arm_of_hand.to[i] += share * (next->to[i] - now->to[i]);
+    }
+    a->pushes = 1, a->push_n = 0.0;
+    a->buttons = now->buttons;
+    if (a->unplugged == now->plugged) arm_set(a, "unplugged", !now->plugged);
+}
+
+/* Do what a test has written into TELENANO_DOUBLE_ORDERS since the last look: lines such as "unplugged 1". */
+static void arm_look(struct arm *a) {
+    const char *path = getenv("TELENANO_DOUBLE_ORDERS");
+    char name[40];
+    double value, now = arm_clock(a);
+    if (!path || now < a->looked_s + ARM_LOOK_S) return;
+    a->looked_s = now;
+    if (!a->orders) a->orders = fopen(path, "r");
+    if (!a->orders) return;
+    clearerr(a->orders);
+    while (fscanf(a->orders, " %39s %lf", name, &value) == 2) arm_set(a, name, value);
 }
 
 static double arm_hand(const struct arm *a) {
@@ -62,8 +147,16 @@ static void arm_step(struct arm *a, double dt) {
     double given = a->damping > 0.0 ? (1.0 - kept) / a->damping : dt / a->mass_kg;
     double far = 0.0;
     int i;
+    while (a->late_first != a->late_last && a->late_at[a->late_first] <= a->at_s) {
+        memcpy(a->force, a->late[a->late_first], sizeof a->force);
+        a->late_first = (a->late_first + 1) % ARM_LATE;
+    }
+    a->at_s += dt;
+    arm_follow(a);
     for (i = 0; i < 3; i++) {
-        double v = a->speed[i], u = a->sign * a->force[i], next;
+        const struct hand *h = &a->arm_of_hand;
+        double v = a->speed[i], u = a->sign * a->force[i] + h->force[i] + h->k * (h->to[i] - a->place[i]) - h->c * v;
+        double next;
         if (i == a->hand_axis) u += a->hand_sign * arm_hand(a);
         if (a->friction_n > 0.0)
             u -= v != 0.0 ? copysign(a->friction_n, v) : fmax(-a->friction_n, fmin(u, a->friction_n));
@@ -88,6 +181,7 @@ static void arm_advance(struct arm *a) {
     if (a->now_s < 0.0) a->now_s = now;
     a->left_s += fmin(now - a->now_s, ARM_LONGEST_S);
     a->now_s = now;
+    a->at_s = now - a->left_s;
     for (; a->left_s >= ARM_STEP_S; a->left_s -= ARM_STEP_S) arm_step(a, ARM_STEP_S);
 }
 
@@ -131,13 +225,23 @@ static void arm_set(struct arm *a, const char *name, double value) {
     if (!strcmp(name, "not_a_number")) a->not_a_number = value != 0.0;
     if (!strcmp(name, "unplugged")) {
         a->unplugged = value != 0.0;
-        if (a->unplugged) memset(a->force, 0, sizeof a->force);
+        if (a->unplugged) arm_let_go(a);
     }
     if (!strcmp(name, "uncalibrated")) a->uncalibrated = value != 0.0;
     if (!strcmp(name, "buttons")) a->buttons = (int)value;
     if (!strcmp(name, "session")) a->session_s = value != 0.0 ? (a->session_s < 0.0 ? 0.0 : a->session_s) : -1.0;
     if (!strcmp(name, "push_n")) a->push_n = value, a->pushes = 1;
     if (!strcmp(name, "held")) a->held = value != 0.0;
+    if (!strcmp(name, "drive_delay_s")) a->drive_delay_s = value;
+    if (!strcmp(name, "stopped")) a->stopped = value != 0.0;
+    /* an ordinary arm that means to be so far towards the sample */
+    if (!strcmp(name, "hand_m")) {
+        memset(&a->arm_of_hand, 0, sizeof a->arm_of_hand);
+        a->arm_of_hand.to[a->hand_axis] = a->hand_sign * value;
+        a->arm_of_hand.k = 300.0, a->arm_of_hand.c = 5.0;
+        a->pushes = 1, a->push_n = 0.0;
+    }
+    if (!strcmp(name, "loose")) a->arm_of_hand.k = a->arm_of_hand.c = 0.0;
     if (!strcmp(name, "place")) a->place[a->hand_axis] = value;
 }
 
@@ -162,17 +266,10 @@ static void arm_sleep(struct arm *a, double duration_s) {
     nanosleep(&t, NULL);
 }
 
-/* A fault of TELENANO_DOUBLE_FAULT, such as "unplugged@3.0=1", comes at that time of the session, for runs that are
- * started as a whole. */
-static void arm_planned(struct arm *a) {
-    const char *plan = getenv("TELENANO_DOUBLE_FAULT");
-    char name[40];
-    const char *at = plan ? strchr(plan, '@') : NULL, *is = at ? strchr(at, '=') : NULL;
-    if (!is || (size_t)(at - plan) >= sizeof name || a->session_s < atof(at + 1)) return;
-    memcpy(name, plan, (size_t)(at - plan));
-    name[at - plan] = 0;
-    arm_set(a, name, atof(is + 1));
-    unsetenv("TELENANO_DOUBLE_FAULT");
+/* The file of a hand that TELENANO_DOUBLE_HAND names, for rigs that are started as a whole. */
+static void arm_begin(struct arm *a) {
+    const char *path = getenv("TELENANO_DOUBLE_HAND");
+    if (path && !a->rows) arm_read_hand(a, path);
 }
 
 /* The hand of Fig. 12. */

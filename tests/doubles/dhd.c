@@ -17,7 +17,8 @@ static const char *const texts[] = {
     "device is in use", "value is not valid", "no regulation"};
 
 static struct arm a = {0.25, 0.50, 0.0, 0.075, 1e-6, 2, -1.0, {0}, {0}, {0}, -1.0, -1.0, 0.0, -1.0, ARM_FIG12,
-                       0.0, 1.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, {0}, {{0}}, {0}, PTHREAD_MUTEX_INITIALIZER};
+                       0.0, 1.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, {0}, {{0}}, {0}, PTHREAD_MUTEX_INITIALIZER,
+                       .drive_delay_s = 0.0};
 static __thread int last;
 static int opened, expert, enabled, cause;
 static double watchdog_s, commanded_s = -1.0, max_n = -1.0, counted_from_s;
@@ -26,7 +27,7 @@ static long sets;
 /* The watchdog of the device itself. */
 static void watched(void) {
     if (watchdog_s > 0.0 && commanded_s >= 0.0 && arm_clock(&a) - commanded_s > watchdog_s) {
-        memset(a.force, 0, sizeof a.force);
+        arm_let_go(&a);
         cause = 3;
     }
 }
@@ -34,6 +35,7 @@ static void watched(void) {
 void telenano_double_set(const char *name, double value) { arm_set(&a, name, value); }
 void telenano_double_fail(const char *call, int error) { arm_fail(&a, call, error); }
 void telenano_double_session(int runs) { arm_set(&a, "session", runs); }
+void telenano_double_hand(const char *path) { arm_read_hand(&a, path); }
 double telenano_double_get(const char *name) {
     if (!strcmp(name, "watchdog_s")) return watchdog_s;
     if (!strcmp(name, "virtual_s")) return a.virtual_s;
@@ -51,17 +53,22 @@ static int failed(int error) {
 /* What every call of an open device begins with. */
 static int begun(const char *call, char id) {
     int error = arm_failure(&a, call);
+    arm_look(&a);
     if (error) return failed(error);
     if (!opened || id != 0) return failed(E_INVALID_INDEX);
     if (a.unplugged) return failed(E_COM);
-    arm_planned(&a);
     arm_advance(&a);
     watched();
     return failed(E_NONE);
 }
 
 int dhdGetDeviceCount(void) { return a.unplugged ? 0 : 1; }
-int dhdGetAvailableCount(void) { return arm_failure(&a, "dhdGetAvailableCount") ? -1 : a.unplugged ? 0 : 1; }
+int dhdGetAvailableCount(void) {
+    arm_begin(&a);
+    arm_look(&a);
+    arm_advance(&a);
+    return arm_failure(&a, "dhdGetAvailableCount") ? -1 : a.unplugged ? 0 : 1;
+}
 int dhdErrorGetLast(void) { return last; }
 const char *dhdErrorGetStr(int error) { return error >= 0 && error < 23 ? texts[error] : "unknown"; }
 const char *dhdErrorGetLastStr(void) { return dhdErrorGetStr(last); }
@@ -85,7 +92,7 @@ int dhdClose(char id) {
 }
 int dhdStop(char id) {
     if (begun("dhdStop", id) < 0) return -1;
-    memset(a.force, 0, sizeof a.force);
+    arm_let_go(&a);
     enabled = 0;
     return 0;
 }
@@ -121,7 +128,7 @@ int dhdSetForce(double x, double y, double z, char id) {
     if (!isfinite(size)) return failed(E_INVALID);
     if (!enabled) return failed(E_NOT_ENABLED);
     kept = max_n >= 0.0 && size > max_n ? max_n / size : 1.0;
-    a.force[0] = kept * x, a.force[1] = kept * y, a.force[2] = kept * z;
+    arm_drive(&a, (double[3]){kept * x, kept * y, kept * z});
     commanded_s = arm_clock(&a);
     cause = 0;
     sets++;
@@ -130,7 +137,7 @@ int dhdSetForce(double x, double y, double z, char id) {
 int dhdEnableForce(unsigned char on, char id) {
     if (begun("dhdEnableForce", id) < 0) return -1;
     enabled = on;
-    if (!on) memset(a.force, 0, sizeof a.force);
+    if (!on) arm_let_go(&a);
     return 0;
 }
 int dhdSetGravityCompensation(int on, char id) { (void)on; return begun("dhdSetGravityCompensation", id); }

@@ -19,7 +19,8 @@ enum { BAD_ENUM = 0x0100, BAD_VALUE = 0x0101, BAD_OPERATION = 0x0102, BAD_HANDLE
 #define STACK 16
 
 static struct arm a = {0.045, 0.05, 0.0, 0.075, 0.055e-3, 1, -1.0, {0}, {0}, {0}, -1.0, -1.0, 0.0, -1.0, ARM_FIG12,
-                       0.0, 1.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, {0}, {{0}}, {0}, PTHREAD_MUTEX_INITIALIZER};
+                       0.0, 1.0, 0.0, 0.0, 0, 0, 0, 0, 0, 0, 0, {0}, {{0}}, {0}, PTHREAD_MUTEX_INITIALIZER,
+                       .drive_delay_s = 0.0};
 static HDErrorInfo stack[STACK];
 static int errors, inited, forces_on, in_frame, runs;
 static double asked[3];
@@ -31,6 +32,7 @@ static pthread_t thread;
 void telenano_double_set(const char *name, double value) { arm_set(&a, name, value); }
 void telenano_double_fail(const char *call, int error) { arm_fail(&a, call, error); }
 void telenano_double_session(int on) { arm_set(&a, "session", on); }
+void telenano_double_hand(const char *path) { arm_read_hand(&a, path); }
 double telenano_double_get(const char *name) {
     if (!strcmp(name, "virtual_s")) return a.virtual_s;
     if (!strcmp(name, "opened")) return inited;
@@ -46,6 +48,7 @@ static void push(unsigned int code) {
 }
 static int begun(const char *call) {
     int error = arm_failure(&a, call);
+    arm_look(&a);
     if (!error && !inited) error = BAD_HANDLE;
     if (!error && a.unplugged) error = COMM;
     if (error) push((unsigned int)error);
@@ -74,6 +77,9 @@ const char *hdGetErrorString(unsigned int code) {
 }
 HHD hdInitDevice(const char *name) {
     int error = arm_failure(&a, "hdInitDevice");
+    arm_begin(&a);
+    arm_look(&a);
+    if (!runs) arm_advance(&a);
     if (a.unplugged) error = COMM;
     if (name && strcmp(name, "Default Device")) error = DEVICE_FAULT;
     if (error) {
@@ -87,7 +93,7 @@ HHD hdInitDevice(const char *name) {
 void hdDisableDevice(HHD device) {
     (void)device;
     inited = forces_on = 0;
-    memset(a.force, 0, sizeof a.force);
+    arm_let_go(&a);
 }
 HHD hdGetCurrentDevice(void) { return inited ? 0 : INVALID; }
 void hdMakeCurrentDevice(HHD device) { if (device != 0) push(BAD_HANDLE); }
@@ -98,7 +104,7 @@ void hdEnable(unsigned int capability) {
 void hdDisable(unsigned int capability) {
     if (!begun("hdDisable")) return;
     if (capability == FORCE_OUTPUT) forces_on = 0;
-    memset(a.force, 0, sizeof a.force);
+    arm_let_go(&a);
 }
 unsigned int hdCheckCalibration(void) { return a.uncalibrated ? MANUAL : CALIBRATED; }
 void hdUpdateCalibration(unsigned int style) { (void)style; begun("hdUpdateCalibration"); }
@@ -108,7 +114,6 @@ void hdBeginFrame(HHD device) {
     if (!begun("hdBeginFrame")) return;
     if (in_frame) push(ILLEGAL_BEGIN);
     in_frame = 1;
-    arm_planned(&a);
     arm_advance(&a);
     memset(asked, 0, sizeof asked);
 }
@@ -120,7 +125,7 @@ void hdEndFrame(HHD device) {
     }
     if (!in_frame) push(ILLEGAL_END);
     in_frame = 0;
-    if (forces_on) memcpy(a.force, asked, sizeof asked);
+    if (forces_on) arm_drive(&a, asked);
 }
 void hdGetDoublev(unsigned int what, double *out) {
     int i;
@@ -168,7 +173,8 @@ static void *serve(void *unused) {
     (void)unused;
     clock_gettime(CLOCK_MONOTONIC, &due);
     while (runs) {
-        if (called && called(data) == 0) called = NULL;
+        if (a.stopped) arm_look(&a), arm_advance(&a);
+        else if (called && called(data) == 0) called = NULL;
         due.tv_nsec += (long)(1000000000ul / rate_hz);
         if (due.tv_nsec >= 1000000000l) due.tv_sec++, due.tv_nsec -= 1000000000l;
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, NULL);
@@ -199,5 +205,5 @@ void hdStopScheduler(void) {
     if (a.virtual_s < 0.0) pthread_join(thread, NULL);
 }
 void telenano_double_tick(void) {
-    if (runs && called && called(data) == 0) called = NULL;
+    if (runs && !a.stopped && called && called(data) == 0) called = NULL;
 }

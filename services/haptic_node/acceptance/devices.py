@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
-from services.haptic_node.acceptance.simulated_person import person
+from services.haptic_node.acceptance.simulated_person import person, reach_of
 from services.haptic_node.acceptance.take import Step, Take, record_take
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.haptic_node.devices.servo_process import link_of
@@ -74,7 +74,8 @@ def _simulated(
     """Make a take in virtual time: the simulated device has three buttons, the first a dead-man, and a wrist."""
     able = config.impedance.capabilities()
     able = able._replace(buttons=("a", "b", "c"), deadman="a", has_orientation=True)
-    link = SimulatedLink(able, person(able, steps, said.mass_kg), _faults_of(faults))
+    hand = person(reach_of(able), len(able.buttons), 1, steps, said.mass_kg)
+    link = SimulatedLink(able, hand, _faults_of(faults))
     settings = config.coupling.to_settings(able)
     return record_take(link, settings, steps, now_ns=link.now_ns, say=say, **said._asdict())
 

@@ -1,10 +1,13 @@
 """The mechanics of an emulated device of impedance type, with a hand on it, in the time that it is given.
 
 m x'' + b x' + c sign(x') = u + F(t) along each axis, in the master frame. u is the force of the drive and F that of
-the simulated hand, which acts along z alone: towards the sample is -z. m and b are chosen for emulators, not measured.
+the simulated hand, which acts along z alone: towards the sample is -z; a person has all three axes. m and b are chosen
+for emulators, not measured. The drive may be late.
 """
 
 import math
+from collections import deque
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from services.haptic_node.coupling import ZERO, Vector
@@ -29,16 +32,31 @@ class ArmModel(NamedTuple):
 INVERSE3 = ArmModel(0.20, 0.20, radius_m=0.10, resolution_m=1e-6)
 
 
+class HandMotion(NamedTuple):
+    """What the hand does at a time [s]: where it means to be, its spring and damper, a force besides, and buttons."""
+
+    place_m: Vector = ZERO
+    stiffness_n_per_m: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    force_n: Vector = ZERO
+    buttons: int = 0
+    plugged: bool = True
+
+
 class EmulatedArm:
     """An arm at rest at the centre of its workspace; `force_n` is the drive, until it is changed.
 
     Args:
         model: The mechanics.
         hand: The hand, as one of the models of `operator_models`.
+        person: What a person does at each time of the session [s], in the place of the hand; before it begins, nothing.
     """
 
-    def __init__(self, model: ArmModel, hand: Any) -> None:
-        self.model, self.force_n = model, ZERO
+    def __init__(self, model: ArmModel, hand: Any, person: Callable[[float], HandMotion] | None = None) -> None:
+        self.model, self.force_n, self.person = model, ZERO, person
+        # Forces act so much later, and these are on their way, each with its time on the clock of the arm.
+        self.drive_delay_s = self.time_s = 0.0
+        self._late: deque[tuple[float, Vector]] = deque()
         self.position_m: Vector = ZERO
         self.velocity_m_per_s: Vector = ZERO
         self.session_s: float | None = None
@@ -48,6 +66,23 @@ class EmulatedArm:
         self._hand_params, self._hand = hand, operator_at_rest(hand, 0.0)
         self._hand_force_n = 0.0
         self._left_s = 0.0
+
+    @property
+    def motion(self) -> HandMotion | None:
+        """Return what the person does now; None where there is none, or before the session."""
+        return None if self.person is None or self.session_s is None else self.person(self.session_s)
+
+    def drive(self, force: Vector) -> None:
+        """Drive with a force, which acts after the delay of the drive."""
+        if self.drive_delay_s > 0.0:
+            self._late.append((self.time_s + self._left_s + self.drive_delay_s, force))
+        else:
+            self.force_n = force
+
+    def let_go(self) -> None:
+        """Take the force away at once, and what is on its way."""
+        self._late.clear()
+        self.force_n = ZERO
 
     def start_session(self, runs: bool) -> None:
         """Let the hand begin its programme, or end it."""
@@ -72,13 +107,21 @@ class EmulatedArm:
 
     def _step(self, dt: float) -> None:
         m, b, c, radius_m, _ = self.model
+        while self._late and self._late[0][0] <= self.time_s:
+            self.force_n = self._late.popleft()[1]
+        self.time_s += dt
+        motion = self.motion
         kept = math.exp(-b * dt / m)
         given = (1.0 - kept) / b if b > 0.0 else dt / m
         places, speeds = [], []
         for axis in range(3):
-            hand_n = self._hand_force_n if self.push_n is None else 0.0 - self.push_n
-            drive = self.force_n[axis] + (hand_n if axis == 2 else 0.0)
             v = self.velocity_m_per_s[axis]
+            drive = self.force_n[axis]
+            if motion is not None:
+                drive += motion.force_n[axis] - motion.damping_n_s_per_m * v
+                drive += motion.stiffness_n_per_m * (motion.place_m[axis] - self.position_m[axis])
+            elif axis == 2:
+                drive += self._hand_force_n if self.push_n is None else 0.0 - self.push_n
             if c > 0.0:
                 drive -= math.copysign(c, v) if v != 0.0 else max(-c, min(drive, c))
             new = kept * v + given * drive

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.emulated_arm import EmulatedArm
+from services.haptic_node.devices.emulated_arm import EmulatedArm, HandMotion
 from services.haptic_node.devices.haply import BUTTONS, EMULATED, SESSION_RUNS
 
 FORCE_HOLD_S = 0.05
@@ -23,6 +23,8 @@ _GRIP_S = 0.02
 # The force gate takes a share of a force that turns round so often in a second.
 _GATE_HZ = 30.0
 _GATE_S = 0.1
+# an ordinary arm
+_ARM_N_PER_M, _ARM_N_S_PER_M = 300.0, 5.0
 
 
 class HaplyService:
@@ -37,6 +39,8 @@ class HaplyService:
     def __init__(self, arm: EmulatedArm, device_id: str = "049D", grip: bool = True) -> None:
         self.arm, self.device_id = arm, device_id
         self.has_grip, self.grip_awake = grip, True
+        # A person at the arm presses the buttons and pulls the cable as well.
+        self.has_person = arm.person is not None
         self.buttons = dict.fromkeys(BUTTONS, False)
         self.plugged = self.calibrated = True
         # Faults: the place stays what it is on the wire; it is no number; it is moved; the force acts the other way.
@@ -83,8 +87,12 @@ class HaplyService:
         if before_s is None:
             return
         if now_s - self._commanded_s > FORCE_HOLD_S or not self.plugged:
-            self.rendered_n = self.arm.force_n = ZERO
+            self.rendered_n = ZERO
+            self.arm.let_go()
         self.arm.advance(now_s - before_s)
+        if self.has_person and (motion := self.arm.motion) is not None:
+            self.plugged = motion.plugged
+            self.buttons = {name: bool(motion.buttons >> bit & 1) for bit, name in enumerate(self.buttons)}
         if now_s - self._heard[0] >= _GRIP_S:
             self._heard = (now_s, dict(self.buttons))
 
@@ -108,7 +116,7 @@ class HaplyService:
         kept = self._gate_share(force, now_s)
         x, y, z = (kept * f - self.damping * speed for f, speed in zip(force, v, strict=True))
         self.rendered_n = (x, y, z)
-        self.arm.force_n = (self.sign * x, self.sign * y, self.sign * z)
+        self.arm.drive((self.sign * x, self.sign * y, self.sign * z))
 
     def _gate_share(self, force: Vector, now_s: float) -> float:
         """Return what the oscillation guard leaves of a force: less of one that turns round often."""
@@ -181,8 +189,8 @@ def _xyz(vector: Vector) -> dict[str, float]:
 
 
 ORDERS = (
-    "pull | plug | freeze | thaw | nan | number | jump M | sign | late S | sleep | wake | press a|b|c | release a|b|c"
-    " | lose-home | home"
+    "pull | plug | freeze | thaw | nan | number | jump M | sign | late S | drive-late S | sleep | wake | press a|b|c"
+    " | release a|b|c | lose-home | home | push N | arm M | loose"
 )
 
 
@@ -206,6 +214,9 @@ def obey(service: HaplyService, line: str) -> str:
         name, value, text = simple[word]
         setattr(service, name, value)
         return text
+    if word == "loose":
+        service.arm.person, service.arm.push_n = None, 0.0
+        return "nobody holds the handle"
     if word in ("press", "release") and rest in service.buttons:
         service.buttons[rest] = word == "press"
         return f"button {rest} is {'held' if word == 'press' else 'free'}"
@@ -216,9 +227,19 @@ def obey(service: HaplyService, line: str) -> str:
     if word == "jump" and math.isfinite(value):
         service.offset_m += value
         return f"the place on the wire has jumped by {value:g} m"
-    if word == "late" and 0.0 <= value <= 10.0:
-        service.late_s = value
-        return f"answers come {value:g} s late"
+    if word in ("late", "drive-late") and 0.0 <= value <= 10.0:
+        if word == "late":
+            service.late_s = value
+            return f"answers come {value:g} s late"
+        service.arm.drive_delay_s = value
+        return f"forces act {value:g} s late"
+    if word == "push" and math.isfinite(value):
+        service.arm.person, service.arm.push_n = None, value
+        return f"a hand pushes with {value:g} N towards the sample"
+    if word == "arm" and math.isfinite(value):
+        held = HandMotion((0.0, 0.0, -value), _ARM_N_PER_M, _ARM_N_S_PER_M)
+        service.arm.person = lambda time_s: held
+        return f"an arm holds the handle, and means to be {value:g} m towards the sample"
     return f"{line.strip()!r} is not known: {ORDERS}"
 
 

@@ -10,21 +10,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from services.haptic_node.coupling import ZERO, Vector
+from services.haptic_node.devices.emulated_arm import HandMotion
 from services.haptic_node.driver import UPRIGHT, Capabilities, Quaternion
 from services.haptic_node.physics.coupled import arm_step
 from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample
 from services.numerics.normal_numbers import normal_number
-
-
-class HandMotion(NamedTuple):
-    """What the hand does at a time [s]: where it means to be, its spring and damper, a force besides, and buttons."""
-
-    place_m: Vector = ZERO
-    stiffness_n_per_m: float = 0.0
-    damping_n_s_per_m: float = 0.0
-    force_n: Vector = ZERO
-    buttons: int = 0
-    plugged: bool = True
 
 
 class DeviceFaults(NamedTuple):

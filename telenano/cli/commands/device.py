@@ -117,7 +117,8 @@ def probe(
     with report_errors(as_json):
         if (port is not None) + (calibration is not None) + (kind is not None) != 1:
             raise ConfigError(
-                "give --port for a handle, or --calibration for an instrument, or --device haply, dhd or hd"
+                "give --port for a handle, or --calibration for an instrument, or --device haply, dhd, hd or"
+                " simulated_impedance"
             )
         if kind is not None:
             facts = probe_impedance(kind, settings or [])

@@ -18,11 +18,14 @@ class DeviceName(StrEnum):
     HAPLY = "haply"
     DHD = "dhd"
     HD = "hd"
+    SIMULATED = "simulated_impedance"
 
 
 KindOption = Annotated[
     DeviceName | None,
-    typer.Option("--device", help="haply: Inverse3; dhd: Force Dimension and Falcon; hd: Touch."),
+    typer.Option(
+        "--device", help="haply: Inverse3; dhd: Force Dimension and Falcon; hd: Touch; or simulated_impedance."
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
@@ -51,11 +54,14 @@ def probe_impedance(kind: DeviceName, settings: list[str]) -> dict[str, Any]:
 
     chosen = flag_overrides([f"haptic_node.driver={kind.value}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
-    wire = wire_of(kind.value, getattr(config, kind.value).model_dump())
-    try:
-        found = wire.open()
-    finally:
-        wire.close()
+    if kind is DeviceName.SIMULATED:
+        found = config.impedance.capabilities()
+    else:
+        wire = wire_of(kind.value, getattr(config, kind.value).model_dump())
+        try:
+            found = wire.open()
+        finally:
+            wire.close()
     bounds = config.coupling.bounds(found)
     return {
         "identity": found.identity,
@@ -89,20 +95,32 @@ def simulate_haply(
     damping: Annotated[
         float, typer.Option("--damping", min=0.0, max=100.0, metavar="N S/M", help="Damper at the start [N s/m].")
     ] = 0.0,
+    person: Annotated[
+        bool, typer.Option("--person", help="A person goes through the motion of `device accept`, instead of the hand.")
+    ] = False,
+    mass: Annotated[
+        float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass that the person hangs at the handle.")
+    ] = 0.0,
 ) -> None:
     """Run an emulated Inverse Service with an Inverse3, a VerseGrip and a hand on it. Ctrl-C ends it.
 
-    A line on its input puts a fault in: pull, plug, freeze, thaw, nan, number, jump M, sign, late S, sleep, wake,
-    press a, release a, lose-home, home. The hand is that of the scenario, and begins with the session.
+    A line on its input puts a fault in: pull, plug, freeze, thaw, nan, number, jump M, sign, late S, drive-late S,
+    sleep, wake, press a, release a, lose-home, home. The hand is that of the scenario, and begins with the session;
+    `push N`, `arm M` and `loose` put another one in its place.
     """
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
+        from services.haptic_node.acceptance.simulated_person import person as person_of
+        from services.haptic_node.acceptance.take import steps_of
         from services.haptic_node.config import HapticConfig
         from services.haptic_node.devices.emulated_arm import INVERSE3, EmulatedArm
+        from services.haptic_node.devices.haply import BUTTONS
         from services.haptic_node.devices.haply_service import HaplyService, serve_haply
         from services.runtime.settings.scenario import load_scenario
 
         config = HapticConfig() if scenario is None else load_scenario(scenario).section("haptic_node", HapticConfig)
-        service = HaplyService(EmulatedArm(INVERSE3, config.operator.to_params()), device_id, grip)
+        reach_m = (INVERSE3.radius_m,) * 3
+        hand = person_of(reach_m, len(BUTTONS) * grip, 1, steps_of(mass), mass) if person else None
+        service = HaplyService(EmulatedArm(INVERSE3, config.operator.to_params(), hand), device_id, grip)
         service.gate, service.damping = force_gate, damping
         run_ahead()
 

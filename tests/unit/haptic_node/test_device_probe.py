@@ -1,0 +1,64 @@
+"""`telenano device probe --device` names each driver's device with its coupling and both bounds."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import library_doubles
+import pytest
+from test_haply_service import Served
+from typer.testing import CliRunner
+
+from services.haptic_node.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
+from telenano.cli.root import app
+
+IDENTITIES = {
+    "simulated_impedance": "simulated inverse3: mass and damping are chosen, not measured",
+    "haply": "Haply inverse3 049D, firmware 3.5, emulated",
+    "dhd": "Force Dimension omega.3, serial number 4711, emulated",
+    "hd": "3D Systems Touch, serial number 0815, emulated",
+}
+
+
+@pytest.fixture
+def told(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[list[str]]:
+    """Yield the options with which a kind of device is found here."""
+    kind = request.param
+    if kind == "haply":
+        served = Served()
+        yield ["--device", kind, "--set", f"haptic_node.haply.service={served.address}"]
+        served.close()
+        return
+    options = ["--device", kind]
+    if kind in ("dhd", "hd"):
+        if shutil.which("cc") is None:
+            pytest.skip("the doubles of vendors' libraries need a C compiler: apt install gcc")
+        library = shutil.copy(library_doubles.build(kind), tmp_path / f"{kind}.so")
+        options += ["--set", f"haptic_node.{kind}.library={library}"]
+    yield options
+
+
+@pytest.mark.parametrize("told", IDENTITIES, indirect=True)
+def test_probe_names_the_device_and_prints_both_bounds(told: list[str]) -> None:
+    done = CliRunner().invoke(app, ["device", "probe", *told, "--json"])
+    assert done.exit_code == 0, done.output
+    found: dict[str, Any] = json.loads(done.stdout)
+    assert found["identity"] == IDENTITIES[told[1]]
+    damping = 0.5 * found["declared_damping_n_s_per_m"]
+    # of the emulated mechanics: Inverse3, omega, Touch
+    b = {"haply": 0.2, "simulated_impedance": 0.2, "dhd": 0.5, "hd": 0.05}[told[1]]
+    timing = b, damping, 1.0 / found["servo_rate_hz"], found["drive_delay_s"]
+    assert found["passive_bound_n_per_m"] == pytest.approx(passive_stiffness_n_per_m(*timing), rel=1e-9, abs=1e-12)
+    assert found["stable_bound_n_per_m"] == pytest.approx(stable_stiffness_n_per_m(*timing), rel=1e-9)
+    assert "passive up to" in found["coupling"] and "stable up to" in found["coupling"]
+    table = CliRunner().invoke(app, ["device", "probe", *told]).stdout
+    for name in ("passive_bound_n_per_m", "stable_bound_n_per_m", "coupling_stiffness_n_per_m"):
+        assert name in table
+
+
+def test_probe_asks_for_one_kind_of_device() -> None:
+    done = CliRunner().invoke(app, ["device", "probe"])
+    assert done.exit_code == 2
+    assert "--device haply, dhd, hd or simulated_impedance" in " ".join(done.output.split())
