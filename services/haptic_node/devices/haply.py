@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from proto.extras import how_to_install
 from services.haptic_node.coupling import ZERO, Vector
 from services.haptic_node.devices.emulated_arm import INVERSE3
 from services.haptic_node.devices.impedance_wire import Turn
@@ -148,7 +149,7 @@ class Conversation:
             from websockets.exceptions import InvalidHandshake, InvalidURI
             from websockets.uri import parse_uri
         except ImportError as error:
-            raise DeviceError('the Haply Inverse3 needs websockets: pip install "telenano[view]"') from error
+            raise DeviceError(f"the Haply Inverse3 needs websockets: {how_to_install('haptic')}") from error
         self._service = service
         try:
             uri = parse_uri(service)

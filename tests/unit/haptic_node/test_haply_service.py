@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+import sys
 import threading
+import tomllib
 import urllib.request
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -108,6 +110,15 @@ def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
         HaplyWire(served.address, device_id="FFFF").open()
 
 
+def test_without_websockets_the_driver_names_the_extra_that_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "websockets.client", None)
+    with pytest.raises(DeviceError, match=r"the Haply Inverse3 needs websockets: pip install .*\[haptic\]'"):
+        HaplyWire("ws://127.0.0.1:1").open()
+    with (Path(__file__).parents[3] / "pyproject.toml").open("rb") as file:
+        extras = tomllib.load(file)["project"]["optional-dependencies"]
+    assert any(text.startswith("websockets") for text in extras["haptic"])
+
+
 @pytest.mark.parametrize("spelling", ["vector", "values"])
 def test_both_spellings_of_the_force_are_taken_and_a_service_that_knows_one_is_found_out(
     spelling: str, tmp_path: Path
@@ -158,3 +169,29 @@ def test_lines_of_a_person_break_the_service_and_mend_it() -> None:
     assert (service.plugged, service.calibrated, service.sign, service.late_s) == (True, True, 1.0, 0.0)
     assert (service.frozen, service.not_a_number, service.offset_m) == (None, False, 0.0)
     assert obey(service, "jump x").startswith("'jump x' is not known: pull")
+
+
+def test_other_hands_and_a_late_drive_are_put_in_by_a_line() -> None:
+    service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+    arm = service.arm
+    arm.start_session(True)
+    assert "5 N" not in obey(service, "push x")
+    assert obey(service, "push 2") == "a hand pushes with 2 N towards the sample"
+    arm.advance(0.02)
+    assert arm.velocity_m_per_s[2] == pytest.approx(-2.0 * 0.02 / INVERSE3.mass_kg, rel=0.05)
+    assert "means to be 0.01 m" in obey(service, "arm 0.01")
+    for _ in range(40):
+        arm.advance(0.05)
+    assert arm.position_m[2] == pytest.approx(-0.01, abs=1e-4)
+    assert obey(service, "loose") == "nobody holds the handle"
+    assert obey(service, "drive-late 0.005") == "forces act 0.005 s late"
+    arm.drive((1.0, 0.0, 0.0))
+    arm.advance(0.0045)
+    assert arm.force_n == (0.0, 0.0, 0.0)
+    arm.advance(0.001)
+    assert arm.force_n == (1.0, 0.0, 0.0)
+    # a force that is taken away does not come after all
+    arm.drive((2.0, 0.0, 0.0))
+    arm.let_go()
+    arm.advance(0.02)
+    assert arm.force_n == (0.0, 0.0, 0.0)
