@@ -27,9 +27,9 @@ _CALIBRATED, _NEEDS_UPDATE = 0x5000, 0x5001
 _INVALID = 0xFFFFFFFF
 _CONTINUE, _DONE = 1, 0
 _PRIORITY = 65_535
-# The library's scheduler has stopped when it has not called for so long.
-_SILENCE_S = 0.5
-_WAIT_S = 0.02
+# The library's scheduler has stopped when it has not called in so many looks of so long, one after the other: 50 ms. A
+# process that stood still as a whole has missed one look. The first call, and one that is not over, may take longer.
+_WAIT_S, _SILENT_LOOKS, _PATIENT_LOOKS = 0.01, 5, 50
 _MM = 1e-3
 # What CHAI3D declares for the Touch.
 _DAMPING_N_S_PER_M = 4.0
@@ -123,10 +123,10 @@ class HdWire:
             raise DeviceError(f"{self._name} is not open")
         faults: list[BaseException] = []
         ended: list[bool] = []
-        called_ns = [self._now_ns()]
+        begun, done = [0], [0]
 
         def frame(data: int | None) -> int:
-            called_ns[0] = self._now_ns()
+            begun[0] += 1
             try:
                 if self._frame(lib, turn):
                     return _CONTINUE
@@ -134,6 +134,8 @@ class HdWire:
             except BaseException as fault:  # noqa: BLE001
                 # It must not pass through the library's thread, and is raised again in this one.
                 faults.append(fault)
+            finally:
+                done[0] += 1
             return _DONE
 
         kept = _CALLBACK(frame)
@@ -142,10 +144,13 @@ class HdWire:
         lib.hdStartScheduler()
         try:
             self._check("hdStartScheduler")
+            seen = silent = 0
             while not (faults or ended):
                 self._sleep(_WAIT_S)
-                if self._now_ns() - called_ns[0] > _SILENCE_S * 1e9:
-                    raise DeviceError(f"{self._name}: its scheduler has not called for {_SILENCE_S:g} s")
+                seen, silent = begun[0], silent + 1 if begun[0] == seen else 0
+                if silent >= (_SILENT_LOOKS if 0 < seen == done[0] else _PATIENT_LOOKS):
+                    # What follows closes the device, which sets no force from this thread.
+                    raise DeviceError(f"{self._name}: its scheduler calls no more (none for {silent * _WAIT_S:g} s)")
         finally:
             lib.hdStopScheduler()
             lib.hdUnschedule(handle)

@@ -95,6 +95,13 @@ FAULTS: dict[str, Fault] = {
     "jump of 10 mm": Fault(do("offset_m", 0.010), mended("offset_m", 0.0), gate=GATE_JUMP, armed=True),
     "wrong sign": Fault(do("sign", -1.0), mended("sign", 1.0), gate=GATE_RUNAWAY, after_s=0.2, armed=True),
     "late by 100 ms": Fault(do("latency_s", 0.1), do("latency_s", 0.0), gate=GATE_DEVICE_SILENT, after_s=0.15),
+    "silent scheduler": Fault(
+        do("stopped"),
+        do("stopped", False),
+        "its scheduler calls no more (none for 0.05 s)",
+        after_s=0.07,
+        devices=("hd",),
+    ),
     "silent node": Fault(falls_silent(True), falls_silent(False), gate=GATE_SILENT),
     "grip asleep": Fault(
         do("grip_awake", False), do("grip_awake"), gate=GATE_DEADMAN, devices=("haply",), settings=BUTTON
