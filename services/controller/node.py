@@ -85,6 +85,8 @@ _NO_COMMAND = -2
 _MOST_OUTSTANDING = 7
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")
+# A hand that is lost is silent for so long [ns], which is more than a tip holds before it is withdrawn.
+_LOST_NS = 1_000_000_000
 # The hand comes to rest like a free virtual mass while this half waits for the other one.
 _COASTING_S = 0.005
 # A way of the tip across the sample that is worth a signal of its own [m].
@@ -100,8 +102,8 @@ class MasterState(NamedTuple):
 
     across: the lateral path, where it has a mode of its own, and sent_m, its reference as it was sent last [m]; hand,
     reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
-    switch_s: time since a change of law [s]; answered: number and time stamp [ns] of the sample of the hand that the
-    newest answer descends from.
+    switch_s: time since a change of law [s]; lost_ns: since when the hand's device is lost [ns], 0 while it is not;
+    answered: number and time stamp [ns] of the sample of the hand that the newest answer descends from.
     """
 
     half: HalfState
@@ -110,6 +112,7 @@ class MasterState(NamedTuple):
     reference: MasterReference
     tip_reference_m: float
     switch_s: float
+    lost_ns: int
     answered: tuple[int, int]
     slave_status: LawStatus | None
     across: LateralMasterState
@@ -154,6 +157,7 @@ class MasterController(ControllerHalf):
         self.reference = MasterReference(0.0, 0.0, 0.0, False)
         self._tip_reference_m = 0.0
         self._switch_s = 0.0
+        self._lost_ns = 0
         self.timing = master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
@@ -168,6 +172,7 @@ class MasterController(ControllerHalf):
             reference=self.reference,
             tip_reference_m=self._tip_reference_m,
             switch_s=self._switch_s,
+            lost_ns=self._lost_ns,
             answered=self._answered_hand_stamp,
             slave_status=self._slave_status,
             across=self._across,
@@ -178,6 +183,7 @@ class MasterController(ControllerHalf):
         self.restore_half(state.half)
         self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
         self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
+        self._lost_ns = state.lost_ns
         self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
         self._across, self._sent_m = state.across, state.sent_m
 
@@ -243,6 +249,9 @@ class MasterController(ControllerHalf):
         self.law_state = self._resumed(self.reference, tip_m)
 
     def _on_hand(self, message: HapticState) -> None:
+        if self._hand_is_lost(message):
+            self.hand, self.state = self.hand._replace(following=False), "safe"
+            return
         commanded, repeated = self._settle(), message.device == "stale"
         self.timing, found = master_sampled(self.timing, self.timing_params, message.t_ns, repeated, commanded)
         if not repeated:
@@ -251,6 +260,18 @@ class MasterController(ControllerHalf):
             self._send_reference()
         if found.periods:
             self._send_signal(found.periods * self.config.period_s)
+
+    def _hand_is_lost(self, message: HapticState) -> bool:
+        """Return whether this half keeps silent: nobody is at the hand, as after its node was killed.
+
+        The tip holds and withdraws meanwhile, by the deadlines of its own guard. After that this half goes on with an
+        inactive hand, so that the tip can be armed.
+        """
+        if message.device != "lost":
+            self._lost_ns = 0
+            return False
+        self._lost_ns = self._lost_ns or message.t_ns
+        return message.t_ns - self._lost_ns < _LOST_NS
 
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
         """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on its way."""

@@ -9,7 +9,7 @@ from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionContr
 from proto.nodes import is_meant
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, InteractiveConfig
-from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
+from services.haptic_node.coupling import FAULTS, GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from services.haptic_node.driver import (
     DeviceReading,
     DeviceReport,
@@ -317,6 +317,9 @@ class HapticNode(Node):
     ) -> None:
         command = self._memory.command
         device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s, **report.counts}
+        if self._memory.gate in FAULTS:
+            # What cannot be believed until a person arms is no hand, simulated or not.
+            device["device"] = "lost"
         place_m, way_m_per_s, own_n, shown_n = self._across_of(reading)
         self.publish(
             "haptic/state",

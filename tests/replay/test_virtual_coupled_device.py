@@ -127,3 +127,47 @@ def _jump(session: Session) -> None:
     )
     session.rig.command("arm", "haptic_node", session.states()[-1])
     assert session.at(1.6).mode == "position"
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        "virtual_impedance",
+        *(
+            pytest.param(law, marks=pytest.mark.endurance)
+            for law in ("position_force", "wave", "passivity", "model_mediated", "smith")
+        ),
+    ],
+)
+def test_tip_of_a_hand_that_is_lost_holds_and_is_withdrawn_as_after_the_death_of_its_node(
+    law: str, request: pytest.FixtureRequest
+) -> None:
+    session = Session({**SCENARIO, "controller": {"law": law}})
+    request.addfinalizer(session.rig.close)
+    assert session.at(0.6).mode == "position"
+    before = len(session.rig.received("afm/state", "afm_node@slave"))
+    place_m = session.rig.received("afm/state", "afm_node@slave")[-1].base_position_m[2]
+    plant = session.rig.loops[HAND].node.device.state  # type: ignore[attr-defined]
+    plant.plant = plant.plant._replace(position_m=(0.0, 0.0, plant.plant.position_m[2] + 0.01))
+    lost = session.at(1.3)
+    assert (lost.device, lost.mode, lost.motor_force_n) == ("lost", "off", (0.0, 0.0, 0.0))
+    tips = session.rig.received("afm/state", "afm_node@slave")[before:]
+    assert [mode for mode, _ in itertools.groupby(tip.mode for tip in tips)] == [
+        "follow",
+        "hold",
+        "retracting",
+        "retracted",
+    ]
+    # 50 ms without a command, 200 ms of hold; the slave half of some laws goes on by itself for a while
+    held = [tip for tip in tips if tip.mode == "hold"]
+    assert 197 <= len(held) <= 320
+    assert {tip.base_position_m[2] for tip in held} == {held[0].base_position_m[2]}
+    assert held[0].base_position_m[2] == pytest.approx(place_m, abs=3e-9)
+    texts = [event.text for event in session.rig.received("session/event", "afm_node@slave")]
+    assert texts.count("the AFM is in mode hold: command_deadline") == 1, texts
+    # Both may be armed once the hand has been silent for a second; the arm is now where it presses too hard.
+    session.rig.command("arm", "*", session.at(1.7))
+    counts = len(session.states()), len(session.rig.received("afm/state", "afm_node@slave"))
+    session.at(2.0)
+    assert "position" in {state.mode for state in session.states()[counts[0] :]}
+    assert "follow" in {tip.mode for tip in session.rig.received("afm/state", "afm_node@slave")[counts[1] :]}

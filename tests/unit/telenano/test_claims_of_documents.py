@@ -315,7 +315,10 @@ LAWS: dict[str, tuple[str, ...]] = {
     "The master half neither steps nor sends for a sample that a device calls `stale`": (
         "test_controller_node.py::test_sample_that_is_repeated_is_none",
     ),
-    "A hand that is `lost` is an inactive hand": ("test_devices.py::test_faults_of_a_running_rig_and_back",),
+    "A hand that is `lost` is silence for a second, in which the tip holds and is withdrawn": (
+        "test_virtual_coupled_device.py"
+        "::test_tip_of_a_hand_that_is_lost_holds_and_is_withdrawn_as_after_the_death_of_its_node",
+    ),
 }
 
 
