@@ -23,6 +23,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "dynamic_node.py": {"rounds.*.*.p50": (0.05, 500.0), "exchange_ms.*.*": (1e-4, 10.0)},
     "empty_loop.py": {"available": (0.2, 1.0), "stalls": (0, 1000)},
     "estop.py": {},
+    "haptic_devices.py": {"cases.*.p50_ms": (0.05, 500.0), "cases.*.p50_ratio": (0.2, 20.0)},
     "journal.py": {"entry of a turn.decodings": (0.01, 10.0), "link, plain.ratio": (0.5, 2.0)},
     "link.py": {
         "messages_per_s": (6000, 6000), "lost": (0, 0), "ratio": (0.5, 100.0), "delay_error_ms.p50": (-1.0, 100.0)
