@@ -6,6 +6,7 @@ device runs it in virtual time. The node sends a `ServoCommand` each period and 
 waits. Between processes both cross in a `Slot` of shared memory each.
 """
 
+import math
 import struct
 import zlib
 from functools import cache
@@ -139,9 +140,10 @@ class Servo:
             reference = CouplingReference(
                 c.position_m, c.velocity_m_per_s, c.force_n, c.engaged, (now_ns - c.sent_ns) * 1e-9, c.arm_count
             )
+            # A device that is not there, or must not be driven, has no force at once, however young its sample is.
             reading = CouplingReading(
                 sample.position_m,
-                (now_ns - sample.taken_ns) * 1e-9,
+                math.inf if sample.error else (now_ns - sample.taken_ns) * 1e-9,
                 sample.deadman,
                 (now_ns - sample.deadman_ns) * 1e-9,
             )

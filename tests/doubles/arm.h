@@ -175,11 +175,11 @@ static void arm_step(struct arm *a, double dt) {
     if (a->session_s >= 0.0) a->session_s += dt;
 }
 
-/* Go on to the present time; a process that stood still goes on from now. */
+/* Go on to the present time; a process that stood still goes on from now, unless a hand has its own times. */
 static void arm_advance(struct arm *a) {
     double now = arm_clock(a);
     if (a->now_s < 0.0) a->now_s = now;
-    a->left_s += fmin(now - a->now_s, ARM_LONGEST_S);
+    a->left_s += a->row_count ? now - a->now_s : fmin(now - a->now_s, ARM_LONGEST_S);
     a->now_s = now;
     a->at_s = now - a->left_s;
     for (; a->left_s >= ARM_STEP_S; a->left_s -= ARM_STEP_S) arm_step(a, ARM_STEP_S);

@@ -29,6 +29,7 @@ class Double:
         self._lib.telenano_double_set.argtypes = [ctypes.c_char_p, ctypes.c_double]
         self._lib.telenano_double_get.argtypes = [ctypes.c_char_p]
         self._lib.telenano_double_get.restype = ctypes.c_double
+        self._lib.telenano_double_hand.argtypes = [ctypes.c_char_p]
         self._lib.telenano_double_fail.argtypes = [ctypes.c_char_p, ctypes.c_int]
 
     def set(self, name: str, value: float) -> None:
@@ -40,6 +41,10 @@ class Double:
     def fail(self, call: str, error: int) -> None:
         """Let a call fail with an error of the vendor, or, with 0, no longer."""
         self._lib.telenano_double_fail(call.encode(), error)
+
+    def hand(self, path: Path) -> None:
+        """Let the hand of a file, as `live_devices.write_hand` writes it, be at the device."""
+        self._lib.telenano_double_hand(str(path).encode())
 
     def tick(self) -> None:
         """Let the scheduler of HD call once."""

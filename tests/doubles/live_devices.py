@@ -43,19 +43,25 @@ class LiveDevice:
         self._offset_m, self._sign = 0.0, 1.0
         self._orders = folder / f"{kind}.orders"
         self.address = ""
+        # What the process of a servo has to know of a double.
+        self.environment: dict[str, str] = {}
         if kind == "haply":
             self.start()
         else:
             self._orders.touch()
-            os.environ["TELENANO_DOUBLE_ORDERS"] = str(self._orders)
+            self.tell("TELENANO_DOUBLE_ORDERS", self._orders)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.kill()
-        for name in ("TELENANO_DOUBLE_ORDERS", "TELENANO_DOUBLE_HAND"):
+        for name in self.environment:
             os.environ.pop(name, None)
+
+    def tell(self, name: str, path: Path) -> None:
+        """Name a file to the servos that this process starts, and to those of a rig with this `environment`."""
+        self.environment[name] = os.environ[name] = str(path)
 
     @property
     def settings(self) -> dict[str, Any]:

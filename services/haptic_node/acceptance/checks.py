@@ -173,7 +173,8 @@ def _sign(step: str, axis: int) -> Check:
 
 def _force_sign(take: Take) -> tuple[Result, str]:
     rows = take.of("hold")
-    if (rows["gate"] == GATE_RUNAWAY).any():
+    # In the second half the stiffness is raised, and a swing of the coupling may run against the force as well.
+    if (rows["gate"][: len(rows) // 2] == GATE_RUNAWAY).any():
         return "fail", GATES[GATE_RUNAWAY]
     found: list[str] = []
     good = True
@@ -210,7 +211,8 @@ def _force_scale(take: Take) -> tuple[Result, str]:
 def _stiffness(take: Take) -> tuple[Result, str]:
     rows, best = take.of("hold"), 0.0
     rows = rows[len(rows) // 2 :]
-    if (rows["gate"] == GATE_ACTIVE).mean() < 0.5:
+    swung = (rows["gate"] == GATE_RUNAWAY).any()
+    if (rows["gate"] == GATE_ACTIVE).mean() < 0.5 and not swung:
         return "retake", f"the device was not driven: {_why(rows)}"
     for level in LEVELS:
         found = rows[rows["level"] == level]
@@ -218,7 +220,8 @@ def _stiffness(take: Take) -> tuple[Result, str]:
             break
         best = level
     stiffness = take.settings.stiffness_n_per_m[2]
-    text = f"quiet up to {best * stiffness:.0f} N/m" + (", the most that was tried" if best == LEVELS[-1] else "")
+    beyond = ", the most that was tried" if best == LEVELS[-1] else ", and refused for its swing" if swung else ""
+    text = f"quiet up to {best * stiffness:.0f} N/m{beyond}"
     return _passes(best >= 1.0), text
 
 

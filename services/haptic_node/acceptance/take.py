@@ -18,6 +18,9 @@ from services.haptic_node.driver import Capabilities
 from services.haptic_node.servo import ServoCommand, ServoLink, ServoSample
 
 PERIOD_S = 1e-3
+_PERIOD_NS = 1_000_000
+# The take begins with the first sample of the device, or after so long without one.
+_FIRST_NS = 2_000_000_000
 # K over that of the settings, one after the other, for the step *hold*
 LEVELS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 # Forces along x, y and z are the first half of that step; each level begins with a reference that is off by so much.
@@ -151,9 +154,16 @@ def record_take(
         independent_stop: How the drives can be stopped without the computer; empty if they cannot.
     """
     most_n = settings.max_force_n if independent_stop else min(settings.max_force_n, MOST_WITHOUT_STOP_N)
-    asker = _Asker(link, settings._replace(max_force_n=most_n), now_ns)
+    # What a reading that stands still is found by is less than the force of a push.
+    frozen_n = min(settings.frozen_force_n, 0.5 * _push_n(most_n))
+    asker = _Asker(link, settings._replace(max_force_n=most_n, frozen_force_n=frozen_n), now_ns)
     rows = list(_rows(asker, steps, now_ns, wait, say))
     return Take(np.array(rows, ROW), steps, link.capabilities, settings, mass_kg, independent_stop)
+
+
+def _push_n(most_n: float) -> float:
+    """Return the force of a push in the step *hold*, for the greatest one [N]."""
+    return min(1.0, 0.3 * most_n)
 
 
 def _rows(
@@ -164,6 +174,9 @@ def _rows(
     say: Callable[[Step], None],
 ) -> Iterator[tuple[Any, ...]]:
     begun_ns, tick = now_ns(), 0
+    while not asker.newest().taken_ns and now_ns() - begun_ns < _FIRST_NS:
+        wait(now_ns() + _PERIOD_NS)
+    begun_ns = now_ns()
     for number, step in enumerate(steps):
         say(step)
         count = round(step.seconds / PERIOD_S)
@@ -218,7 +231,7 @@ class _Asker:
         level, force, place = 1.0, ZERO, self._home or ZERO
         if name == "hold" and share < 0.5:
             pushed = min(2, int(share * 6.0))
-            size = min(1.0, 0.3 * self.settings.max_force_n) if 0.2 < share * 6.0 - pushed < 0.9 else 0.0
+            size = _push_n(self.settings.max_force_n) if 0.2 < share * 6.0 - pushed < 0.9 else 0.0
             force = (size * (pushed == 0), size * (pushed == 1), size * (pushed == 2))
         elif name == "hold":
             at = (share - 0.5) * 2.0 * len(LEVELS)

@@ -91,7 +91,8 @@ class EmulatedArm:
 
     def advance(self, duration_s: float) -> None:
         """Go on by a time [s], in whole steps; what is left is kept for the next call."""
-        self._left_s += min(duration_s, _LONGEST_S)
+        # A person goes on with the take, whatever stood still.
+        self._left_s += duration_s if self.person is not None else min(duration_s, _LONGEST_S)
         while self._left_s >= _SUBSTEP_S:
             self._left_s -= _SUBSTEP_S
             self._step(_SUBSTEP_S)
@@ -140,6 +141,8 @@ class EmulatedArm:
         self.velocity_m_per_s = (speeds[0], speeds[1], speeds[2])
         if self.session_s is not None:
             self.session_s += dt
+        if self.person is not None:
+            return
         at_s = -1.0 if self.session_s is None else self.session_s
         ends = OperatorInputs(at_s, 0.0 - before_z, 0.0 - places[2])
         self._hand, felt = operator_step(self._hand_params, self._hand, ends, dt)

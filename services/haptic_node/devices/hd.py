@@ -31,6 +31,7 @@ _PRIORITY = 65_535
 # process that stood still as a whole has missed one look. The first call, and one that is not over, may take longer.
 _WAIT_S, _SILENT_LOOKS, _PATIENT_LOOKS = 0.01, 5, 50
 _MM = 1e-3
+_NEARLY = 1.0 - 1e-6
 # What CHAI3D declares for the Touch.
 _DAMPING_N_S_PER_M = 4.0
 # The emulated Touch of the tests: chosen, not measured.
@@ -186,7 +187,8 @@ class HdWire:
         usable, value = (ctypes.c_double * 6)(), (ctypes.c_double * 1)()
         lib.hdGetDoublev(_USABLE, usable)
         lib.hdGetDoublev(_MAX_FORCE_N, value)
-        max_force_n = value[0]
+        # The library refuses more than its greatest force, which a clamp to just that passes by its last digit.
+        max_force_n = value[0] * _NEARLY
         lib.hdGetDoublev(_STIFFNESS_N_PER_MM, value)
         self._check("hdGetDoublev")
         left, low, far, right, high, near = (_MM * end for end in usable)

@@ -145,6 +145,8 @@ class Emulated:
             names = {"calibrated": ("uncalibrated", not value), "plugged": ("unplugged", not value)}
             name, number = names.get(what, (what, value))
             self.double.set(name, float(number))
+        elif what == "drive_delay_s":
+            self.service.arm.drive_delay_s = value
         elif what == "frozen":
             self.service.frozen = self.service.arm.measured_m if value else None
         else:
