@@ -105,7 +105,9 @@ def built(folder: Path) -> Path:
 
 
 @pytest.fixture(
-    scope="module", params=[(), ("launcher",), ("launcher", "export"), ("studies", "instrument")], ids="+".join
+    scope="module",
+    params=[(), ("haptic",), ("launcher",), ("launcher", "export"), ("studies", "instrument")],
+    ids="+".join,
 )
 def installed(
     request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
@@ -148,7 +150,7 @@ VERBS = {
     "calibrate sensitivity --json": "",
     "view REFERENCE --port 0": "",
     "bridge foxglove --duration 1": "",
-    "device list": "studies",
+    "device list": "studies haptic",
     "keys show": "base",
     "new law my_law": "base",
     "doctor": "",
@@ -200,3 +202,20 @@ def test_the_library_reads_a_recording_and_simulates_without_any_extra(
     assert int(read.split()[0]) > 100
     assert read.split()[-1] in ("stable", "settling")
     assert frame.startswith("(") or re.search(r"pandas is not installed: pip install '[^']+\[export\]'", frame)
+
+
+def test_the_driver_of_the_inverse3_works_with_the_extra_of_the_haptic_node_and_names_it(
+    installed: Installation, request: pytest.FixtureRequest
+) -> None:
+    nowhere = "haptic_node.haply.service=ws://127.0.0.1:1"
+    probed = installed.telenano("device", "probe", "--device", "haply", "--set", nowhere)
+    simulated = installed.telenano("device", "simulate", "haply", "--host", "no.such.host.invalid")
+    for done in (probed, simulated):
+        assert done.returncode not in (0, 3)
+        assert "Traceback" not in done.stderr
+    if {"haptic", "studies"} & set(request.node.callspec.params["installed"]):
+        assert "no Inverse Service answers" in probed.stderr
+        assert "websockets is not installed" not in simulated.stderr
+    else:
+        assert re.search(r"needs websockets: pip install '[^']+\[haptic\]'", probed.stderr)
+        assert re.search(r"websockets is not installed: pip install '[^']+\[haptic\]'", simulated.stderr)

@@ -219,7 +219,7 @@ def test_hold_is_the_force_of_the_hand_and_the_place_is_that_of_the_spring(kind:
     assert below_m == pytest.approx(HAND_N / STIFFNESS_N_PER_M, rel=0.01, abs=0.06e-3 if kind == "hd" else 1e-5)
 
 
-@pytest.mark.parametrize("kind", ["dhd", "hd"])
+@pytest.mark.parametrize("kind", DEVICES)
 def test_device_that_is_another_when_it_is_back_is_refused(kind: str, tmp_path: Path) -> None:
     bench = pushed(kind, tmp_path)
     bench.found = bench.found._replace(identity="another one")

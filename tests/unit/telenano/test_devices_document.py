@@ -1,5 +1,6 @@
 """docs/devices.md: every fault has its row, and every test that a row names exists."""
 
+import itertools
 import re
 import textwrap
 from pathlib import Path
@@ -40,6 +41,41 @@ def test_every_fault_that_is_tested_has_its_row(file: str) -> None:
     cases = {first or second for first, second in CASES.findall(found(file))}
     assert len(cases) > 15
     assert cases - rows == set()
+
+
+# What may stand in a cell of a device in the place of a test.
+WITHOUT = ("has none",)
+COLUMNS = {"Haply Inverse3": "haply", "Force Dimension": "dhd", "Touch": "hd"}
+
+
+def test_every_cell_of_a_device_has_its_test_and_every_fault_of_a_device_its_cell() -> None:
+    """Hold the table of faults against the devices for which each fault is a case of the tests."""
+    lines = TEXT.splitlines()
+    (at,) = [number for number, line in enumerate(lines) if line.startswith("| fault | Haply Inverse3 |")]
+    head = [cell.strip() for cell in lines[at].strip("|").split("|")]
+    body = itertools.takewhile(lambda line: line.startswith("|"), lines[at + 2 :])
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in body]
+    source = found("test_impedance_faults.py")
+    table = re.search(r"^FAULTS.*?^}", source, re.MULTILINE | re.DOTALL)
+    assert table is not None
+    cases = set()
+    for part in table[0].split('\n    "')[1:]:
+        devices = re.search(r"devices=\(([^)]*)\)", part)
+        kinds = re.findall(r'"(\w+)"', devices[1]) if devices else COLUMNS.values()
+        cases |= {f"{part.split(chr(34))[0]}-{kind}" for kind in kinds}
+    named = set()
+    for row in rows:
+        for title, kind in COLUMNS.items():
+            cell = row[head.index(title)]
+            tests = NAMED.findall(cell)
+            assert tests or cell in WITHOUT, (row[0], title, cell)
+            for file, _, case in tests:
+                if case:
+                    assert file == "test_impedance_faults.py" and case in cases, (row[0], title, case)
+                    assert case.endswith(f"-{kind}"), (row[0], title, case)
+                    named.add(case)
+    assert len(rows) >= 16 and len(cases) > 28
+    assert cases - named == set()
 
 
 @pytest.mark.parametrize("page", ["devices", "devices/3-calibrate", "devices/4-first-touch"])
