@@ -50,6 +50,10 @@ def _if(flag: str, key: str) -> Callable[[Fields], float]:
     return lambda fields: float(fields[key]) if fields[flag] else _NONE
 
 
+def _where_known(key: str) -> Callable[[Fields], float]:
+    return lambda fields: _NONE if fields.get(key) is None else float(fields[key])
+
+
 def _loop_age_s(fields: Fields) -> float:
     """Return how old the hand's sample is that the newest command answers, when the command arrives [s]."""
     sampled_ns = fields["answered_t_ns"]
@@ -77,6 +81,15 @@ STREAMS = (
             Column("loop_age", "s", "hand's sample to the command that answers it", _loop_age_s),
             Column("x", "m", "position of the hand across the sample, x", _axis("position_m", 0)),
             Column("y", "m", "position of the hand across the sample, y", _axis("position_m", 1)),
+            Column(
+                "operator_energy", "J", "what the hand has put into a device's coupling", _where_known("hand_energy_j")
+            ),
+            Column(
+                "coupling_energy",
+                "J",
+                "what that spring and damper have taken in, less what they gave",
+                _where_known("coupling_energy_j"),
+            ),
         ),
     ),
     Stream(

@@ -63,6 +63,12 @@ def test_a_curve_has_the_paper_s_axis_and_the_time_of_its_publisher() -> None:
     assert set(hand["force"]) == {2.0}
     # no command has been answered: the age of the loop is not known
     assert np.isnan(hand["loop_age"]).all()
+    feed.record(seen("haptic/state", "haptic_node@master", START_NS + 9_000_000, coupling_energy_j=2e-3))
+    coupled = columns(feed.take(), "hand")
+    np.testing.assert_allclose(coupled["coupling_energy"], [2e-3], rtol=1e-6, atol=0)
+    # a device without a coupling says nothing of it
+    feed.record(seen("haptic/state", "haptic_node@master", START_NS + 10_000_000, coupling_energy_j=None))
+    assert np.isnan(columns(feed.take(), "hand")["coupling_energy"]).all()
 
 
 def test_the_clock_of_the_slave_is_put_right_by_what_the_link_measures() -> None:
