@@ -70,6 +70,12 @@ class LiveDevice:
             return {"service": self.address}
         return {"library": str(library_doubles.build(self.kind))}
 
+    @property
+    def options(self) -> list[str]:
+        """Return the options with which `telenano up` drives this device."""
+        keys = [f"device={self.kind}", *(f"{self.kind}.{name}={value}" for name, value in self.settings.items())]
+        return [word for key in keys for word in ("--set", f"haptic_node.{key}")]
+
     def start(self) -> None:
         """Start the emulated service, on the port that it had."""
         port = self.address.rsplit(":", 1)[-1] or "0"

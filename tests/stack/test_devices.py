@@ -202,13 +202,21 @@ def test_faults_of_a_running_rig_and_back(rig: Rig, devices: Devices) -> None:
     def newest(topic: str) -> tuple[str, str]:
         return modes(rig.recording(), topic)[-1]
 
+    def followed() -> bool:
+        """Arm what a lost hand has let be withdrawn, and return whether hand and tip go on."""
+        if newest("afm/state")[1] == "retracted":
+            rig.telenano("session", "arm")
+        return (newest("haptic/state"), newest("afm/state")) == (("ok", "position"), ("ok", "follow"))
+
     devices.plug()
     wait("haptic/state", "lost", "off")
+    # the tip of a hand that is gone is withdrawn
+    wait("afm/state", "ok", "retracted")
     devices.plug()
-    rig.wait_until(lambda: newest("haptic/state") == ("ok", "position"), "the hand behind its cable")
+    rig.wait_until(followed, "the hand behind its cable")
     devices.reset_handle()
     wait("haptic/state", "lost", "off", 2)
-    rig.wait_until(lambda: newest("haptic/state") == ("ok", "position"), "the hand after its reset")
+    rig.wait_until(followed, "the hand after its reset")
     devices.t7.send_signal(signal.SIGSTOP)
     wait("afm/state", "lost", "retracted")
     devices.t7.send_signal(signal.SIGCONT)

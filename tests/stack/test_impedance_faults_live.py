@@ -28,9 +28,7 @@ class Session:
     def __init__(self, rig: Rig, device: LiveDevice) -> None:
         self.rig, self.device = rig, device
         rig.environment.update(device.environment)
-        settings = {"device": device.kind, **{f"{device.kind}.{name}": at for name, at in device.settings.items()}}
-        options = [word for name, value in settings.items() for word in ("--set", f"haptic_node.{name}={value}")]
-        rig.start(*options, "--duration", "600", "--headless")
+        rig.start(*device.options, "--duration", "600", "--headless")
         rig.wait_until(rig.running, "the session")
 
     def said(self, topic: str, since_ns: int) -> list[Any]:
