@@ -7,6 +7,7 @@ and the damper are models of their own: what the real ones do is not published.
 
 import asyncio
 import json
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -289,6 +290,8 @@ async def serve_haply(
         while lines is not None:
             say(obey(service, await lines.get()))
 
+    # A person reads what the service does, not each connection.
+    logging.getLogger("websockets.server").setLevel(logging.WARNING)
     options: dict[str, Any] = {"compression": None, "ping_interval": None, "process_request": http}
     async with serve(converse, host, port, **options) as server:
         ready(next(iter(server.sockets)).getsockname()[1])

@@ -186,9 +186,9 @@ def test_other_hands_and_a_late_drive_are_put_in_by_a_line() -> None:
     assert obey(service, "loose") == "nobody holds the handle"
     assert obey(service, "drive-late 0.005") == "forces act 0.005 s late"
     arm.drive((1.0, 0.0, 0.0))
-    arm.advance(0.0045)
+    arm.advance(0.004)
     assert arm.force_n == (0.0, 0.0, 0.0)
-    arm.advance(0.001)
+    arm.advance(0.002)
     assert arm.force_n == (1.0, 0.0, 0.0)
     # a force that is taken away does not come after all
     arm.drive((2.0, 0.0, 0.0))
