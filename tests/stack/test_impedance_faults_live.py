@@ -120,7 +120,9 @@ FAULTS = {
         "the service has closed the connection",
         ("haply",),
     ),
-    "silent scheduler": Fault(order("stopped", 1.0), order("stopped", 0.0), "its scheduler calls no more", ("hd",)),
+    "silent scheduler": Fault(
+        order("stopped", 1.0), order("stopped", 0.0), "its scheduler calls no more (none for 0.05 s)", ("hd",)
+    ),
     "killed servo": Fault(kill_servo, lambda session: None, "the process of the servo has ended with code -9"),
 }
 
