@@ -174,6 +174,8 @@ class Conversation:
             raise DeviceError(f"what answers at {service} is no Inverse Service: {error}") from error
 
     def send(self, message: bytes) -> None:
+        if self._protocol.state.name != "OPEN":
+            raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}")
         self._protocol.send_text(message)
         self._flush()
 
