@@ -8,10 +8,11 @@ import time
 from collections.abc import Callable
 from enum import Enum
 
+from services.afm_node.devices import modbus_line
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.afm_node.devices.modbus_frames import Answer, Conversation, FramingError, Operation
 from services.afm_node.devices.modbus_handshake import EXCEPTIONS, Handshake, Steps, heartbeat_of, is_retracted
-from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector
+from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
 from services.afm_node.devices.register_map import RegisterMap
 from services.afm_node.driver import DeviceError, DeviceReport
 from services.afm_node.physics.part import AfmSample
@@ -19,12 +20,6 @@ from services.afm_node.safety import SafetyParams
 
 _MS = 1_000_000
 STALE_CYCLES = 3
-LOST_NS = 50 * _MS
-RETRY_NS = 500 * _MS
-# A step of the handshake may take so long, because a setting that goes to flash is slow.
-STEP_NS = 1000 * _MS
-# A name server may take so long; with the usual settings the system gives up after ten seconds.
-NAME_NS = 15_000 * _MS
 _PERIOD_S = 1e-3
 _CLOSE_S, _RECONNECT_S = 0.1, 0.3
 _BUSY = (5, 6)
@@ -219,7 +214,7 @@ class ModbusAfm:
         self._opened = False
 
     def _begin(self, now_ns: int) -> None:
-        self._retry_ns = now_ns + RETRY_NS
+        self._retry_ns = now_ns + modbus_line.RETRY_NS
         self._conversation = Conversation(self._calibration.network.device_id)
         self._released = self._outstanding = False
         self._requests.clear()
@@ -236,7 +231,7 @@ class ModbusAfm:
             self._line.close()
         self._line, self._handshake = None, None
         self._phase = _Phase.CLOSED
-        self._retry_ns = now_ns + RETRY_NS
+        self._retry_ns = now_ns + modbus_line.RETRY_NS
 
     def _lose(self, now_ns: int, text: str) -> None:
         self._text = f"{self._where}: {self._map.model}: {text}"
@@ -265,22 +260,11 @@ class ModbusAfm:
             self._lose(now_ns, f"the connection is gone: {error.strerror or error}")
 
     def _go_on_connecting(self, now_ns: int, line: Line) -> None:
-        try:
-            ready = line.ready()
-        except OSError as error:
-            if line.resolved:
-                raise
-            raise DeviceError(f"its name is not known: {error.strerror or error}") from error
+        ready, self._sent_ns = go_on_connecting(line, now_ns, self._begun_ns, self._sent_ns)
         if ready:
             self._preparation = Handshake(self._calibration, self._map, self._conversation, self._now_ns)
             self._phase, self._handshake = _Phase.PREPARING, self._preparation.steps()
             self._send(next(self._handshake), now_ns)
-        elif not line.resolved:
-            self._sent_ns = now_ns
-            if now_ns - self._begun_ns > NAME_NS:
-                raise DeviceError("no name server answers: set network.host to its address")
-        elif now_ns - self._sent_ns > STEP_NS:
-            raise DeviceError("does not answer: check address, cable and firewall")
 
     def _send(self, request: bytes, now_ns: int) -> None:
         if self._line is not None:
@@ -289,7 +273,7 @@ class ModbusAfm:
 
     def _prepare(self, now_ns: int, answer: Answer | None) -> None:
         if answer is None or self._handshake is None:
-            if now_ns - self._sent_ns > STEP_NS:
+            if now_ns - self._sent_ns > modbus_line.STEP_NS:
                 text = "is connected and does not answer requests: is it a Modbus TCP device?"
                 raise DeviceError(text + self._conversation.refusals)
             return
@@ -314,8 +298,8 @@ class ModbusAfm:
                 reason = EXCEPTIONS.get(answer.exception, f"exception {answer.exception}")
                 raise DeviceError(f"{reason} ({self._output.name} = {self._sent_v:.4f} V was sent)")
             self._take(answer, now_ns)
-        if now_ns - self._answered_ns > LOST_NS:
-            raise DeviceError(f"has been silent for {LOST_NS // _MS} ms{self._conversation.refusals}")
+        if now_ns - self._answered_ns > modbus_line.LOST_NS:
+            raise DeviceError(f"has been silent for {modbus_line.LOST_NS // _MS} ms{self._conversation.refusals}")
         if self._outstanding:
             return
         if self._requests:

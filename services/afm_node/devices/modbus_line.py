@@ -1,4 +1,4 @@
-"""The connection to a Modbus instrument over TCP, which never waits."""
+"""The connection to an instrument over TCP, which never waits, and how long its drivers are patient with it."""
 
 import errno
 import select
@@ -7,7 +7,15 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from services.afm_node.devices.host_address import HostAddress
+from services.afm_node.driver import DeviceError
 
+_MS = 1_000_000
+LOST_NS = 50 * _MS
+RETRY_NS = 500 * _MS
+# A step of the handshake may take so long, because a setting that goes to flash is slow.
+STEP_NS = 1000 * _MS
+# A name server may take so long; with the usual settings the system gives up after ten seconds.
+NAME_NS = 15_000 * _MS
 _READ_BYTES = 4096
 
 
@@ -105,3 +113,33 @@ class TcpConnector:
             # The device may have another address by the next attempt.
             place.renew()
         return TcpLine(place)
+
+
+def go_on_connecting(line: Line, now_ns: int, begun_ns: int, waiting_ns: int) -> tuple[bool, int]:
+    """Return whether a line is connected by now, and since when the device itself is waited for [ns].
+
+    Args:
+        line: The connection that is being made.
+        now_ns: The time [ns].
+        begun_ns: When the connection was begun [ns].
+        waiting_ns: What the last call returned as that time, or begun_ns [ns].
+
+    Raises:
+        DeviceError: The name is not known, or name server or device have not answered in time.
+        OSError: The device refuses the connection.
+    """
+    try:
+        ready = line.ready()
+    except OSError as error:
+        if line.resolved:
+            raise
+        raise DeviceError(f"its name is not known: {error.strerror or error}") from error
+    if ready:
+        return True, waiting_ns
+    if not line.resolved:
+        if now_ns - begun_ns > NAME_NS:
+            raise DeviceError("no name server answers: set network.host to its address")
+        return False, now_ns
+    if now_ns - waiting_ns > STEP_NS:
+        raise DeviceError("does not answer: check address, cable and firewall")
+    return False, waiting_ns

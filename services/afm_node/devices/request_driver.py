@@ -10,7 +10,8 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector
+from services.afm_node.devices import modbus_line
+from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
 from services.afm_node.devices.request_answer import Cut, Incoming, Talk, WireError
 from services.afm_node.driver import DeviceError, DeviceReport
@@ -18,10 +19,6 @@ from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
 
 _MS = 1_000_000
-LOST_NS = 50 * _MS
-RETRY_NS = 500 * _MS
-STEP_NS = 1000 * _MS
-NAME_NS = 15_000 * _MS
 STALE_CYCLES = 3
 _CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3
 
@@ -49,7 +46,7 @@ class RequestDriver(ABC):
     simulation = None
     relief = None
     # how long a controller may be silent while it is driven [ns]
-    lost_ns = LOST_NS
+    lost_ns = modbus_line.LOST_NS
 
     def __init__(
         self,
@@ -245,7 +242,7 @@ class RequestDriver(ABC):
         self._opened = False
 
     def _begin(self, now_ns: int) -> None:
-        self._retry_ns = now_ns + RETRY_NS
+        self._retry_ns = now_ns + modbus_line.RETRY_NS
         self._released = self._ready = self._waiting = False
         self.exchanges = self._retracted = 0
         self._incoming = Incoming(self._cut)
@@ -261,7 +258,7 @@ class RequestDriver(ABC):
             self._line.close()
         self._line = self._talk = None
         self._ready = False
-        self._retry_ns = now_ns + RETRY_NS
+        self._retry_ns = now_ns + modbus_line.RETRY_NS
 
     def _lose(self, now_ns: int, text: str) -> None:
         self._text = f"{self._where}: {self._model}: {text}"
@@ -283,21 +280,10 @@ class RequestDriver(ABC):
             self._lose(now_ns, f"the connection is gone: {error.strerror or error}")
 
     def _go_on_connecting(self, now_ns: int, line: Line) -> None:
-        try:
-            ready = line.ready()
-        except OSError as error:
-            if line.resolved:
-                raise
-            raise DeviceError(f"its name is not known: {error.strerror or error}") from error
+        ready, self._sent_ns = go_on_connecting(line, now_ns, self._begun_ns, self._sent_ns)
         if ready:
             self._talk = self.talk()
             self._send(next(self._talk), now_ns, line)
-        elif not line.resolved:
-            self._sent_ns = now_ns
-            if now_ns - self._begun_ns > NAME_NS:
-                raise DeviceError("no name server answers: set network.host to its address")
-        elif now_ns - self._sent_ns > STEP_NS:
-            raise DeviceError("does not answer: check address, cable and firewall")
 
     def _go_on_talking(self, now_ns: int, line: Line, talk: Talk) -> None:
         if not self._waiting:
@@ -308,7 +294,7 @@ class RequestDriver(ABC):
         if answer is None:
             if self._ready and now_ns - self._sent_ns > self.lost_ns:
                 raise DeviceError(f"has been silent for {self.lost_ns // _MS} ms")
-            if now_ns - self._sent_ns > STEP_NS:
+            if now_ns - self._sent_ns > modbus_line.STEP_NS:
                 raise DeviceError(f"is connected and does not answer requests: is it a {self._model}?")
             return
         if self._incoming.pending:

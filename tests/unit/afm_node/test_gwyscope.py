@@ -15,7 +15,7 @@ from controller_line import MS, PARAMS, ControllerRig, Gwyscope
 
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import CONTROLLERS, AfmConfig
-from services.afm_node.devices import gwyscope_model, gwyscope_wire, request_driver
+from services.afm_node.devices import gwyscope_model, gwyscope_wire, modbus_line
 from services.afm_node.devices.gwyscope_model import AssertionOfTheServerError
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
 from services.afm_node.devices.request_answer import Incoming, WireError
@@ -414,8 +414,8 @@ FAULTS = {
 
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
-    monkeypatch.setattr(request_driver, "RETRY_NS", 100 * MS)
-    monkeypatch.setattr(request_driver, "STEP_NS", 150 * MS)
+    monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
+    monkeypatch.setattr(modbus_line, "STEP_NS", 150 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Gwyscope())
     approach(found)
     return found

@@ -10,7 +10,8 @@ import pytest
 from stage_line import MS, PARAMS, StageLine, calibration
 
 from services.afm_node.devices.host_address import HostAddress
-from services.afm_node.devices.modbus_driver import NAME_NS, STEP_NS, ModbusAfm, TcpConnector
+from services.afm_node.devices.modbus_driver import ModbusAfm
+from services.afm_node.devices.modbus_line import NAME_NS, STEP_NS, TcpConnector
 from services.afm_node.devices.register_map import read_map
 from services.afm_node.driver import DeviceError
 

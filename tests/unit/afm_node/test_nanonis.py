@@ -12,7 +12,7 @@ from controller_line import MS, PARAMS, ControllerRig, Nanonis
 
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices import nanonis_driver, nanonis_model, nanonis_wire, request_driver
+from services.afm_node.devices import modbus_line, nanonis_driver, nanonis_model, nanonis_wire
 from services.afm_node.devices.capabilities import refusal
 from services.afm_node.devices.nanonis_driver import cut_frame
 from services.afm_node.devices.nanonis_wire import COMMANDS, NanonisRefusalError
@@ -420,8 +420,8 @@ FAULTS = {
 
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
-    monkeypatch.setattr(request_driver, "RETRY_NS", 100 * MS)
-    monkeypatch.setattr(request_driver, "STEP_NS", 300 * MS)
+    monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
+    monkeypatch.setattr(modbus_line, "STEP_NS", 300 * MS)
     found = ControllerRig(bench_of("afm_node@slave"), Nanonis())
     approach(found)
     return found

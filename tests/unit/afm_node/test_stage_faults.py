@@ -10,7 +10,7 @@ from stage_line import MS, PARAMS, Rig, StageLine
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices import modbus_driver, t7_model
+from services.afm_node.devices import modbus_line, t7_model
 from services.afm_node.devices.t7_server import respond
 from services.afm_node.node import AfmNode
 
@@ -157,8 +157,8 @@ FAULTS: dict[str, Fault] = {
 @pytest.fixture
 def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> Rig:
     """Give a node that follows near the sample; a device that is lost is looked for more often."""
-    monkeypatch.setattr(modbus_driver, "RETRY_NS", 100 * MS)
-    monkeypatch.setattr(modbus_driver, "STEP_NS", 150 * MS)
+    monkeypatch.setattr(modbus_line, "RETRY_NS", 100 * MS)
+    monkeypatch.setattr(modbus_line, "STEP_NS", 150 * MS)
     found = Rig(bench_of("afm_node@slave"))
     approach(found)
     return found
