@@ -88,7 +88,7 @@ def recorded_afm(config: AfmConfig) -> SimulatedInstrument:
     """Return the instrument over its recorded map; ConfigError, if the map cannot be used."""
     plant, found, text = read_params(config)
     params = config.to_params()
-    # what disturbs the instrument is that of a cantilever with the stiffness of the map
+    # The disturbances are those of a cantilever that has the stiffness of the map.
     cantilever = params.plant._replace(stiffness_n_per_m=plant.stiffness_n_per_m)
     channel = "" if plant.is_force else found.quantity
     return SimulatedInstrument(params._replace(plant=plant), None, cantilever, config.disturbances, text, channel)

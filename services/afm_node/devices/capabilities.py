@@ -40,7 +40,7 @@ TABLE: Mapping[str, Capabilities] = {
     "gwyscope": Capabilities(
         500.0, 333.0, 4e-3, True, True, True, ("e", "adc1", "adc2", "in1 to in16"), "the guard, or a person"
     ),
-    # with a Tap of 20 ms; where the TCP Logger runs, the samples are newer, and z stays as slow
+    # These figures hold for a Tap of 20 ms. The samples of a TCP Logger are newer, and z stays as slow.
     "nanonis": Capabilities(
         400.0, 50.0, 22.5e-3, True, False, False, ("any signal, by its name",), "the guard, or a person; its safe tip"
     ),

@@ -124,7 +124,7 @@ class NanonisAfm(RequestDriver):
         enabled = (yield from self._ask("ZCtrl.LimitsEnabledGet"))[0]
         if not enabled or abs(high_m - z.max_m) > z.tolerance_m or abs(low_m - z.min_m) > z.tolerance_m:
             raise DeviceError(f"refuses the limits of z: {z.max_m} m and {z.min_m} m were set, {high_m}, {low_m} read")
-        # without auto-recovery, which would switch the controller on again after a withdrawal
+        # The auto-recovery stays off, because it would switch the controller on again after a withdrawal.
         yield from self._ask("SafeTip.PropsSet", 0, 0, self.calibration.safe_tip)
         yield from self._ask("SafeTip.OnOffSet", 1)
         recovers, _, threshold = yield from self._ask("SafeTip.PropsGet")
@@ -154,7 +154,7 @@ class NanonisAfm(RequestDriver):
     def _take(self, values: list[float], asked_ns: int, old_s: float) -> None:
         """Take values that were old_s [s] old at most when they were asked for."""
         value, z_m, x_m, y_m = values
-        # until a Tap has gone by since the handshake, a value may be of the time before it
+        # A value may be older than the handshake until a Tap has gone by since then.
         if asked_ns - self._ready_ns > round(3.0 * self.tick_s * 1e9):
             self.check_z(z_m, asked_ns)
         self.find_centre(x_m, y_m)
@@ -209,7 +209,7 @@ class FrameLog:
         found = None
         while (frame := self._incoming.take()) is not None:
             channels, _, _, state = _LOG_HEADER.unpack_from(frame)
-            # the first frame lists the signals of the columns
+            # The first frame is no sample: it lists the signals of the columns.
             if state == _LOG_DATA:
                 found = list(struct.unpack_from(f">{channels}f", frame, _LOG_HEADER.size))
         return found

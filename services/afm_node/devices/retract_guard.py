@@ -52,7 +52,7 @@ class SilenceJudge:
         self._guarded = guarded
         self._heard_ns = 0
         self._owed = False
-        # what an earlier guard left is not known, so the tip is retracted first of all
+        # The guard does not know where an earlier one left the tip, so it retracts the tip first of all.
         self.driven = self.due = True
         self.trips = 0
 
@@ -155,7 +155,7 @@ class RetractGuard:
             self._send_server(self._guarded.retraction(), "guard")
 
     def _ready(self) -> list[socket.socket]:
-        # a rig is let in when the tip is known to be retracted, and one at a time
+        # The guard lets a rig in when the tip is known to be retracted, and one rig at a time.
         wanted = [self._server, self._client]
         if self._client is None and self._server is not None and not self.judge.due:
             wanted.append(self._listener)
@@ -179,7 +179,7 @@ class RetractGuard:
             return
         self._server.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._from_server, self._owed = Incoming(self._guarded.cut), ""
-        # what happened while it was away is not known
+        # The guard does not know what happened while the controller was away.
         self.judge.driven = self.judge.due = True
 
     def _accept(self) -> None:
