@@ -52,6 +52,10 @@ class _OwnSections(Settings):
     switch_limit_s: Annotated[float, Field(gt=0.0, le=60.0)] = Field(
         default=2.0, description="Longest wait for the other half when the law changes; then the hand is let go [s]"
     )
+    refused_laws: dict[str, str] = Field(
+        default={},
+        description="Laws that the instrument is too slow for, and why; `telenano up` enters them by its driver",
+    )
     deadband: DeadbandConfig = Field(default=DeadbandConfig(), description="Dead band in front of any law")
     clamp: ClampConfig = Field(default=ClampConfig(), description="Force clamp of the slave, for any law")
     lateral: LateralConfig = Field(default=LateralConfig(), description="How the hand moves the tip across the sample")
@@ -183,6 +187,10 @@ def changed_config(config: ControllerConfig, parameters: Mapping[str, Scalar]) -
         raise RefusedError("set needs parameters, such as virtual_impedance.force_gain=10")
     if "period_s" in parameters:
         raise RefusedError("controller.period_s cannot be changed while the rig runs")
+    if any(key.partition(".")[0] == "refused_laws" for key in parameters):
+        raise RefusedError(
+            "controller.refused_laws follows from the instrument, which stays the same while the rig runs"
+        )
     try:
         document = merge(config.model_dump(), nested(parameters, "session/control"))
         return validate(ControllerConfig, document, "session/control", "controller")

@@ -153,6 +153,8 @@ class ControllerHalf(Node):
         changed = changed_config(self.config, control.parameters)
         if changed.law in self._failing:
             raise RefusedError(self._failing[changed.law])
+        if text := changed.refused_laws.get(changed.law):
+            raise RefusedError(text)
         if changed.lateral.mode == "direct" and self.config.lateral.mode != "direct":
             raise RefusedError("lateral.mode=direct cannot be returned to: the tip would jump to the place of the hand")
         switched = changed.law != self.config.law

@@ -24,7 +24,7 @@ from proto.nodes import (
 )
 from services.afm_node.config import AfmConfig, ModbusConfig
 from services.afm_node.devices.capabilities import refusal
-from services.controller.config import ControllerConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site, node_kind
@@ -338,8 +338,16 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
         if request.site is not None:
             # Each of two launchers has a recorder of its own site, where the site file has a place for it.
             flags["recorder"]["far"] = (document.get("recorder") or {}).get("far", "fetch")
+    if refused := refused_laws(str((document.get("afm_node") or {}).get("driver", "simulated"))):
+        # Both halves refuse a law that is asked for later by the same words as a plan does.
+        flags["controller"] = {"refused_laws": refused}
     document = merge(document, flags)
     return LoadedScenario(validate(Scenario, document, origin), origin, document)
+
+
+def refused_laws(driver: str) -> dict[str, str]:
+    """Return the laws that a driver of the instrument cannot be used with, and why."""
+    return {law: text for law in KNOWN_LAWS if (text := refusal(driver, law))}
 
 
 def _reject_recording_place(settings: Sequence[str]) -> None:

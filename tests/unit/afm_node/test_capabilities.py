@@ -8,6 +8,7 @@ from proto.errors import ConfigError
 from services.afm_node.config import CONTROLLERS, TAKEN
 from services.afm_node.devices.capabilities import TABLE, refusal
 from services.afm_node.programs.table import PROGRAMS
+from services.controller.config import ControllerConfig
 from services.controller.law_names import LAW_NAMES
 from services.launcher.plan import UpRequest, make_plan
 
@@ -31,6 +32,17 @@ def test_an_instrument_without_a_stage_takes_no_image(tmp_path: Path) -> None:
     request = UpRequest(scenario="fig12", settings=settings)
     with pytest.raises(ConfigError, match="scan moves the tip over the sample, and modbus moves it along z only"):
         make_plan(request, tmp_path)
+
+
+def test_a_plan_gives_both_halves_the_laws_that_they_have_to_refuse_later(tmp_path: Path) -> None:
+    nanonis = f"afm_node.nanonis={{calibration: {tmp_path / 'nanonis.yaml'}}}"
+    settings = ("afm_node.driver=nanonis", nanonis, "controller.law=model_mediated")
+    plan = make_plan(UpRequest(scenario="fig12", settings=settings), tmp_path)
+    config = plan.loaded.section("controller", ControllerConfig)
+    assert set(config.refused_laws) == set(LAW_NAMES) - {"model_mediated", "tactile"}
+    assert config.refused_laws["wave"] == refusal("nanonis", "wave")
+    simulated = make_plan(UpRequest(scenario="fig12"), tmp_path)
+    assert "refused_laws" not in (simulated.loaded.document.get("controller") or {})
 
 
 def test_a_driver_of_another_package_is_not_judged() -> None:

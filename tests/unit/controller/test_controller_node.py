@@ -265,6 +265,22 @@ def test_parameters_change_at_run_time(master: Any) -> None:
     assert node.params.force_gain == 10.0
 
 
+def test_a_law_that_the_instrument_is_too_slow_for_is_refused_live_in_the_words_of_the_plan(bench_of: Any) -> None:
+    refused = {"wave": "controller.law: wave closes a loop through the instrument"}
+    config = ControllerConfig.model_validate({"law": "model_mediated", "refused_laws": refused})
+    for site, half in (("master", MasterController), ("slave", SlaveController)):
+        bench = bench_of(f"controller@{site}")
+        node = half(bench.context, config)
+        for parameters, text in (
+            ({"law": "wave"}, "wave closes a loop through the instrument"),
+            ({"refused_laws.wave": ""}, "follows from the instrument, which stays the same"),
+        ):
+            fields = {"id": "a", "command": "set", "target": "controller", "parameters": parameters}
+            with pytest.raises(RefusedError, match=text):
+                node.on_control(bench.make("session/control", "console@master", **fields))
+            assert (node.config.law, node.switching) == ("model_mediated", False)
+
+
 @pytest.mark.parametrize(
     ("parameters", "text"),
     [
