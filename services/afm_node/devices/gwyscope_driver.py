@@ -87,8 +87,10 @@ class GwyscopeAfm(RequestDriver):
         if self._attended:
             return
         found = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
-        if gwyscope_wire.decode(found).get("todo") != GUARD_QUESTION:
+        answer = gwyscope_wire.decode(found)
+        if answer.get("todo") != GUARD_QUESTION:
             self.refuse_without_guard()
+        self.retractions = int(answer.get("trips", 0))
 
     def _ask(self, todo: str, **items: Any) -> Answers:
         """Send a request and return its answer; DeviceError where the server does not know it."""

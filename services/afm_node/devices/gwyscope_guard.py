@@ -25,12 +25,12 @@ class GuardedGwyscope:
     def cut(self, stream: bytes) -> int:
         return gwyscope_wire.cut(stream)
 
-    def answer(self, request: bytes) -> bytes | None:
-        """Return that a guard is here, where this is the question."""
+    def answer(self, request: bytes, trips: int) -> bytes | None:
+        """Return that a guard is here, and how often it has retracted, where this is the question."""
         message = gwyscope_wire.decode(request)
         if message.get("todo") != GUARD_QUESTION:
             return None
-        return gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.heartbeat_s})
+        return gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.heartbeat_s, "trips": trips})
 
     def drives(self, request: bytes) -> bool | None:
         """Return whether the tip is driven after a request; one that is not known here counts as driving it."""

@@ -98,6 +98,8 @@ class ModbusAfm:
         self._pause_ns = round(_PAUSE_SHARE * calibration.heartbeat_s * 1e9)
         self._beat = 0
         self._output_v = stage.retract_v
+        # how often the script has retracted, None where none runs
+        self.retractions: int | None = None if self._heart is None else 0
         self._report = DeviceReport("lost", 0.0, True, "the instrument is not open")
 
     @property
@@ -128,6 +130,15 @@ class ModbusAfm:
     def identity(self) -> str:
         """Return who the device is, for a person; known once it is open."""
         return self._identity
+
+    @property
+    def calibration(self) -> InstrumentCalibration:
+        return self._calibration
+
+    @property
+    def heartbeat_s(self) -> float:
+        """Return the silence after which the script retracts [s]; 0 where none runs."""
+        return 0.0 if self._heart is None else self._calibration.heartbeat_s
 
     @property
     def calibration_identity(self) -> str:
@@ -284,6 +295,8 @@ class ModbusAfm:
             self._phase = _Phase.READY
             self._handshake = None
             self._identity = self._preparation.identity
+            if self.retractions is not None:
+                self.retractions += self._preparation.trips
             self._sent_v = self._calibration.stage.retract_v
             self._answered_ns = self._cycle_ns = self._sampled_ns = now_ns
             self._text = (

@@ -48,6 +48,8 @@ class Handshake:
         self._now_ns = now_ns
         self.identity = registers.model
         self._calibration, self._map, self._conversation = calibration, registers, conversation
+        # how often the script has retracted since it was asked last
+        self.trips = 0
         self._output = registers.output.of_channel(calibration.stage.dac)
         self._readback = registers.readback.of_channel(calibration.stage.dac)
 
@@ -107,6 +109,9 @@ class Handshake:
             (heart.output, float(self._output.address)),
             (heart.trips, 0.0),
         )
+        found = yield from self._read(heart.trips)
+        # memory that nobody has written yet may have anything
+        self.trips = int(found) if 0.0 <= found < 1e6 else 0
         for register, value in wanted:
             yield from self._write(register, value)
         runs = yield from self._runs(heart, _SIGN_OF_LIFE_NS)

@@ -94,8 +94,11 @@ class NanonisAfm(RequestDriver):
 
     def _find_guard(self) -> Generator[bytes, bytes, None]:
         found = yield nanonis_wire.HEADER.pack(GUARD_COMMAND.encode(), 0, 1, 0)
-        if found != nanonis_wire.answer(GUARD_COMMAND, b""):
+        body = found[nanonis_wire.HEADER.size :]
+        # the number of its retractions, and the error block of no error
+        if len(body) != 12 or any(body[4:]):
             self.refuse_without_guard()
+        self.retractions = int(nanonis_wire.unpack("I", body)[0][0])
 
     def _ask(self, command: str, *arguments: Any) -> Answers:
         """Send a request and return its values; DeviceError where the controller refuses it."""

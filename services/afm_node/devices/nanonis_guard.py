@@ -25,10 +25,10 @@ class GuardedNanonis:
     def cut(self, stream: bytes) -> int:
         return nanonis_wire.cut(stream)
 
-    def answer(self, request: bytes) -> bytes | None:
-        """Return that a guard is here, where this is the question."""
+    def answer(self, request: bytes, trips: int) -> bytes | None:
+        """Return that a guard is here, and how often it has retracted, where this is the question."""
         is_question = nanonis_wire.parse_request(request).command == GUARD_COMMAND
-        return nanonis_wire.answer(GUARD_COMMAND, b"") if is_question else None
+        return nanonis_wire.answer(GUARD_COMMAND, nanonis_wire.pack("I", [trips])) if is_question else None
 
     def drives(self, request: bytes) -> bool | None:
         """Return whether the tip is driven after a request; one that is not known here counts as driving it."""

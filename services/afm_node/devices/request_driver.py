@@ -5,6 +5,7 @@ ever. A tick gives it the answer that has come and sends the request that it the
 is made anew, and the talk begins at its beginning.
 """
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -82,10 +83,14 @@ class RequestDriver(ABC):
         self._centre: tuple[float, float] | None = None
         self._place: tuple[float, float] | None = None
         self._sent_place: tuple[float, float] | None = None
-        self.exchanges = 0
+        # answers with a sample, and those of them that were not the one before again
+        self.exchanges = self.fresh = 0
         # samples since the tip was found in its safe state, 0 while it is not there
         self._retracted = 0
         self.tick_s = 0.0
+        # how often the guard has retracted the tip since it began; None where there is no guard
+        self.retractions: int | None = None
+        self._values = math.nan, math.nan
         self._text = ""
         self._readings = calibration.readings(calibration.z.retract_m, calibration.deflection.zero)
         self._report = DeviceReport("lost", 0.0, True, "the controller is not open")
@@ -133,6 +138,11 @@ class RequestDriver(ABC):
         return self._model
 
     @property
+    def heartbeat_s(self) -> float:
+        """Return the silence after which the guard retracts [s]; 0 where a person stands by in its place."""
+        return 0.0 if self._attended else self.calibration.heartbeat_s
+
+    @property
     def calibration_identity(self) -> str:
         return self.calibration.identity
 
@@ -174,6 +184,8 @@ class RequestDriver(ABC):
 
     def take_sample(self, z_m: float, value: float, sampled_ns: int) -> None:
         """Take a sample of z [m] and the deflection's signal, taken at a time of the monotonic clock [ns]."""
+        self.fresh += (z_m, value) != self._values
+        self._values = z_m, value
         self._readings = self.calibration.readings(z_m, value)
         self._sampled_ns = sampled_ns
         self.exchanges += 1

@@ -28,8 +28,8 @@ class Guarded(Protocol):
     def cut(self, stream: bytes) -> int:
         """Return the length of the first message; see `request_answer.Cut`."""
 
-    def answer(self, request: bytes) -> bytes | None:
-        """Return the guard's own answer, None for a request that is for the controller."""
+    def answer(self, request: bytes, trips: int) -> bytes | None:
+        """Return the guard's own answer with the number of its retractions, None for a request to the controller."""
 
     def drives(self, request: bytes) -> bool | None:
         """Return whether the tip is driven after a request; None for one that does not change it."""
@@ -59,7 +59,7 @@ class SilenceJudge:
     def hear(self, request: bytes, now_ns: int) -> bytes | None:
         """Take a request of the rig; return the guard's own answer, None for one that is to be passed on."""
         self._heard_ns = now_ns
-        if (answer := self._guarded.answer(request)) is not None:
+        if (answer := self._guarded.answer(request, self.trips)) is not None:
             return answer
         driven = self._guarded.drives(request)
         self.driven = self.driven if driven is None else driven

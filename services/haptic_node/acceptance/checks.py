@@ -5,10 +5,8 @@ device without buttons, or a force that nothing in the take measures.
 """
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from services.haptic_node.acceptance.take import AXES, LEVELS, MOST_WITHOUT_STOP_N, PERIOD_S, Take
 from services.haptic_node.coupling import (
@@ -20,8 +18,10 @@ from services.haptic_node.coupling import (
     GATE_RUNAWAY,
     GATES,
 )
+from services.numerics.acceptance import Result, Rows, Verdict, judged
+from services.numerics.acceptance import overall as overall
+from services.numerics.acceptance import passes as _passes
 
-Result = Literal["pass", "fail", "retake", "cannot say"]
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
 
 # Tolerances, provisional until takes of real devices are there.
@@ -31,21 +31,7 @@ REACHED, BEYOND, AXIS_SHARE, FORCE_SHARE = 0.6, 1.05, 0.7, 0.1
 BUZZ_M, MOVED_M = 1e-4, 2e-4
 
 
-class Verdict(NamedTuple):
-    """What a check found: the result, what was measured, and what is wanted."""
-
-    check: str
-    result: Result
-    found: str
-    wanted: str
-
-
-Rows = npt.NDArray[Any]
 Check = Callable[[Take], tuple[Result, str]]
-
-
-def _passes(good: bool) -> Result:
-    return "pass" if good else "fail"
 
 
 def _never(gate: int) -> Check:
@@ -347,13 +333,4 @@ CHECKS: tuple[tuple[str, Check, str], ...] = (
 
 def verdicts_of(take: Take) -> list[Verdict]:
     """Return the verdict of every check, in order."""
-    return [Verdict(name, *check(take), wanted) for name, check, wanted in CHECKS]
-
-
-def overall(verdicts: list[Verdict]) -> Result:
-    """Return `fail` if one check fails, else `retake` if one asks for it, else `pass`."""
-    results = {verdict.result for verdict in verdicts}
-    for result in ("fail", "retake"):
-        if result in results:
-            return result
-    return "pass"
+    return judged(take, CHECKS)

@@ -4,7 +4,6 @@ A take holds one row a millisecond of what the servo of the device said, and wha
 by the checks, so that a take can be judged again.
 """
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +15,8 @@ from proto.errors import ConfigError
 from services.haptic_node.coupling import FAULTS, GATE_ACTIVE, ZERO, CouplingSettings, Vector
 from services.haptic_node.driver import Capabilities
 from services.haptic_node.servo import ServoCommand, ServoLink, ServoSample
+from services.numerics.acceptance import Step as Step
+from services.numerics.acceptance import read_rows, save_rows
 
 PERIOD_S = 1e-3
 _PERIOD_NS = 1_000_000
@@ -29,14 +30,6 @@ _NUDGE_M = 1e-3
 # the take it is driven with no more.
 MOST_WITHOUT_STOP_N = 5.0
 AXES = ("x", "y", "z")
-
-
-class Step(NamedTuple):
-    """A step of the motion: its name, how long it takes [s], and what the person is asked to do."""
-
-    name: str
-    seconds: float
-    prompt: str
 
 
 STEPS = (
@@ -98,7 +91,7 @@ class Take(NamedTuple):
             "mass_kg": self.mass_kg,
             "independent_stop": self.independent_stop,
         }
-        np.savez_compressed(path, rows=self.rows, facts=json.dumps(facts))
+        save_rows(path, self.rows, facts)
 
 
 def read_take(path: Path) -> Take:
@@ -108,15 +101,14 @@ def read_take(path: Path) -> Take:
         ConfigError: The file cannot be read, or is no take.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            rows, facts = file["rows"], json.loads(str(file["facts"]))
+        rows, facts = read_rows(path)
         if rows.dtype != ROW:
             raise ValueError("its rows have other columns")
         device = Capabilities(**{key: _tuples(value) for key, value in facts["device"].items()})
         settings = CouplingSettings(**{key: _tuples(value) for key, value in facts["settings"].items()})
         steps = tuple(Step(*step) for step in facts["steps"])
         return Take(rows, steps, device, settings, float(facts["mass_kg"]), str(facts["independent_stop"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path}: is no take of `telenano device accept`: {error}") from error
 
 

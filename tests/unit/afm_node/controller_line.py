@@ -140,11 +140,13 @@ class Gwyscope(ControllerLine):
 class Nanonis(ControllerLine):
     """A Nanonis controller and its driver."""
 
-    def __init__(self, *, tap_s: float = 20e-3, guarded: bool = True, attended: bool = False, **changes: Any) -> None:
+    def __init__(
+        self, *, tap_s: float = 20e-3, guarded: bool = True, attended: bool = False, afm: Any = None, **changes: Any
+    ) -> None:
         document = nanonis_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
         self.calibration = calibration(document, **changes)
         super().__init__(self.served, GuardedNanonis(self.calibration) if guarded else None)
-        afm = simulated_afm(PARAMS)
+        afm = simulated_afm(PARAMS) if afm is None else afm
         afm.open()
         self.model = nanonis_model.NanonisModel(afm, tap_s=tap_s, now_ns=self.now_ns)
         self.driver = NanonisAfm(self.calibration, PARAMS.safety, attended=attended, **self.clock)

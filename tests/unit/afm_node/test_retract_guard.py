@@ -104,7 +104,8 @@ def wiring() -> Iterator[Wiring]:
 def test_it_retracts_first_passes_on_and_retracts_when_the_rig_leaves(wiring: Wiring) -> None:
     wiring.until(lambda: wiring.model.z_m == 0.0)
     wiring.connect()
-    assert wiring.ask(todo=GUARD_QUESTION, heartbeat_s=1.0) == {"todo": GUARD_QUESTION, "heartbeat_s": HEARTBEAT_S}
+    said = {"todo": GUARD_QUESTION, "heartbeat_s": HEARTBEAT_S, "trips": 0}
+    assert wiring.ask(todo=GUARD_QUESTION, heartbeat_s=1.0) == said
     assert wiring.ask(todo="get", version="")["version"] == gwyscope_model.VERSION
     wiring.ask(todo="set_feedback", feedback=False, zpiezo=1.9e-6)
     assert wiring.model.z_m == 1.9e-6

@@ -1,0 +1,78 @@
+"""The instruments that a take can be made of: the simulated one, and real ones by their calibration."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from proto.errors import ConfigError
+from services.afm_node.acceptance.take import PERIOD_S, Clock, Facts, Take, press_of, record_take
+from services.afm_node.config import AfmConfig
+from services.afm_node.devices.capabilities import TABLE
+from services.afm_node.driver import AfmDriver
+from services.afm_node.instrument import calibration_of_file, driver_of
+from services.numerics.acceptance import Step
+from services.runtime.settings.config import merge, validate
+
+_CONTACT_N = 1e-9
+
+
+def config_of(calibration: Path | None, given: dict[str, Any]) -> AfmConfig:
+    """Return the section `afm_node` of an instrument: the one of a calibration file, or the simulated one.
+
+    Raises:
+        ConfigError: The file or a key cannot be used.
+    """
+    if calibration is None:
+        return validate(AfmConfig, given, "--set", "afm_node")
+    kind = getattr(calibration_of_file(calibration), "controller", "modbus")
+    section = {"driver": kind, kind: {"calibration": str(calibration)}}
+    return validate(AfmConfig, merge(section, given), "--set", "afm_node")
+
+
+def make_take(config: AfmConfig, say: Callable[[Step], None] = lambda step: None) -> Take:
+    """Lead the instrument of a section through the motion; it is retracted and let go of at the end.
+
+    Raises:
+        DeviceError: The instrument is not ready.
+        ConfigError: Its files cannot be used.
+    """
+    if config.driver not in TABLE:
+        raise ConfigError(f"afm_node.driver = {config.driver} is none of {', '.join(TABLE)}: its package judges it")
+    driver = driver_of(config, PERIOD_S)
+    driver.open()
+    try:
+        limits = config.to_params().safety
+        return record_take(driver, facts_of(config, driver), limits, _clock_of(driver), say)
+    finally:
+        driver.close()
+
+
+def facts_of(config: AfmConfig, driver: AfmDriver) -> Facts:
+    """Return what is known of an instrument before a take; it is open."""
+    calibration: Any = getattr(driver, "calibration", None)
+    contact_n = _CONTACT_N if calibration is None else calibration.contact_force_n
+    cantilever = config.cantilever if calibration is None else calibration.cantilever
+    # A tick that was measured says more than what the device has as shipped.
+    tick_s = getattr(driver, "tick_s", 0.0)
+    limits = config.to_params().safety
+    return Facts(
+        driver=config.driver,
+        identity=getattr(driver, "identity", "the simulated instrument"),
+        latency_s=driver.latency_s,
+        sample_hz=1.0 / tick_s if tick_s else TABLE[config.driver].sample_hz,
+        stiffness_n_per_m=cantilever.stiffness_n_per_m,
+        contact_force_n=contact_n,
+        limits=limits._asdict(),
+        press_n=press_of(contact_n, limits.force_limit_n),
+        safe_m=driver.safe_position_m,
+    )
+
+
+def _clock_of(driver: AfmDriver) -> Clock:
+    """Return the clock of the machine, or for a simulated instrument one that does not let anybody wait."""
+    if driver.report is not None:
+        return Clock(
+            time.monotonic_ns, lambda deadline_ns: time.sleep(max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9))
+        )
+    return Clock(lambda: 0, lambda deadline_ns: None)
