@@ -1,6 +1,7 @@
 """The worked example of docs/instrument.md, *Recorded maps*: it runs as printed, and a bilateral session feels it."""
 
 import json
+import os
 import re
 import shlex
 import sys
@@ -14,9 +15,13 @@ from virtual_rig import record_session
 
 from analysis.rerun import rerun
 from recording.reader import Recording
+from services.afm_node.physics.sample.force_map import write_map
+from services.afm_node.physics.sample.map_files import Wanted, import_map
 from telenano.cli.root import app
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "instrument.md"
+# measured files are not part of the project; those of afmformats' own tests are public
+MEASURED = Path(os.environ.get("TELENANO_MEASURED", Path(__file__).resolve().parents[3] / "shared" / "data"))
 EXAMPLE = r"## Recorded maps.*?```python\n(.*?)```\s+```sh\n(.*?)```.*?```text\n(.*?)```"
 
 
@@ -98,4 +103,50 @@ def test_a_session_feels_a_frequency_shift_until_it_leaves_the_branch(tmp_path: 
     texts = " ".join(found.decode().text for found in recording.messages(("session/event",)))
     assert "has left the branch of feel.table: the tip retracts" in texts
     assert states[-1].mode in ("retracting", "retracted")
+    assert rerun(recording, "afm_node@slave").identical
+
+
+def own_curves(path: Path) -> list[list[tuple[Any, Any]]]:
+    """Return of each curve of a file, approach and retract: height over the common lowest point [m], force [N]."""
+    afmformats = pytest.importorskip("afmformats")
+    found, lows = [], []
+    for curve in afmformats.load_data(path):
+        segment = np.asarray(curve["segment"]).astype(int)
+        height, force = (np.asarray(curve[name]) for name in ("height (measured)", "force"))
+        ways = [np.flatnonzero(segment == number) for number in (segment[0], segment[-1])]
+        zero = min(height[way].min() for way in ways)
+        lows.append(max(height[way].min() for way in ways) - zero)
+        ways = [way[np.argsort(height[way], kind="stable")] for way in ways]
+        far = force[ways[0]][-(len(ways[0]) // 10) :].mean()
+        found.append([(height[way] - zero, force[way] - far) for way in ways])
+    return [[(height - max(lows), force) for height, force in ways] for ways in found]
+
+
+@pytest.mark.endurance
+def test_a_bilateral_session_feels_the_curves_of_a_public_file(tmp_path: Path) -> None:
+    path = MEASURED / "fmt-jpk-fd_map2x2_extracted.jpk-force-map"
+    if not path.exists():
+        pytest.skip(f"{path.name} is not in {MEASURED} (TELENANO_MEASURED)")
+    curves = own_curves(path)
+    write_map(tmp_path / "map.npz", import_map(path, Wanted({}, points=2000)).map)
+    rest_m = 100e-9
+    settings = [f"afm_node.sample.map={tmp_path / 'map.npz'}", f"afm_node.rest_distance_m={rest_m}"]
+    recording = Recording(record_session(tmp_path, 1, settings, 3.0))
+    states = [found.decode() for found in recording.messages(("afm/state",))]
+    z = rest_m + np.array([state.base_position_m[2] for state in states])
+    felt = np.array([state.tip_force_n[2] for state in states])
+    # the hand stays in the middle of four places, which is the mean of their curves
+    down, up = (np.mean([np.interp(z, *ways[branch]) for ways in curves], axis=0) for branch in (0, 1))
+    turn = int(np.argmin(z))
+    error = np.abs(felt - down)[:turn][felt[:turn] > 50e-12]
+    assert len(error) > 200 and felt.max() > 1e-9
+    # a single curve has 5 pN of noise from point to point
+    assert np.sqrt(np.mean(error**2)) < 5e-12
+    assert error.max() < 3e-11
+    # on the way back the tip passes over from one branch of the file to the other
+    back = felt[turn:]
+    assert (back < np.maximum(down, up)[turn:] + 3e-11).all()
+    assert (back > np.minimum(down, up)[turn:] - 3e-11).all()
+    commands = [found.decode() for found in recording.messages(("haptic/command",))]
+    assert max(abs(command.force_n[2]) for command in commands) > 0.05
     assert rerun(recording, "afm_node@slave").identical
