@@ -48,6 +48,12 @@ class Level(StrEnum):
     COMMON = "common"
 
 
+class Quantity(StrEnum):
+    """What a map is converted to."""
+
+    FORCE = "force"
+
+
 @app.callback(invoke_without_command=True)
 def sample(
     context: typer.Context,
@@ -120,13 +126,16 @@ def import_map(
         float,
         typer.Option("--baseline", min=0.0, max=50.0, help="Share of the approach whose mean force is taken as 0 [%]."),
     ] = 10.0,
+    converted: Annotated[
+        Quantity | None, typer.Option("--as", help="Make the force of a frequency shift, by Sader and Jarvis.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Bring a recorded map into a file that `afm_node.sample.map` feels."""
     with report_errors(as_json):
         if out.suffix.lower() != ".npz":
             raise ConfigError(f"--out {out}: must be a .npz")
-        found = _read(file, members, channel, level.value, points, baseline, as_json)
+        found = _read(file, members, channel, level.value, points, baseline, as_json, converted=converted is not None)
         from services.afm_node.physics.sample.force_map import write_map
 
         write_map(out, found.map)
@@ -144,16 +153,26 @@ def info(
 
 
 def _read(
-    file: Path, members: list[str] | None, channel: str | None, level: str, points: int, baseline: float, as_json: bool
+    file: Path,
+    members: list[str] | None,
+    channel: str | None,
+    level: str,
+    points: int,
+    baseline: float,
+    as_json: bool,
+    *,
+    converted: bool = False,
 ) -> "Imported":
     from services.afm_node.physics.sample.force_map import MEMBERS
     from services.afm_node.physics.sample.map_files import Wanted, import_map
+    from services.afm_node.physics.sample.sader_jarvis import ASKED
 
     given = flag_overrides(members or ())
-    if unknown := sorted(set(given) - set(MEMBERS)):
-        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(MEMBERS)}")
+    known = (*MEMBERS, *ASKED) if converted else MEMBERS
+    if unknown := sorted(set(given) - set(known)):
+        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(known)}")
     with progress(file.name, 1.0, shown=not as_json) as show:
-        return import_map(file, Wanted(given, channel, level, points, 0.01 * baseline), show)
+        return import_map(file, Wanted(given, channel, level, points, 0.01 * baseline, converted), show)
 
 
 def _about(found: "Imported") -> dict[str, Any]:

@@ -24,6 +24,7 @@ from presets.regular_files import open_regular
 from proto.errors import ConfigError
 from proto.extras import how_to_install
 from services.afm_node.physics.sample.force_map import UNITS, Array, ForceMap, MapError, checked_map, read_members
+from services.afm_node.physics.sample.sader_jarvis import ASKED, as_force
 from services.runtime.untrusted.limited_child import Limits, limits_for, read_in_child
 
 _LONGEST_3DS_HEADER = 1 << 18
@@ -39,7 +40,7 @@ class Wanted(NamedTuple):
 
     given: members of `force_map`; channel: a part of the name of a channel, for .3ds; level: `each` or `common`;
     points: of the height, 0 for those of the curves; baseline: share of the approach, farthest from the sample, whose
-    mean force is taken as 0.
+    mean force is taken as 0; converted: to the force that a frequency shift is of (`sader_jarvis`).
     """
 
     given: Mapping[str, Any]
@@ -47,6 +48,7 @@ class Wanted(NamedTuple):
     level: str = "each"
     points: int = 0
     baseline: float = 0.1
+    converted: bool = False
 
 
 class Imported(NamedTuple):
@@ -81,7 +83,12 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
     """
     try:
         open_regular(path).close()
-        return _import(path, wanted, watch)
+        members = {name: value for name, value in wanted.given.items() if name not in ASKED}
+        found = _import(path, wanted._replace(given=members), watch)
+        if not wanted.converted:
+            return found
+        text = "the force was made of the frequency shift, whose mean in the farthest tenth of a curve was taken as 0"
+        return Imported(as_force(found.map, dict(wanted.given)), (*found.notes, text))
     except ImportError as error:
         raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
     except OSError as error:
