@@ -5,6 +5,9 @@ A driver moves and measures, no more: what may be sent to it is decided before, 
 
 from typing import Any, Literal, NamedTuple, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from proto.errors import ConfigError
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.part import AfmSample, Particles
@@ -56,6 +59,43 @@ class VibratingCantilever(Protocol):
     @property
     def oscillation(self) -> Oscillation:
         """Return what was measured at the last exchange; zeros while the base is not driven."""
+
+
+class OwnImage(NamedTuple):
+    """An image that an instrument takes by its own scan, line by line there and back.
+
+    Its middle and its sides [m], pixels of a line, lines, time of a line each way [s], and the force that is held [N].
+    """
+
+    x_m: float
+    y_m: float
+    width_m: float
+    depth_m: float
+    pixels: int
+    lines: int
+    line_s: float
+    setpoint_n: float
+
+
+class OwnLine(NamedTuple):
+    """A line of it: its number and sense, and the heights [m], shape (pixels,), in the order of x."""
+
+    line: int
+    backward: bool
+    height_m: npt.NDArray[np.float64]
+
+
+class OwnScan(Protocol):
+    """The scan of an instrument that regulates and rasters by itself: what too slow a wire leaves to it.
+
+    A driver that has one says so by an attribute `own_scan`.
+    """
+
+    def want_image(self, image: OwnImage | None) -> None:
+        """Begin an image, or go on with the one that is wanted already; None ends it, with the tip withdrawn."""
+
+    def take_line(self) -> OwnLine | None:
+        """Return the next line that is whole, once; None where there is none."""
 
 
 class Relief(NamedTuple):

@@ -176,5 +176,6 @@ def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_
         lag=remaining(period_s, c.resonance_hz, c.quality),
         reach=reach,
         lateral_uncertainty=config.torsion.gain_uncertainty,
+        scans=hasattr(driver, "own_scan"),
     )
     return ProgramRunner(instrument)

@@ -12,7 +12,7 @@ from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionContr
 from services.afm_node import safety
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
-from services.afm_node.driver import AfmDriver, DeviceReport
+from services.afm_node.driver import AfmDriver, DeviceReport, OwnImage, OwnScan
 from services.afm_node.felt import LEFT, FeltInputs, FeltState, felt_step
 from services.afm_node.instrument import reach_of, runner_of
 from services.afm_node.over_map import MapEdge
@@ -23,6 +23,7 @@ from services.afm_node.programs.program import FinishedLine, Inputs
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import RunnerState
 from services.afm_node.programs.settings import InstrumentRequest, changed_disturbances, requested
+from services.afm_node.programs.table import CHANGES
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS
@@ -109,6 +110,7 @@ class AfmNode(Node):
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
         self._driver, self._driver_name = driver, config.driver
+        self._own_scan: OwnScan | None = getattr(driver, "own_scan", None)
         self._simulated = config.simulated
         self._limits = config.to_params().safety
         self._memory = AfmMemory(safety.initial_safety_state(self._limits))
@@ -251,7 +253,9 @@ class AfmNode(Node):
         return "; ".join(sentences)
 
     def _request(self, request: InstrumentRequest) -> str:
-        if text := refusal(self._driver_name, "", request.program or ""):
+        # Pause and abort are for the program that runs, whatever it is.
+        program = "" if request.program in CHANGES else request.program or ""
+        if text := refusal(self._driver_name, "", program):
             raise RefusedError(f"program: {text}")
         return self._programs.request(
             request, self._memory.guard.mode, self._memory.place, device_lost=self._device_lost
@@ -326,8 +330,10 @@ class AfmNode(Node):
                 wanted = Place(wanted.x_m + x, wanted.y_m + y)
         return self._carry_out(asked, wanted, elapsed_s)
 
-    def _carry_out(self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float) -> safety.SafetyOutputs:
-        """Guard what is asked, apply it, measure, and publish what was done."""
+    def _carry_out(
+        self, asked: safety.SafetyInputs, wanted: Place, elapsed_s: float, image: OwnImage | None = None
+    ) -> safety.SafetyOutputs:
+        """Guard what is asked, apply it, measure, and publish what was done; image: what the instrument is to take."""
         self._memory.guard, allowed = safety.safety_step(self._limits, self._memory.guard, asked, elapsed_s)
         if self._edge is not None:
             wanted, text = self._edge.kept(wanted, allowed, self._memory.stepped_ns)
@@ -338,6 +344,8 @@ class AfmNode(Node):
         simulation = self._driver.simulation
         if simulation is not None:
             simulation.elapse(elapsed_s)
+        if self._own_scan is not None:
+            self._own_scan.want_image(image if allowed.mode == safety.MODE_FOLLOW else None)
         sample = self._driver.exchange(allowed.base_m)
         if (stage := self._driver.stage) is not None:
             self._memory.lateral_n = stage.lateral_force_n
@@ -392,6 +400,7 @@ class AfmNode(Node):
             self._memory.lateral_n,
             oscillation,
             self._memory.pointer,
+            own=None if self._own_scan is None else self._own_scan.take_line(),
         )
         action, wanted = programs.step(inputs, elapsed_s)
         if vibrating is not None:
@@ -409,7 +418,7 @@ class AfmNode(Node):
             device_lost=self._device_lost,
             lateral_n=math.hypot(*self._memory.lateral_n),
         )
-        allowed = self._carry_out(asked, wanted.place, elapsed_s)
+        allowed = self._carry_out(asked, wanted.place, elapsed_s, wanted.image)
         programs.follow_guard(allowed.mode, allowed.reason)
         if text := programs.take_notice():
             self.event("mode", "warning", text)
@@ -436,10 +445,10 @@ class AfmNode(Node):
 
     def _publish_line(self, line: FinishedLine) -> None:
         lines = self._programs.report().lines
-        further = {
-            "lateral_force_n": Array.from_numpy(line.lateral_n),
-            "torsion_rad": Array.from_numpy(line.lateral_n / self._twist_n),
-        }
+        further = {}
+        if line.lateral_n is not None:
+            further["lateral_force_n"] = Array.from_numpy(line.lateral_n)
+            further["torsion_rad"] = Array.from_numpy(line.lateral_n / self._twist_n)
         if line.dissipated_j is not None:
             further["dissipated_j"] = Array.from_numpy(line.dissipated_j)
         self.publish(

@@ -19,7 +19,7 @@ class Capabilities(NamedTuple):
     z_hz: how often z is set, and sample_hz, how often a new sample comes [Hz], as declared for the device as shipped;
     latency_s: from a command to the sample that answers it, in the mean [s]. lateral: whether x and y move. images,
     curves: whether the programs of the node may move the tip. channels: what may be felt. retracts: what retracts the
-    tip when this rig is gone.
+    tip when this rig is gone. scans: whether the program `scan` is the controller's own.
     """
 
     z_hz: float
@@ -30,6 +30,7 @@ class Capabilities(NamedTuple):
     curves: bool
     channels: tuple[str, ...]
     retracts: str
+    scans: bool = False
 
 
 TABLE: Mapping[str, Capabilities] = {
@@ -42,7 +43,15 @@ TABLE: Mapping[str, Capabilities] = {
     ),
     # These figures hold for a Tap of 20 ms. The samples of a TCP Logger are newer, and z stays as slow.
     "nanonis": Capabilities(
-        400.0, 50.0, 22.5e-3, True, False, False, ("any signal, by its name",), "the guard, or a person; its safe tip"
+        400.0,
+        50.0,
+        22.5e-3,
+        True,
+        False,
+        False,
+        ("any signal, by its name",),
+        "the guard, or a person; its safe tip",
+        scans=True,
     ),
 }
 
@@ -67,6 +76,8 @@ def refusal(driver: str, law: str, program: str = "") -> str:
         )
     if program in ("scan", "tactile", "push") and not found.lateral:
         return f"{program} moves the tip over the sample, and {driver} moves it along z only"
+    if program == "scan" and found.scans:
+        return ""
     if program and not (found.curves if program == "curve" else found.images):
         return (
             f"{program} regulates the tip in the node at {LEAST_LOOP_HZ:g} Hz or more, and"

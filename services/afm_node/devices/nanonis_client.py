@@ -63,6 +63,12 @@ class NanonisClient:
             self.close()
             raise DeviceError(f"{self._where}: {command}: {error.strerror or error}") from error  # type: ignore[union-attr]
 
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
     def close(self) -> None:
         self._line.close()
 
@@ -86,17 +92,51 @@ def in_contact(client: NanonisClient, setpoint: float, patience_s: float = 60.0)
         DeviceError: z does not come to rest in time: there is no surface within its range, or the gain is too great.
     """
     try:
-        client.call("ZCtrl.SetpntSet", setpoint)
-        client.call("ZCtrl.OnOffSet", 1)
-        end, past = time.monotonic() + patience_s, [math.inf]
-        while len(past) < _RESTS or max(past[-_RESTS:]) - min(past[-_RESTS:]) > _REST_M:
-            if time.monotonic() > end:
-                raise DeviceError(f"z did not come to rest within {patience_s:g} s: is the surface within its range?")
-            time.sleep(_POLL_S)
-            past.append(client.call("ZCtrl.ZPosGet")[0])
+        _settle(client, setpoint, patience_s)
         yield
     finally:
         client.call("ZCtrl.Withdraw", 0, -1)
+
+
+def _settle(client: NanonisClient, setpoint: float, patience_s: float) -> None:
+    """Switch the z-controller on and wait until z is at rest."""
+    client.call("ZCtrl.SetpntSet", setpoint)
+    client.call("ZCtrl.OnOffSet", 1)
+    end, past = client.now_s() + patience_s, [math.inf]
+    while len(past) < _RESTS or max(past[-_RESTS:]) - min(past[-_RESTS:]) > _REST_M:
+        if client.now_s() > end:
+            raise DeviceError(f"z did not come to rest within {patience_s:g} s: is the surface within its range?")
+        client.sleep(_POLL_S)
+        past.append(client.call("ZCtrl.ZPosGet")[0])
+
+
+def approach(client: NanonisClient, setpoint: float, lift_m: float, patience_s: float = 60.0) -> float:
+    """Approach by the controller's z-controller, switch it off, and let it lift the tip; return z then [m].
+
+    The tip is left there, for a rig that drives the external input of the controller.
+
+    Args:
+        client: The connection.
+        setpoint: The set-point, in the unit of the controller's signal.
+        lift_m: How far the tip is lifted [m].
+        patience_s: How long the approach may take [s].
+
+    Raises:
+        DeviceError: The controller refuses or finds no surface; the tip is withdrawn then.
+    """
+    try:
+        client.call("ZCtrl.TipLiftSet", lift_m)
+        _settle(client, setpoint, patience_s)
+        client.call("ZCtrl.OnOffSet", 0)
+        end = client.now_s() + patience_s
+        while client.call("ZCtrl.OnOffGet")[0]:
+            if client.now_s() > end:
+                raise DeviceError(f"the z-controller was not off within {patience_s:g} s")
+            client.sleep(_POLL_S)
+        return float(client.call("ZCtrl.ZPosGet")[0])
+    except DeviceError:
+        client.call("ZCtrl.Withdraw", 0, -1)
+        raise
 
 
 def image(
@@ -126,7 +166,7 @@ def image(
         client.call("Scan.Action", 0, 1)
         try:
             while client.call("Scan.StatusGet")[0]:
-                time.sleep(_POLL_S)
+                client.sleep(_POLL_S)
         finally:
             client.call("Scan.Action", 1, 1)
         name, found, _ = client.call("Scan.FrameDataGrab", channel, 1)

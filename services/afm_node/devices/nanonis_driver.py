@@ -9,8 +9,11 @@ is lost.
 
 import math
 import struct
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Generator, Mapping
 from typing import Any
+
+import numpy as np
 
 from services.afm_node.devices import nanonis_wire
 from services.afm_node.devices.modbus_line import Line
@@ -18,16 +21,19 @@ from services.afm_node.devices.nanonis_wire import NanonisRefusalError
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
 from services.afm_node.devices.request_answer import LARGEST_BYTES, Incoming, Talk, WireError
 from services.afm_node.devices.request_driver import RequestDriver
-from services.afm_node.driver import DeviceError
+from services.afm_node.driver import DeviceError, OwnImage, OwnLine
 from services.afm_node.safety import SafetyParams
 
 GUARD_COMMAND = "Telenano.Guard"
 _Z_SIGNAL, _X_SIGNAL, _Y_SIGNAL = "Z (m)", "X (m)", "Y (m)"
-_OFF, _SAFE_TIP = 1, 5
-_STATES = {2: "is on", 3: "holds", 4: "is being switched off", 6: "withdraws"}
+_OFF, _ON, _SAFE_TIP = 1, 2, 5
+_STATES = {1: "is off", 2: "is on", 3: "holds", 4: "is being switched off", 6: "withdraws"}
 # a withdrawal takes the range over the rate; more than this many questions about it are not asked
 _MOST_ASKED = 5000
 _STATUS_EVERY = 10
+# After an approach z rests when it moves by less [m] in so many looks, with the signal this near to the set-point;
+# lines are asked for no more often than that.
+_RESTS, _REST_M, _NEAR_SHARE, _LOOK_NS = 6, 2e-9, 0.25, 50_000_000
 # a request and its answer over a network and through the vendor's software
 _LOST_NS = 250_000_000
 _LOG_HEADER = struct.Struct(">IfQH")
@@ -45,6 +51,14 @@ class NanonisAfm(RequestDriver):
     def __init__(self, calibration: ControllerCalibration, limits: SafetyParams, **options: Any) -> None:
         super().__init__(calibration, limits, nanonis_wire.cut, "Nanonis", **options)
         self._indexes: list[int] = []
+        self._channels: dict[str, float] = {}
+        # the image that is wanted, the one that was taken, the lines of it that nobody has asked for yet, and whether a
+        # scan of this rig runs in the controller
+        self._image: OwnImage | None = None
+        self._taken: OwnImage | None = None
+        self._lines: deque[OwnLine] = deque()
+        self._scans = False
+        self._watched = 0
         self._logger = FrameLog(self._connect, calibration.network.host, calibration.logger_port)
 
     @property
@@ -58,15 +72,42 @@ class NanonisAfm(RequestDriver):
             return self.calibration.latency_s
         return 2.5 * self._period_s + (0.0 if self._logger.port else self.tick_s)
 
+    @property
+    def channels(self) -> Mapping[str, float]:
+        """Return what was measured besides the deflection, by the names of the calibration, in SI units."""
+        return self._channels
+
+    @property
+    def own_scan(self) -> "NanonisAfm":
+        return self
+
+    def want_image(self, image: OwnImage | None) -> None:
+        """Begin an image, or go on with it; None ends it, with the tip withdrawn."""
+        if image is None or self._image is None:
+            self._lines.clear()
+            self._taken = None
+        self._image = image
+
+    def take_line(self) -> OwnLine | None:
+        """Return the next line of the image that is whole, once; None where there is none."""
+        return self._lines.popleft() if self._lines else None
+
     def talk(self) -> Talk:
         """Return the requests: who it is, tip withdrawn, limits and safe tip; then cycles."""
         if not self._attended:
             yield from self._find_guard()
         names = (yield from self._ask("Signals.NamesGet"))[0]
+        felt = self.calibration.channels
         wanted = [self.calibration.deflection.signal, _Z_SIGNAL, _X_SIGNAL, _Y_SIGNAL]
+        wanted += [channel.signal for channel in felt.values()]
         if missing := [name for name in wanted if name not in names]:
-            raise DeviceError(f"has no signal {missing[0]!r}: deflection.signal must be one of its names")
+            key = "deflection.signal" if missing[0] == wanted[0] else "the signal of each of channels"
+            raise DeviceError(f"has no signal {missing[0]!r}: {key} must be one of its names")
         self._indexes = [names.index(name) for name in wanted]
+        if self._scans:
+            # A scan of this rig may have gone on while the connection was lost.
+            yield from self._ask("Scan.Action", 1, 1)
+            self._scans = False
         if (yield from self._ask("Scan.StatusGet"))[0]:
             raise DeviceError("is scanning: end that in its own software first; it was not driven")
         yield from self._withdraw()
@@ -83,6 +124,9 @@ class NanonisAfm(RequestDriver):
         self.begin_cycles(f"Nanonis, a slow instrument ({source}; what a hand feels is a model that these correct)")
         count = 0
         while True:
+            if self._image is not None and self._image != self._taken:
+                yield from self._take_image(self._image)
+                continue
             yield from self._send_z(self.wanted_z_m())
             if self._place is not None and self._place != self._sent_place:
                 self._sent_place = self._place
@@ -127,6 +171,10 @@ class NanonisAfm(RequestDriver):
         enabled = (yield from self._ask("ZCtrl.LimitsEnabledGet"))[0]
         if not enabled or abs(high_m - z.max_m) > z.tolerance_m or abs(low_m - z.min_m) > z.tolerance_m:
             raise DeviceError(f"refuses the limits of z: {z.max_m} m and {z.min_m} m were set, {high_m}, {low_m} read")
+        yield from self._ask("ZCtrl.TipLiftSet", self.calibration.tip_lift_m)
+        lift_m = (yield from self._ask("ZCtrl.TipLiftGet"))[0]
+        if abs(lift_m - self.calibration.tip_lift_m) > z.tolerance_m:
+            raise DeviceError(f"refuses a tip lift of {self.calibration.tip_lift_m:g} m: {lift_m:g} m was read")
         # The auto-recovery stays off, because it would switch the controller on again after a withdrawal.
         yield from self._ask("SafeTip.PropsSet", 0, 0, self.calibration.safe_tip)
         yield from self._ask("SafeTip.OnOffSet", 1)
@@ -139,12 +187,80 @@ class NanonisAfm(RequestDriver):
         self._history.append((self._now_ns(), z_m))
         yield from self._ask("ZCtrl.ZPosSet", z_m)
 
-    def _sample(self) -> Generator[bytes, bytes, None]:
+    def _take_image(self, wanted: OwnImage) -> Generator[bytes, bytes, None]:
+        """Let the controller approach by its z-controller and scan; keep the lines, and withdraw whatever ends it."""
+        own = self.calibration
+        volts = own.deflection.per_m * wanted.setpoint_n / own.cantilever.stiffness_n_per_m
+        yield from self._ask("ZCtrl.SetpntSet", own.deflection.zero + volts)
+        yield from self._ask("ZCtrl.OnOffSet", 1)
+        past: deque[tuple[float, float]] = deque(maxlen=_RESTS)
+        looked_ns = self._now_ns()
+        while self._image == wanted and not _rests(past, own.deflection.zero + volts, abs(volts)):
+            yield from self._watch_image()
+            if self._now_ns() - looked_ns >= _LOOK_NS:
+                looked_ns = self._now_ns()
+                past.append(self._values)
+        if self._image == wanted:
+            yield from self._scan(wanted)
+        if self._scans:
+            yield from self._ask("Scan.Action", 1, 1)
+            self._scans = False
+        yield from self._withdraw()
+        self._history.clear()
+        yield from self._send_z(self.wanted_z_m())
+        # The scan has moved the tip over the sample; it goes back to where the rig has it.
+        self._sent_place, self._ready_ns, self._taken = None, self._now_ns(), wanted
+
+    def _scan(self, wanted: OwnImage) -> Generator[bytes, bytes, None]:
+        centre = self._centre or (0.0, 0.0)
+        channel = self._indexes[1]
+        sides = wanted.width_m, wanted.depth_m
+        yield from self._ask("Scan.FrameSet", centre[0] + wanted.x_m, centre[1] + wanted.y_m, *sides, 0.0)
+        yield from self._ask("Scan.BufferSet", [channel], wanted.pixels, wanted.lines)
+        _, pixels, lines = yield from self._ask("Scan.BufferGet")
+        if (pixels, lines) != (wanted.pixels, wanted.lines):
+            raise DeviceError(f"takes {pixels} x {lines} pixels where {wanted.pixels} x {wanted.lines} were asked for")
+        speed = wanted.width_m / wanted.line_s
+        yield from self._ask("Scan.SpeedSet", speed, speed, wanted.line_s, wanted.line_s, 2, 1.0)
+        yield from self._ask("Scan.Action", 0, 1)
+        self._scans, taken = True, 0
+        every_ns = max(_LOOK_NS, round(wanted.line_s * 1e9))
+        grabbed_ns = self._now_ns()
+        while self._image == wanted and taken < 2 * wanted.lines:
+            yield from self._watch_image()
+            if self._now_ns() - grabbed_ns < every_ns:
+                continue
+            grabbed_ns = self._now_ns()
+            # What has ended the scan is told before the frames that are no longer there.
+            yield from self._check_status(_ON)
+            runs = (yield from self._ask("Scan.StatusGet"))[0]
+            frames = []
+            for forward in (1, 0):
+                name, found, _ = yield from self._ask("Scan.FrameDataGrab", channel, forward)
+                if name != _Z_SIGNAL or found.shape != (lines, pixels):
+                    raise DeviceError(f"returned {name!r} of {found.shape}, {_Z_SIGNAL!r} of {lines, pixels} was asked")
+                frames.append(found)
+            while taken < 2 * lines and np.isfinite(row := frames[taken % 2][taken // 2]).all():
+                # A height counts away from the sample, as the base does with the other sign.
+                height_m = np.array([0.0 - self.calibration.base_m(float(z_m)) for z_m in row])
+                self._lines.append(OwnLine(taken // 2, taken % 2 == 1, height_m))
+                taken += 1
+            if not runs and taken < 2 * lines:
+                raise DeviceError("somebody has stopped the scan; the tip is withdrawn, and stays so until armed")
+
+    def _watch_image(self) -> Generator[bytes, bytes, None]:
+        """Take a sample while the controller regulates, and look at its state now and then."""
+        yield from self._sample(is_own=False)
+        self._watched += 1
+        if self._watched % _STATUS_EVERY == 0:
+            yield from self._check_status(_ON)
+
+    def _sample(self, *, is_own: bool = True) -> Generator[bytes, bytes, None]:
         if self._logger.port:
             now_ns = self._now_ns()
             frames = self._logger.newest()
             if frames is not None and len(frames) == len(self._indexes):
-                self._take(frames, now_ns, 0.0)
+                self._take(frames, now_ns, 0.0, is_own=is_own)
             elif self._sampled_ns and now_ns - self._sampled_ns > _LOST_NS:
                 raise DeviceError(f"its TCP Logger has sent no frame for {_LOST_NS // 1_000_000} ms")
             return
@@ -152,22 +268,24 @@ class NanonisAfm(RequestDriver):
         values = (yield from self._ask("Signals.ValsGet", self._indexes, 0))[0]
         if len(values) != len(self._indexes):
             raise DeviceError(f"answered {len(values)} values, {len(self._indexes)} were asked for")
-        self._take(values, asked_ns, self.tick_s)
+        self._take(values, asked_ns, self.tick_s, is_own=is_own)
 
-    def _take(self, values: list[float], asked_ns: int, old_s: float) -> None:
-        """Take values that were old_s [s] old at most when they were asked for."""
-        value, z_m, x_m, y_m = values
+    def _take(self, values: list[float], asked_ns: int, old_s: float, *, is_own: bool) -> None:
+        """Take values that were old_s [s] old at most when they were asked for; is_own: z is the one that was sent."""
+        value, z_m, x_m, y_m, *further = values
+        channels = self.calibration.channels.items()
+        self._channels = {name: each.si * found for (name, each), found in zip(channels, further, strict=True)}
         # A value may be older than the handshake until a Tap has gone by since then.
-        if asked_ns - self._ready_ns > round(3.0 * self.tick_s * 1e9):
+        if is_own and asked_ns - self._ready_ns > round(3.0 * self.tick_s * 1e9):
             self.check_z(z_m, asked_ns)
         self.find_centre(x_m, y_m)
         self.take_sample(z_m, value, asked_ns - round(old_s * 1e9))
 
-    def _check_status(self) -> Generator[bytes, bytes, None]:
+    def _check_status(self, wanted: int = _OFF) -> Generator[bytes, bytes, None]:
         status = (yield from self._ask("ZCtrl.StatusGet"))[0]
         if status == _SAFE_TIP:
             raise DeviceError("its safe tip was triggered and has withdrawn the tip; it stays retracted until armed")
-        if status != _OFF:
+        if status != wanted:
             raise DeviceError(
                 f"somebody else works with it: its z-controller {_STATES.get(status, f'is in state {status}')}; the tip"
                 " is withdrawn, and stays so until armed"
@@ -179,6 +297,15 @@ class NanonisAfm(RequestDriver):
         self._logger.open()
         yield from self._ask("TCPLog.Start")
         self._logger.port = self.calibration.logger_port or 0
+
+
+def _rests(past: deque[tuple[float, float]], setpoint: float, size: float) -> bool:
+    """Return whether z [m] stands and the signal is at the set-point, in the last looks (z, signal)."""
+    if len(past) < _RESTS:
+        return False
+    heights, values = zip(*past, strict=True)
+    stands = bool(max(heights) - min(heights) <= _REST_M)
+    return stands and bool(abs(sum(values) / _RESTS - setpoint) <= _NEAR_SHARE * size)
 
 
 class FrameLog:

@@ -18,19 +18,31 @@ import numpy as np
 from services.afm_node.devices import nanonis_wire
 from services.afm_node.devices.request_answer import WireError
 from services.afm_node.driver import AfmDriver
+from services.afm_node.physics.part import AfmSample
 
 PORTS = (6501, 6502, 6503, 6504)
 LOG_PORT = 6590
 TAP_S = 20e-3
 STEP_NS = 1_000_000
 DEFLECTION, Z, X, Y = 8, 30, 31, 32
+# the signals of what is measured besides the deflection, by the names of `felt`, in their SI units
+CHANNELS = {"current": 40, "frequency_shift": 76, "amplitude": 77, "phase": 78}
 RANGE_V = 10.0
 _STEP_S = STEP_NS * 1e-9
 _Z_MOST_M = 1.0e-6
+# above the limit of the guard of the node, which acts first
+_SAFE_TIP_N = 384e-9
 _XY_MOST_M = 5.0e-5
 _NAMES = [f"Input {index + 1} (V)" for index in range(128)]
 for _index, _name in ((DEFLECTION, "Deflection (V)"), (Z, "Z (m)"), (X, "X (m)"), (Y, "Y (m)")):
     _NAMES[_index] = _name
+for _channel, _name in (
+    ("current", "Current (A)"),
+    ("frequency_shift", "OC M1 Freq. Shift (Hz)"),
+    ("amplitude", "OC M1 Amplitude (m)"),
+    ("phase", "OC M1 Phase (rad)"),
+):
+    _NAMES[CHANNELS[_channel]] = _name
 OFF, ON, HOLD, SWITCHING_OFF, SAFE_TIP, WITHDRAWING = range(1, 7)
 _LOG_HEADER = struct.Struct(">IfQH")
 _LOG_STARTS, _LOG_IDLE, _LOG_RUNS = 2, 1, 4
@@ -79,6 +91,8 @@ class NanonisModel:
         self._sum_v, self._count = 0.0, 0
         self.log = Logger()
         self._bridge_v = 0.0
+        # what the external input adds to the base, towards the sample
+        self._external_m = 0.0
         self._move_z(self.z_m)
         self._published = self._now_values()
 
@@ -290,10 +304,35 @@ class NanonisModel:
     def _move_z(self, z_m: float) -> None:
         low_m = self._values["ZCtrl.Limits"][1] if self._values["ZCtrl.LimitsEnabled"][0] else -_Z_MOST_M
         self.z_m = min(max(z_m, low_m), self._high_m())
-        self._bridge_v = self._afm.exchange(-self.z_m).bridge_voltage_v
+        self._exchange()
+
+    def _exchange(self) -> AfmSample:
+        sample = self._afm.exchange(self._external_m - self.z_m)
+        self._bridge_v = sample.bridge_voltage_v
+        return sample
+
+    def drive_external(self, base_m: float) -> AfmSample:
+        """Add a base position to that of the z piezo, as the external input does at once; return what is measured."""
+        self._external_m = base_m
+        return self._exchange()
 
     def _now_values(self) -> dict[int, float]:
-        return {DEFLECTION: self._bridge_v, Z: self.z_m, X: self.x_m, Y: self.y_m}
+        measured = {CHANNELS[name]: value for name, value in getattr(self._afm, "channels", {}).items()}
+        return {DEFLECTION: self._bridge_v, Z: self.z_m, X: self.x_m, Y: self.y_m} | measured
+
+
+class ExternalInput:
+    """The external input of a controller and the output of its deflection, as what is behind the converters of a T7.
+
+    Args:
+        model: The controller.
+    """
+
+    def __init__(self, model: NanonisModel) -> None:
+        self._model = model
+
+    def exchange(self, base_m: float) -> AfmSample:
+        return self._model.drive_external(base_m)
 
 
 class Scan:
@@ -399,5 +438,5 @@ def calibration_of(
         "stage": {"reach_m": 4.0e-5},
         "deflection": {"signal": "Deflection (V)", "zero": 0.0, "per_m": volts_per_m, "limit": RANGE_V},
         "cantilever": {"stiffness_n_per_m": stiffness_n_per_m},
-        "safe_tip": 0.06,
+        "safe_tip": _SAFE_TIP_N * volts_per_m / stiffness_n_per_m,
     }

@@ -7,6 +7,7 @@ from pydantic import AwareDatetime, Field, model_validator
 
 from proto.errors import ConfigError
 from services.afm_node.devices.converter_calibration import CantileverCalibration, Readings
+from services.afm_node.felt import ChannelName
 from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
 from services.runtime.settings.config import Settings, read_yaml, validate
@@ -88,6 +89,19 @@ class SignalCalibration(Settings):
         return self
 
 
+class ChannelSignal(Settings):
+    """A signal of the controller that is felt by `afm_node.feel`, or shown beside the force."""
+
+    signal: str = Field(min_length=1, max_length=100, description="Its name at the controller, such as Current (A)")
+    si: float = Field(1.0, description="Its unit in the SI unit of the channel (Hz, A, m, rad); not 0")
+
+    @model_validator(mode="after")
+    def _scaled(self) -> "ChannelSignal":
+        if not 1e-15 <= abs(self.si) <= 1e15:
+            raise ValueError(f"si = {self.si} must be 1e-15 to 1e15 either way")
+        return self
+
+
 class ControllerCalibration(Settings):
     """A calibration file of a controller."""
 
@@ -99,6 +113,12 @@ class ControllerCalibration(Settings):
     stage: StageCentre | None = Field(None, description="None: the tip moves along z only")
     deflection: SignalCalibration
     cantilever: CantileverCalibration
+    channels: dict[ChannelName, ChannelSignal] = Field(
+        default={}, description="Signals besides the deflection: frequency_shift, current, amplitude, phase"
+    )
+    tip_lift_m: float = Field(
+        0.0, ge=0.0, le=1e-6, description="How far Nanonis lifts the tip when its z-controller is switched off [m]"
+    )
     safe_tip: float | None = Field(
         None, gt=0.0, le=1e6, description="Value of Nanonis' own safe tip, in the unit of its signal; it needs one"
     )
@@ -118,6 +138,8 @@ class ControllerCalibration(Settings):
                 f"z.retract_m = {self.z.retract_m} m: a server that ends puts z to 0 m and would not retract; wire it"
                 " so that 0 m is retracted, or set z.unsafe_wiring_acknowledged: true"
             )
+        if self.controller == "gwyscope" and self.channels:
+            raise ValueError("channels: the driver of a Gwyscope reads the deflection only")
         if self.controller == "nanonis" and self.safe_tip is None:
             raise ValueError("safe_tip is missing: nothing else withdraws the tip without this rig")
         return self

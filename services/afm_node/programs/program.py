@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.messages import Scalar
-from services.afm_node.driver import Oscillation
+from services.afm_node.driver import Oscillation, OwnImage, OwnLine
 from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.reach import Reach, approach_limit_s
 from services.afm_node.safety import SafetyParams
@@ -32,7 +32,8 @@ class Instrument(NamedTuple):
     limits of the guard and of the stage, None where there is none; size_m, sides of the sample [m]; stiffness_n_per_m,
     of the cantilever; period_s, of the node; can_vibrate, the base can be driven; lag, what is left of a change of the
     amplitude after a period; reach, of the base over a surface whose heights are known, None for an instrument that
-    has to find the surface; lateral_uncertainty, relative, of the calibration of the lateral force.
+    has to find the surface; lateral_uncertainty, relative, of the calibration of the lateral force; scans, the
+    instrument takes images by its own scan.
     """
 
     limits: SafetyParams
@@ -44,6 +45,7 @@ class Instrument(NamedTuple):
     lag: float = 0.0
     reach: Reach | None = None
     lateral_uncertainty: float = 0.0
+    scans: bool = False
 
     def approach_limit_s(self, speed_m_per_s: float) -> float:
         """Return the time after which an approach at a speed [m/s] has certainly found no surface [s]."""
@@ -54,7 +56,8 @@ class Inputs(NamedTuple):
     """What a program is told at each step.
 
     Measured at the step before: base x_s [m] and place of the stage; force along z, and along x and y, on the tip [N];
-    vibration of the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is.
+    vibration of the tip. pointer, where a person wants the tip; is_paused, the program is to stand where it is; own,
+    the next line of an image that the instrument takes by itself.
     """
 
     base_m: float
@@ -64,6 +67,7 @@ class Inputs(NamedTuple):
     oscillation: Oscillation
     pointer: Place
     is_paused: bool = False
+    own: OwnLine | None = None
 
 
 # the phases of the way to the surface; those of a program itself come after
@@ -108,7 +112,8 @@ def way_to_surface(
 class FinishedLine(NamedTuple):
     """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
 
-    Amplitude [m], phase against the drive [rad] and energy that the sample takes in a period [J], None in contact mode.
+    Amplitude [m], phase against the drive [rad] and energy that the sample takes in a period [J], None in contact mode;
+    the forces are None where the instrument takes the image and measures none.
     """
 
     line: int
@@ -116,7 +121,7 @@ class FinishedLine(NamedTuple):
     start: Place
     end: Place
     height_m: Array
-    lateral_n: Array
+    lateral_n: Array | None
     amplitude_m: Array | None = None
     phase_rad: Array | None = None
     dissipated_j: Array | None = None
@@ -135,7 +140,7 @@ class Wanted(NamedTuple, Generic[T]):
     """What a program asks for the next step: its state, and where base x_s [m] and stage are to go.
 
     is_done: the tip is to retract; line, an image line that was finished; amplitude_m, of the vibration without a
-    sample [m]; notice, a warning for the events.
+    sample [m]; notice, a warning for the events; image, what the instrument is to take by its own scan.
     """
 
     state: T
@@ -145,6 +150,7 @@ class Wanted(NamedTuple, Generic[T]):
     line: FinishedLine | None = None
     amplitude_m: float = 0.0
     notice: str = ""
+    image: OwnImage | None = None
 
 
 class Progress(NamedTuple):

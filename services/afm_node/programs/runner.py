@@ -7,6 +7,7 @@ from proto.errors import RefusedError
 from proto.messages import Scalar
 from services.afm_node import safety
 from services.afm_node.programs.lateral import Place
+from services.afm_node.programs.own_scan import OWN_SCAN
 from services.afm_node.programs.program import Inputs, Instrument, Wanted
 from services.afm_node.programs.settings import InstrumentRequest
 from services.afm_node.programs.table import PROGRAMS, AnyProgram
@@ -91,7 +92,7 @@ class ProgramRunner:
                 raise RefusedError(f"program: a {self.name} is running; abort it first")
             if reason := "the instrument is lost" if device_lost else _NOT_READY.get(mode, ""):
                 raise RefusedError(f"program: {reason}")
-            begun = PROGRAMS[wanted].begin(request.settings_of(wanted), self._instrument, place)
+            begun = self._program_of(wanted).begin(request.settings_of(wanted), self._instrument, place)
             self.name, self.state, self._aborted = wanted, "running", ""
             self._plan, self._reached, self._notice = begun.plan, begun.state, begun.notice
             return begun.text
@@ -162,7 +163,10 @@ class ProgramRunner:
 
     @property
     def _program(self) -> AnyProgram:
-        return PROGRAMS[self.name]
+        return self._program_of(self.name)
+
+    def _program_of(self, name: str) -> AnyProgram:
+        return OWN_SCAN if name == "scan" and self._instrument.scans else PROGRAMS[name]
 
     @property
     def _label(self) -> str:

@@ -3,7 +3,7 @@
 import asyncio
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -71,6 +71,13 @@ def simulate_nanonis(
         float, typer.Option("--tap", min=1e-3, max=10.0, metavar="S", help="Period in which values are published [s].")
     ] = 20e-3,
     calibration: WriteOption = None,
+    t7: Annotated[
+        Path | None,
+        typer.Option(
+            "--fast-path", metavar="FILE", help="Serve a T7 at its external input too, and write its calibration."
+        ),
+    ] = None,
+    t7_port: Annotated[int, typer.Option("--fast-path-port", min=1, max=65535, help="TCP port of that T7.")] = 5020,
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
@@ -88,10 +95,58 @@ def simulate_nanonis(
         )
         pushed = Pushed(log_port, model.log.take)
         # one client at a port, as at the instrument
-        serving = serve_requests(
-            nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
-        )
-        asyncio.run(serving)
+        serving = [
+            serve_requests(
+                nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
+            )
+        ]
+        if t7 is not None:
+            serving.append(_fast_path(model, t7, config, (host, t7_port)))
+        asyncio.run(_all_of(serving))
+
+
+async def _all_of(serving: "list[Coroutine[Any, Any, None]]") -> None:
+    """Serve until one of the servers ends."""
+    async with asyncio.TaskGroup() as group:
+        for each in serving:
+            group.create_task(each)
+
+
+def _fast_path(model: Any, path: Path, config: Any, where: tuple[str, int]) -> "Coroutine[Any, Any, None]":
+    """Return what serves a T7 whose output drives the external input of a controller, and reads its deflection."""
+    import logging
+
+    from services.afm_node.devices.nanonis_model import ExternalInput
+    from services.afm_node.devices.t7_model import T7Model, calibration_of
+    from services.afm_node.devices.t7_server import serve_t7
+
+    _write_fitting(path, calibration_of, config, *where)
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+    text = f"a model of a LabJack T7 at its external input is at {where[0]}:{where[1]}"
+    return serve_t7(T7Model(ExternalInput(model), noise_v=1e-6), *where, 0.2e-3, lambda: typer.echo(text))
+
+
+def approach_nanonis(
+    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE", help="nanonis.yaml of the controller.")],
+    setpoint: Annotated[
+        float, typer.Option("--setpoint", metavar="X", help="Set-point, in the unit of the controller's signal.")
+    ],
+    lift: Annotated[
+        float, typer.Option("--lift", min=0.0, max=1000.0, metavar="NM", help="How far it lifts the tip then [nm].")
+    ] = 210.0,
+) -> None:
+    """Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input."""
+    with report_errors(as_json=False):
+        from services.afm_node.devices.nanonis_client import NanonisClient, approach
+        from services.afm_node.devices.piezo_calibration import read_controller
+
+        found = read_controller(calibration, "nanonis")
+        client = NanonisClient(found.network.host, found.network.port)
+        try:
+            z_m = approach(client, setpoint, lift * 1e-9)
+        finally:
+            client.close()
+        typer.echo(f"the z-controller is off, and z = {z_m * 1e9:.4g} nm is {lift:g} nm above the surface")
 
 
 def image_nanonis(

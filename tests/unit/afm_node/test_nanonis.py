@@ -4,11 +4,13 @@ import math
 import random
 import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from controller_line import MS, PARAMS, ControllerRig, Nanonis
+from controller_line import MS, PARAMS, ControllerRig, Gwyscope, Nanonis
+from recorded_maps import frequency_shift_hz
 
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
@@ -18,6 +20,7 @@ from services.afm_node.devices.nanonis_driver import cut_frame
 from services.afm_node.devices.nanonis_wire import COMMANDS, NanonisRefusalError
 from services.afm_node.devices.request_answer import Incoming, WireError
 from services.afm_node.driver import DeviceError
+from services.afm_node.instrument import driver_of
 from services.afm_node.node import AfmNode
 
 NEAR_M = -70e-9
@@ -295,9 +298,60 @@ def test_a_law_with_a_loop_and_a_program_of_the_node_are_refused_in_words(bench_
     config = AfmConfig.model_validate({"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}})
     bench, line = bench_of("afm_node@slave"), Nanonis()
     node = AfmNode(bench.context, config, line.driver)
-    fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": {"program": "scan"}}
-    with pytest.raises(RefusedError, match=r"scan regulates the tip in the node .* let the controller do that itself"):
+    fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": {"program": "curve"}}
+    with pytest.raises(RefusedError, match=r"curve regulates the tip in the node .* let the controller do that itself"):
         node.on_control(bench.make("session/control", "console@slave", **fields))
+
+
+# --- another channel
+
+FEEL = {
+    "channel": "frequency_shift", "unit": "Hz", "table": [[-0.5, 0.0], [-4.0, 1e-9], [-7.5, 3e-9]], "tolerance": 0.05,
+    "slope_limit_n_per_unit": 1e-9, "rate_limit_n_per_s": 1e-3,
+}  # fmt: skip
+SHIFT = {"frequency_shift": {"signal": "OC M1 Freq. Shift (Hz)"}}
+
+
+def shift_map(tmp_path: Path) -> AfmConfig:
+    """Return an instrument over a map of a frequency shift, which falls from 2 nm to its minimum at 0.4 nm."""
+    z = np.linspace(0.0, 2e-9, 401)
+    place = {"x": np.zeros(1), "y": np.zeros(1), "z": z, "length_unit": "m"}
+    np.savez(tmp_path / "shift.npz", value=frequency_shift_hz(z)[None, None], unit="Hz", **place)
+    section = {"sample": {"map": str(tmp_path / "shift.npz")}, "rest_distance_m": 2e-9, "feel": FEEL}
+    return AfmConfig.model_validate(section)
+
+
+@pytest.mark.parametrize("port", [None, nanonis_model.LOG_PORT], ids=["polled", "logger"])
+def test_a_frequency_shift_is_felt_through_the_driver(bench_of: Any, tmp_path: Path, port: int | None) -> None:
+    line = Nanonis(afm=driver_of(shift_map(tmp_path)), channels=SHIFT, logger_port=port)
+    line.model._values["ZCtrl.WithdrawRate"] = [1e-3]
+    config = {"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}, "feel": FEEL}
+    rig = ControllerRig(bench_of("afm_node@slave"), line, AfmConfig.model_validate(config))
+    rig.tick(80, RETRACTED_M)
+    rig.control("arm")
+    rig.tick(150, 0.0)
+    for z_m in (1.9e-9, 1.5e-9, 1.1e-9, 0.9e-9, 0.7e-9):
+        rig.tick(80, 2e-9 - z_m)
+        state = rig.bench.take("afm/state")[-1]
+        expected = float(frequency_shift_hz(z_m))
+        assert (state.mode, state.felt_channel) == ("follow", "frequency_shift")
+        assert state.felt_value == pytest.approx(expected, rel=1e-4)
+        assert state.tip_force_n[2] == pytest.approx(
+            np.interp(-expected, [0.5, 4.0, 7.5], [0.0, 1e-9, 3e-9]), rel=1e-3, abs=1e-13
+        )
+    # beyond the last row the branch is left
+    rig.tick(80, 2e-9 - 0.45e-9)
+    assert rig.bench.take("afm/state")[-1].mode in ("retracting", "retracted")
+    texts = [event.text for event in rig.bench.take("session/event")]
+    assert sum("has left the branch of feel.table: the tip retracts" in text for text in texts) == 1
+
+
+def test_a_signal_that_the_controller_has_not_is_refused_by_its_key() -> None:
+    line = Nanonis(channels={"current": {"signal": "Amperes"}})
+    with pytest.raises(ConfigError, match="has no signal 'Amperes': the signal of each of channels must be one"):
+        line.driver.open()
+    with pytest.raises(ConfigError, match="channels: the driver of a Gwyscope reads the deflection only"):
+        Gwyscope(channels=SHIFT)
 
 
 # --- faults
