@@ -561,8 +561,8 @@ def test_guard_retracts_first_and_lets_nobody_in_before() -> None:
         pytest.param(stop, "is connected and does not answer requests: is it a Gwyscope", id="stopped"),
         pytest.param(kill, "cannot be reached: Connection refused", id="killed"),
         pytest.param(swallow, "does not answer: check address, cable and firewall", id="blackholed"),
-        pytest.param(stand, "its samples stand: the server's loop does not run", id="loop stands"),
-        pytest.param(garble, "is not the beginning of a message of a Gwyscope", id="garbage"),
+        pytest.param(stand, "its samples stand: the server's loop does not run", id="loop stands at the start"),
+        pytest.param(garble, "is not the beginning of a message of a Gwyscope", id="garbage at the start"),
     ],
 )
 def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:

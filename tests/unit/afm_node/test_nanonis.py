@@ -575,3 +575,21 @@ def test_logger_that_falls_silent_is_a_loss(bench_of: Any, monkeypatch: pytest.M
     follow(line, RETRACTED_M, 260)
     assert "its TCP Logger has sent no frame for 250 ms" in line.driver.report.text
     assert nanonis_driver.GUARD_COMMAND
+
+
+@pytest.mark.parametrize(
+    ("begin", "text"),
+    [
+        pytest.param(refuse, "refuses ZCtrl.Withdraw.*The module is locked", id="refuses"),
+        pytest.param(stop, "is connected and does not answer requests: is it a Nanonis", id="stopped"),
+        pytest.param(kill, "cannot be reached: Connection refused", id="killed"),
+        pytest.param(swallow, "does not answer: check address, cable and firewall", id="blackholed"),
+        pytest.param(garble, "is not the beginning of a message of Nanonis", id="garbage at the start"),
+    ],
+)
+def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:
+    bench, line = bench_of("afm_node@slave"), Nanonis(guarded=False, attended=True)
+    begin(line)
+    with pytest.raises(ConfigError, match=text):
+        AfmNode(bench.context, AfmConfig(), line.driver)
+    assert bench.sent == []

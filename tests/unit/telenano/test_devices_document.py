@@ -31,15 +31,18 @@ def test_every_test_that_is_named_exists_with_its_case() -> None:
         assert f"def {name}(" in source, f"{file}::{name}"
         cases = {first or second for first, second in CASES.findall(source)}
         # a table of faults for several devices has a row for each in a device's name
-        cases |= {f"{case}-{kind}" for case in cases for kind in ("haply", "dhd", "hd")}
+        cases |= {f"{case}-{kind}" for case in cases for kind in ("haply", "dhd", "hd", "gwyscope", "nanonis")}
         assert not case or case in cases, f"{file}::{name}[{case}]"
 
 
-@pytest.mark.parametrize("file", ["test_handle_faults.py", "test_stage_faults.py"])
+FAULTS = {"test_handle_faults.py": 15, "test_stage_faults.py": 15, "test_gwyscope.py": 14, "test_nanonis.py": 14}
+
+
+@pytest.mark.parametrize("file", FAULTS)
 def test_every_fault_that_is_tested_has_its_row(file: str) -> None:
     rows = {case for name, _, case in NAMED.findall(TEXT) if name == file}
     cases = {first or second for first, second in CASES.findall(found(file))}
-    assert len(cases) > 15
+    assert len(cases) > FAULTS[file]
     assert cases - rows == set()
 
 
@@ -89,3 +92,17 @@ def test_scenarios_of_the_pages_are_valid(page: str, tmp_path: Path) -> None:
     found = load_scenario(path)
     found.section("afm_node", AfmConfig)
     found.section("haptic_node", HapticConfig)
+
+
+def test_each_controller_has_its_column_of_faults_and_each_live_fault_both() -> None:
+    """A table says of each fault what becomes of the tip of either controller; no cell is empty."""
+    (head,) = re.findall(r"^\| fault of a controller \|.*\| Gwyscope, .*\| Nanonis, .*$", TEXT, re.MULTILINE)
+    table = TEXT[TEXT.index(head) :].split("\n\n", 1)[0].splitlines()
+    columns = head.count("|")
+    assert len(table) > 14
+    for row in table:
+        assert row.count("|") == columns, row
+        assert all(cell.strip() for cell in row.strip("|").split("|")), row
+    live = {case for name, _, case in NAMED.findall(TEXT) if name == "test_controller_faults.py"}
+    cases = {first or second for first, second in CASES.findall(found("test_controller_faults.py"))}
+    assert live == {f"{case}-{kind}" for case in cases for kind in ("gwyscope", "nanonis")}

@@ -1,0 +1,179 @@
+"""Emulated AFM controllers with their guards, as processes of their own: what the live tests drive and break."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import yaml
+from stack_rig import ROOT
+
+from services.afm_node.devices import gwyscope_wire
+from services.afm_node.devices.nanonis_client import NanonisClient
+from services.afm_node.devices.request_answer import Incoming
+
+PATIENCE_S = 60.0
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+class Emulated:
+    """An emulated controller and its guard, and what a rig needs to use them."""
+
+    name = ""
+
+    def __init__(self, folder: Path, scenario: str, *options: str) -> None:
+        self.file = folder / f"{self.name}.yaml"
+        self.port, self.guard_port = free_port(), free_port()
+        known = f"presets/scenarios/{scenario}.yaml"
+        chosen = known if (ROOT / known).exists() else scenario
+        self._served = ("--port", str(self.port), *options, "--scenario", chosen)
+        self.server = self._start("simulate", *self._served, "--calibration", str(self.file))
+        self._wait(self.port)
+        document = yaml.safe_load(self.file.read_text())
+        document["network"]["port"] = self.guard_port
+        # a machine that is shared holds processes up for the 50 ms of the default
+        document["heartbeat_s"] = 0.2
+        self.file.write_text(yaml.safe_dump(document))
+        to = ("--controller", f"127.0.0.1:{self.port}", "--port", str(self.guard_port))
+        self.guard = self._start("guard", "--calibration", str(self.file), *to)
+        self._wait(self.guard_port)
+
+    def restart(self) -> None:
+        """Start the controller again after it was killed; its tip is away from the sample then."""
+        self.server.wait()
+        self.server = self._start("simulate", *self._served)
+        self._wait(self.port)
+
+    def freeze(self) -> None:
+        os.kill(self.server.pid, signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        os.kill(self.server.pid, signal.SIGCONT)
+
+    def _start(self, what: str, *arguments: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", "telenano", "device", what, self.name, *arguments]
+        return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+    def _wait(self, port: int) -> None:
+        end = time.monotonic() + PATIENCE_S
+        while True:
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    return
+            assert time.monotonic() < end, f"nobody listens at {port}"
+            time.sleep(0.05)
+
+    @property
+    def options(self) -> list[str]:
+        settings = {"afm_node.driver": self.name, f"afm_node.{self.name}.calibration": self.file}
+        return [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+
+    @property
+    def z_m(self) -> float:
+        raise NotImplementedError
+
+    @property
+    def retracted(self) -> bool:
+        raise NotImplementedError
+
+    def move_from_outside(self) -> None:
+        """Move the tip once, as somebody else's program does."""
+        raise NotImplementedError
+
+    def refuse(self) -> None:
+        """Bring the controller into a state in which it does not do what the rig asks for."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        for process in (self.guard, self.server):
+            process.kill()
+            process.wait()
+
+
+class Gwyscope(Emulated):
+    """A Gwyscope, which other programs may ask as well."""
+
+    name = "gwyscope"
+
+    def __init__(self, folder: Path, scenario: str) -> None:
+        super().__init__(folder, scenario)
+        self._connect()
+
+    def _connect(self) -> None:
+        self._line = socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE_S)
+        self._incoming = Incoming(gwyscope_wire.cut)
+
+    def restart(self) -> None:
+        self._line.close()
+        super().restart()
+        self._connect()
+
+    @property
+    def retracted(self) -> bool:
+        return self.z_m == 0.0
+
+    def move_from_outside(self) -> None:
+        self.ask(todo="set_feedback", feedback=False, zpiezo=1.5e-6)
+
+    def refuse(self) -> None:
+        # The server has no refusals: a feedback that is on moves z away from where the rig has sent it.
+        self.ask(todo="set", pid_i=1e-2, pid_setpoint=-1e-2)
+        self.ask(todo="set_feedback", feedback=True)
+
+    def ask(self, **message: Any) -> dict[str, Any]:
+        """Ask the server itself, as another program would."""
+        self._line.sendall(gwyscope_wire.encode(message))
+        while (answer := self._incoming.take()) is None:
+            self._incoming.add(self._line.recv(65536))
+        return gwyscope_wire.decode(answer)
+
+    @property
+    def z_m(self) -> float:
+        return float(self.ask(todo="read")["z"])
+
+    def close(self) -> None:
+        self._line.close()
+        super().close()
+
+
+class Nanonis(Emulated):
+    """A Nanonis controller; the vendor's software, and this test, are at another of its ports."""
+
+    name = "nanonis"
+
+    def __init__(self, folder: Path, scenario: str, *options: str) -> None:
+        super().__init__(folder, scenario, "--log-port", str(free_port()), *options)
+        self.client = NanonisClient("127.0.0.1", self.port + 1)
+
+    def restart(self) -> None:
+        self.client.close()
+        super().restart()
+        self.client = NanonisClient("127.0.0.1", self.port + 1)
+
+    @property
+    def retracted(self) -> bool:
+        return self.z_m > 4.99e-7
+
+    def move_from_outside(self) -> None:
+        self.client.call("ZCtrl.ZPosSet", 4e-7)
+
+    def refuse(self) -> None:
+        # with its z-controller on, it refuses to set z
+        self.client.call("ZCtrl.OnOffSet", 1)
+
+    @property
+    def z_m(self) -> float:
+        return float(self.client.call("ZCtrl.ZPosGet")[0])
+
+    def close(self) -> None:
+        self.client.close()
+        super().close()
