@@ -88,6 +88,11 @@ class NanonisAfm(RequestDriver):
             self._taken = None
         self._image = image
 
+    def retract(self) -> bool:
+        """End an image that is under way, and go to the safe position; see `RequestDriver.retract`."""
+        self.want_image(None)
+        return super().retract()
+
     def take_line(self) -> OwnLine | None:
         """Return the next line of the image that is whole, once; None where there is none."""
         return self._lines.popleft() if self._lines else None

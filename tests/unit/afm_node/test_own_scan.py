@@ -157,6 +157,19 @@ def test_whatever_ends_an_image_withdraws_the_tip(rig: ControllerRig, name: str)
     assert len(lost_texts) == (2 if lost else 0), lost_texts
 
 
+def test_the_end_of_the_node_in_an_image_stops_the_scan_and_withdraws_the_tip(rig: ControllerRig) -> None:
+    rig.control("set", **SCAN)
+    for _ in range(8000):
+        rig.tick(1)
+        if rig.bench.take("afm/scanline"):
+            break
+    rig.bench.take("session/event")
+    rig.node.make_safe()
+    assert (rig.line.model.status, ask(rig.line, "Scan.StatusGet")) == (nanonis_model.OFF, [0])
+    assert rig.line.model.z_m == pytest.approx(5e-7, abs=1e-12)
+    assert not [event for event in rig.bench.take("session/event") if "not confirmed" in event.text]
+
+
 def test_the_tip_lift_of_the_file_is_set_and_read_back(bench_of: Any) -> None:
     line = Nanonis(tip_lift_m=3e-8)
     line.driver.open()
