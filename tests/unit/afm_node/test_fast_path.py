@@ -132,6 +132,7 @@ def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> N
     assert abs(state.tip_force_n[2]) < 1e-10
 
 
+@pytest.mark.endurance
 def test_a_surface_that_is_not_found_ends_the_approach_withdrawn(both: Both) -> None:
     both.rig.tick(30)
     with pytest.raises(DeviceError, match="z did not come to rest within 1 s"):

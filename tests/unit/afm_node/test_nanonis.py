@@ -321,7 +321,9 @@ def shift_map(tmp_path: Path) -> AfmConfig:
     return AfmConfig.model_validate(section)
 
 
-@pytest.mark.parametrize("port", [None, nanonis_model.LOG_PORT], ids=["polled", "logger"])
+@pytest.mark.parametrize(
+    "port", [None, pytest.param(nanonis_model.LOG_PORT, marks=pytest.mark.endurance)], ids=["polled", "logger"]
+)
 def test_a_frequency_shift_is_felt_through_the_driver(bench_of: Any, tmp_path: Path, port: int | None) -> None:
     line = Nanonis(afm=driver_of(shift_map(tmp_path)), channels=SHIFT, logger_port=port)
     line.model._values["ZCtrl.WithdrawRate"] = [1e-3]

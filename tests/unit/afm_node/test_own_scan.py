@@ -128,8 +128,8 @@ ENDS = {
 }  # fmt: skip
 
 
-# the loss of the connection and what somebody else does are tried in every run, the rest in `make endurance`
-QUICK = ("connection lost", "withdrawn from outside")
+# the loss of the connection is tried in every run, the rest in `make endurance`
+QUICK = ("connection lost",)
 
 
 @pytest.mark.parametrize(
