@@ -1,6 +1,8 @@
 """Configuration of the haptic node: device, guard and simulated hand, with the presets of the paper."""
 
+import json
 import math
+from collections.abc import Mapping
 from functools import reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
@@ -9,6 +11,8 @@ import numpy as np
 from pydantic import Field, create_model, field_validator, model_validator
 
 from presets.plugins import refuse
+from proto.errors import ConfigError, RefusedError
+from proto.messages import Scalar
 from proto.topics import deadline_of
 from services.haptic_node.impedance_config import CouplingConfig, SimulatedImpedanceConfig
 from services.haptic_node.physics import step
@@ -20,7 +24,7 @@ from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, Oper
 from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
 from services.haptic_node.safety import SafetyParams
 from services.haptic_node.wire_config import WIRES, DhdConfig, HaplyConfig, HdConfig
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, validate
 from services.runtime.settings.device_drivers import drivers_of
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
@@ -444,3 +448,22 @@ class HapticConfig(_DriverSections):
     """Section `haptic_node` of a scenario."""
 
     driver: DriverName = _DRIVER
+
+
+def changed_operator(config: HapticConfig, parameters: Mapping[str, Scalar]) -> HapticConfig:
+    """Return settings with another simulated operator, whose section is the JSON text of the parameter `operator`.
+
+    Raises:
+        RefusedError: There are further parameters, the text is no such section, or it would begin or end the control by
+            a person.
+    """
+    if others := sorted(set(parameters) - {"operator"}):
+        raise RefusedError(f"{others[0]}: cannot be set together with operator")
+    try:
+        section = json.loads(str(parameters["operator"]))
+        changed = validate(HapticConfig, {"operator": section}, "session/control", "haptic_node").operator
+    except (ValueError, ConfigError) as error:
+        raise RefusedError(f"operator: {error}") from error
+    if "interactive" in (changed.kind, config.operator.kind):
+        raise RefusedError("operator: a person takes the place of a simulated hand, and leaves it, with a new rig only")
+    return config.model_copy(update={"operator": changed})

@@ -8,7 +8,7 @@ from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from proto.nodes import is_meant
 from services.haptic_node import safety
-from services.haptic_node.config import HapticConfig, InteractiveConfig
+from services.haptic_node.config import HapticConfig, InteractiveConfig, changed_operator
 from services.haptic_node.coupling import FAULTS, GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from services.haptic_node.driver import (
     DeviceReading,
@@ -23,6 +23,7 @@ from services.haptic_node.driver import (
 )
 from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
 from services.haptic_node.physics.lateral_hand import LateralHandState, lateral_hand_step
+from services.haptic_node.physics.sim import SimulatedHaptic
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
@@ -101,6 +102,7 @@ class HapticNode(Node):
         self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
         self.freshness.allow_replay = config.allow_replay
         self.device = device
+        self._config, self._other_operator = config, False
         self._simulated = config.simulated
         device.open()
         if device.report is not None:
@@ -145,6 +147,8 @@ class HapticNode(Node):
     def capture(self) -> HapticNodeState | None:
         if not self._simulated:
             return None
+        if self._other_operator:
+            raise ValueError("the operator was changed by a command: a re-run has to begin before that")
         parts = self.freshness.capture(), self._grid.deadline_ns, part(self.device.state)
         return HapticNodeState(self._memory, *parts)
 
@@ -212,6 +216,8 @@ class HapticNode(Node):
                 raise RefusedError("not armed: the device itself reports an emergency stop")
             self._memory.arm_requested = True
             return "armed: the motor follows fresh commands"
+        if control.command == "set" and "operator" in control.parameters:
+            return self._set_operator(control)
         if control.command == "set":
             if not isinstance(self.device, DisturbedHaptic):
                 raise RefusedError("disturbances: a real device has its own")
@@ -235,6 +241,17 @@ class HapticNode(Node):
             self._ignored_force = True
             text = f"the force of {message.src} is ignored: haptic_node.operator.kind must be interactive for it"
             self.event("fault", "warning", text, source=message.src)
+
+    def _set_operator(self, control: SessionControl) -> str:
+        """Put another simulated hand on the device, while the operator's programme does not run."""
+        if not isinstance(self.device, SimulatedHaptic):
+            raise RefusedError("operator: a real device has its own")
+        if self._memory.session_ticks is not None:
+            raise RefusedError("operator: its programme runs; stop the session first")
+        self._config = changed_operator(self._config, control.parameters)
+        self.device.take_operator(self._config.operator.to_params())
+        self._other_operator = True
+        return f"the operator is {self._config.operator.kind}, with the next start"
 
     def _push(self) -> None:
         """Let the simulated hand hold the newest force, or none where that is too old: its page may be gone."""

@@ -44,7 +44,7 @@ def settable(node: str) -> list[str]:
             *flatten({"disturbances": DisturbanceConfig().model_dump()}),
         ]
     if node == "haptic_node":
-        return list(flatten({"disturbances": HandDisturbanceConfig().model_dump()}))
+        return ["operator", *flatten({"disturbances": HandDisturbanceConfig().model_dump()})]
     return list(ACTIONS if node == "recorder" else SETTERS)
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DriveCommand, Pair
 from services.haptic_node.physics.coupled import CoupledParams
-from services.haptic_node.physics.step import PlantParams, initial_plant, plant_step
+from services.haptic_node.physics.operator_models import operator_at_rest
+from services.haptic_node.physics.step import PlantParams, found, initial_plant, plant_step
 from services.haptic_node.safety import MODE_NAMES, MODE_OFF, MODE_POSITION
 
 SAMPLE_TIME_S = 1e-3
@@ -108,6 +109,12 @@ class SimulatedHaptic:
         """Hold a force of the hand [N] along x and y of the master frame; a device of one axis feels none."""
         if isinstance(self._params, CoupledParams):
             self._params = self._params._replace(lateral=self._params.lateral._replace(force_n=force_n))
+
+    def take_operator(self, params: Any) -> None:
+        """Put another hand, at rest, on the device; params are those of one of the models of the operator."""
+        self._params = self._params._replace(operator=params)
+        position_m = found(self._params, self.state.plant)[0]
+        self.state.plant = self.state.plant._replace(operator=operator_at_rest(params, position_m))
 
     def make_safe(self) -> None:
         """Drive voltage zero from now on: the shorted motor brakes and the screw, not back-drivable, stands."""
