@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from functools import reduce
 from operator import or_
+from random import Random
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -22,6 +23,7 @@ from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
+from services.haptic_node.physics.reacting import ReactingParams
 from services.haptic_node.safety import SafetyParams
 from services.haptic_node.wire_config import WIRES, DhdConfig, HaplyConfig, HdConfig
 from services.runtime.settings.config import Settings, validate
@@ -185,6 +187,10 @@ FIG12_POINTS = tuple(
 )
 
 
+# Moves whose scatter is drawn before they repeat.
+_DRAWS = 64
+
+
 def _check_times(name: str, points: tuple[ForcePoint, ...] | tuple[PathPoint, ...]) -> None:
     for index in range(1, len(points)):
         if not points[index].time_s > points[index - 1].time_s:
@@ -307,11 +313,61 @@ class InteractiveConfig(Settings):
         return OperatorParams(kind=FORCE_PROFILE, times_s=none, values=none, max_force_n=self.max_force_n)
 
 
+class ReactingConfig(Settings):
+    """A hand that moves and waits: it presses, waits until the arm stands and the answer has come, and corrects."""
+
+    kind: Literal["reacting"] = Field(description="Selects this model of the hand")
+    points: tuple[ForcePoint, ...] = Field(
+        default=(ForcePoint(time_s=0.0, force_n=1.0),),
+        min_length=1,
+        max_length=10_000,
+        description="Corners of the force that it aims at: linear between, the end values held outside",
+    )
+    reaction_time_s: float = Field(
+        default=0.25, ge=1e-3, le=10.0, description="How long the arm has stood still before the next move [s]"
+    )
+    answer_s: float = Field(
+        default=0.0, ge=0.0, le=60.0, description="What it has learnt to wait for as well, the round trip [s]; [0, 60]"
+    )
+    still_m_per_s: float = Field(
+        default=1e-3, ge=1e-6, le=1.0, description="Speed below which the arm stands still [m/s]; [1e-6, 1]"
+    )
+    gain: float = Field(default=0.6, gt=0.0, le=1.9, description="Share of the error that a move corrects; (0, 1.9]")
+    noise: float = Field(default=0.0, ge=0.0, le=1.0, description="Scatter of that share, a share of it; [0, 1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of the scatter")
+    tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that it leaves as it is [N]")
+    rate_n_per_s: float = Field(default=10.0, gt=0.0, le=1e4, description="How fast its force changes [N/s]")
+    max_force_n: MaxForce = 10.0
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "ReactingConfig":
+        _check_times("points", self.points)
+        return self
+
+    def to_params(self) -> ReactingParams:
+        draw = Random(self.seed)
+        return ReactingParams(
+            times_s=np.array([point.time_s for point in self.points]),
+            values=np.array([point.force_n for point in self.points]),
+            reaction_time_s=self.reaction_time_s,
+            answer_s=self.answer_s,
+            still_m_per_s=self.still_m_per_s,
+            gain=self.gain,
+            noise=self.noise,
+            errors=np.array([draw.gauss(0.0, 1.0) for _ in range(_DRAWS)]),
+            tolerance_n=self.tolerance_n,
+            rate_n_per_s=self.rate_n_per_s,
+            max_force_n=self.max_force_n,
+        )
+
+
 if TYPE_CHECKING:
-    OperatorConfig = Annotated[ForceProfileConfig | ImpedanceConfig | InteractiveConfig, Field(discriminator="kind")]
+    OperatorConfig = Annotated[
+        ForceProfileConfig | ImpedanceConfig | InteractiveConfig | ReactingConfig, Field(discriminator="kind")
+    ]
 else:
     # The kinds include those of installed packages.
-    _KINDS = (ForceProfileConfig, ImpedanceConfig, InteractiveConfig)
+    _KINDS = (ForceProfileConfig, ImpedanceConfig, InteractiveConfig, ReactingConfig)
     _KINDS += tuple(model.config for model in OPERATOR_MODELS.found.values())
     _KINDS += tuple(unusable_config(name, problem) for name, problem in OPERATOR_MODELS.problems.items())
     OperatorConfig = Annotated[reduce(or_, _KINDS), Field(discriminator="kind")]

@@ -15,6 +15,7 @@ from services.haptic_node.driver import Capabilities
 from services.haptic_node.physics.coupled import CoupledParams, LateralHand
 from services.haptic_node.physics.lateral_hand import LateralPoint
 from services.haptic_node.physics.operator import OperatorParams
+from services.haptic_node.physics.reacting import ReactingParams
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
 from services.runtime.settings.config import Settings
 
@@ -225,7 +226,7 @@ class SimulatedImpedanceConfig(Settings):
             drive_delay_s=1.0 / rate_hz if self.delay_s is None else self.delay_s,
         )
 
-    def to_params(self, coupling: CouplingConfig, operator: OperatorParams) -> CoupledParams:
+    def to_params(self, coupling: CouplingConfig, operator: OperatorParams | ReactingParams) -> CoupledParams:
         """Return the constants of device, coupling and hand."""
         found = self.capabilities()
         held = 1.0 if self.lateral_path else 0.0

@@ -7,8 +7,9 @@ from typing import Any, Literal, Self, cast, get_args
 from pydantic import BaseModel, model_validator
 
 from presets.plugins import load
-from services.haptic_node.physics import operator
+from services.haptic_node.physics import operator, reacting
 from services.haptic_node.physics.operator import OperatorParams, OperatorState
+from services.haptic_node.physics.reacting import ReactingParams
 from services.numerics.compiled import chosen_step
 
 Step = Callable[..., Any]
@@ -55,13 +56,14 @@ def unusable_config(name: str, problem: str) -> type[BaseModel]:
     return Unusable
 
 
-OWN_OPERATORS = ("force_profile", "impedance", "interactive")
+OWN_OPERATORS = ("force_profile", "impedance", "interactive", "reacting")
 OPERATOR_MODELS = load("operators", _checked, OWN_OPERATORS)
 _MODEL_OF = {model.params: model for model in OPERATOR_MODELS.found.values()}
 
 
 def _step_of(kind: type) -> Step:
-    return operator.step if kind is OperatorParams else _MODEL_OF[kind].step
+    own: dict[type, Step] = {OperatorParams: operator.step, ReactingParams: reacting.step}
+    return own[kind] if kind in own else _MODEL_OF[kind].step
 
 
 operator_step = chosen_step(_step_of)
@@ -71,4 +73,6 @@ def operator_at_rest(params: Any, position_m: float) -> Any:
     """Return the hand at rest at position_m [m]."""
     if type(params) is OperatorParams:
         return OperatorState(position_m, 0.0)
+    if type(params) is ReactingParams:
+        return reacting.at_rest(params, position_m)
     return cast(Any, _MODEL_OF[type(params)].start(params, position_m))
