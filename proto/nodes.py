@@ -64,6 +64,8 @@ PLAYER = "player@master"
 # the process that serves the page, and the force of an operator at it
 PAGE = "viz_node@master"
 VIEW = "view@master"
+# the console at which an experiment tells its cues and trials, so that pages have the other one for their commands
+EXPERIMENT = "console_experiment@master"
 RECORDER, FAR_RECORDER = "recorder@master", "recorder@slave"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"

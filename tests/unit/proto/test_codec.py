@@ -565,6 +565,8 @@ def _strategy(schema: dict[str, Any], root: dict[str, Any], name: str = "") -> s
     """Return the values that a JSON Schema of the contract allows."""
     if name in _EXACT:
         return st.from_regex(re.compile(_EXACT[name], re.ASCII), fullmatch=True)
+    if "pattern" in schema:
+        return st.from_regex(re.compile(schema["pattern"].strip("^$"), re.ASCII), fullmatch=True)
     if "$ref" in schema:
         record = schema["$ref"].rpartition("/")[2]
         return _arrays() if record == "Array" else _record(root["$defs"][record], root)
