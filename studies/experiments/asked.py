@@ -1,0 +1,58 @@
+"""What participants are asked: consent, NASA-TLX without weights, rating scales and choices, as data of the bus."""
+
+from collections.abc import Sequence
+
+from proto.experiment_messages import Question
+
+CONSENT_TEXT = (
+    "You take part of your own will, and may end it at any time without giving a reason: say so, or close the page. "
+    "What you do and answer is recorded under a pseudonym, never under your name."
+)
+
+
+def scale(
+    name: str, text: str, low: str, high: str, least: float = 1.0, most: float = 7.0, step: float = 1.0
+) -> Question:
+    """Return a rating scale; the default is one of seven points.
+
+    Args:
+        name: The name of the value in the answer and in the table.
+        text: The question in words.
+        low: What the lower end means.
+        high: What the upper end means.
+        least: The lowest value.
+        most: The highest value.
+        step: The distance of the values.
+    """
+    return Question(name=name, text=text, low=low, high=high, least=least, most=most, step=step, options=())
+
+
+def choice(name: str, text: str, options: Sequence[str]) -> Question:
+    """Return a question with some options, of which one is chosen; the answer is the option in words."""
+    return Question(name=name, text=text, low="", high="", least=0.0, most=0.0, step=0.0, options=tuple(options))
+
+
+CONSENT = choice("consent", "Do you agree to take part?", ("yes", "no"))
+
+
+def _load(name: str, text: str, low: str = "Very low", high: str = "Very high") -> Question:
+    return scale(name, text, low, high, 0.0, 100.0, 5.0)
+
+
+# Hart and Staveland, Advances in Psychology 52, 139-183 (1988): six scales of 21 gradations. Raw, without the weights:
+# Hart, Proc. Human Factors and Ergonomics Society 50, 904-908 (2006).
+NASA_TLX = (
+    _load("mental_demand", "How mentally demanding was the task?"),
+    _load("physical_demand", "How physically demanding was the task?"),
+    _load("temporal_demand", "How hurried or rushed was the pace of the task?"),
+    _load("performance", "How successful were you in what you were asked to do?", "Perfect", "Failure"),
+    _load("effort", "How hard did you have to work to reach your level of performance?"),
+    _load("frustration", "How insecure, discouraged, irritated, stressed and annoyed were you?"),
+)
+# What an experiment's file may name.
+INSTRUMENTS: dict[str, tuple[Question, ...]] = {"nasa_tlx": NASA_TLX, "consent": (CONSENT,)}
+
+
+def raw_tlx(values: dict[str, float]) -> float:
+    """Return the raw load of an answer, the mean of the six scales from 0 to 100; KeyError for one that is absent."""
+    return sum(float(values[question.name]) for question in NASA_TLX) / len(NASA_TLX)
