@@ -1,0 +1,246 @@
+"""Simulated observers with a known threshold recover it, by each method and each shape of the function."""
+
+import math
+import os
+import random
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proto.errors import ConfigError
+from studies.experiments.psychophysics import exact
+from studies.experiments.psychophysics.fit import fit
+from studies.experiments.psychophysics.function import Psychometric
+from studies.experiments.psychophysics.methods import Method, QuestPlus, make, most_trials, replay
+from studies.experiments.psychophysics.observer import Observer
+
+LINEAR = {"shape": "logistic", "axis": "linear", "guess": 0.5}
+RATIOS = {"shape": "weibull", "axis": "log", "guess": 0.5}
+CONSTANT = {
+    "method": "constant", "levels": [0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12], "repetitions": 40, "function": LINEAR,
+}  # fmt: skip
+STAIRCASE = {
+    "method": "staircase", "start": 0.12, "downs": 2, "steps": [0.03, 0.02, 0.01], "low": 0.0, "high": 0.2,
+    "reversals": 60, "discarded": 4, "trials": 300, "function": LINEAR,
+}  # fmt: skip
+QUEST = {
+    "method": "quest_plus", "levels": {"low": 0.005, "high": 0.3, "count": 25},
+    "thresholds": {"low": 0.01, "high": 0.25, "count": 25}, "widths": {"low": 0.5, "high": 4.0, "count": 7},
+    "trials": 200, "function": RATIOS,
+}  # fmt: skip
+METHODS = {"constant": CONSTANT, "staircase": STAIRCASE, "quest_plus": QUEST}
+
+
+def run(settings: dict[str, Any], observer: Observer, seed: int = 0) -> Method:
+    method = make(settings, seed)
+    while (level := method.next()) is not None:
+        method.take(level, observer.answer(level))
+    return method
+
+
+def test_exponentials_logarithms_and_shares_are_those_of_the_library() -> None:
+    values = np.concatenate([np.linspace(-30.0, 30.0, 1001), [-700.0, 700.0, 0.0]])
+    expected = np.array([math.exp(value) for value in values])
+    assert np.max(np.abs(exact.exp(values) / expected - 1.0)) < 4e-16
+    places = np.concatenate([np.geomspace(1e-12, 1e12, 1001), [1.0, 0.5, math.nextafter(1.0, 0.0)]])
+    assert np.allclose(exact.log(places), [math.log(place) for place in places], rtol=3e-16, atol=3e-17)
+    deviations = np.linspace(-6.0, 6.0, 241)
+    shares = [0.5 * math.erfc(-z / math.sqrt(2.0)) for z in deviations]
+    assert np.allclose(exact.normal_share(deviations), shares, rtol=0.0, atol=1e-15)
+    numbers = np.array([[0.1] * 7, list(range(7))])
+    assert np.allclose(exact.total(numbers), [0.7, 21.0], rtol=1e-15, atol=0.0)
+
+
+@pytest.mark.parametrize("shape", ["logistic", "normal", "weibull"])
+def test_a_width_reaches_from_five_to_ninety_five_percent(shape: Any) -> None:
+    model = Psychometric(shape=shape, axis="log", guess=0.0)
+    assert model.grow(np.zeros(1))[0] == pytest.approx(0.5, abs=1e-15)
+    low, high = model.distance_of(0.05, 0.0), model.distance_of(0.95, 0.0)
+    assert high - low == pytest.approx(1.0, abs=1e-12)
+    assert model.grow(np.array([low, high])) == pytest.approx([0.05, 0.95], abs=1e-12)
+
+
+def test_a_staircase_moves_as_levitt_describes_it() -> None:
+    settings = {**STAIRCASE, "start": 0.1, "steps": [0.04, 0.02], "reversals": 3, "discarded": 1}
+    method = make(settings, 0)
+    levels = []
+    for correct in (True, True, True, False, True, True, False):
+        levels.append(method.next())
+        method.take(levels[-1] or 0.0, correct)
+    # two right: down 0.04; right, wrong: up, which is a reversal at 0.06; two right: down at 0.08; wrong: up at 0.06
+    assert levels == pytest.approx([0.1, 0.1, 0.06, 0.06, 0.08, 0.08, 0.06], abs=1e-12)
+    assert method.next() is None
+    found = method.summary()
+    assert found["target"] == pytest.approx(math.sqrt(0.5)) and found["reversals"] == 3.0
+    assert found["mean_of_reversals"] == pytest.approx(0.07, abs=1e-12)
+
+
+@pytest.mark.parametrize("downs", [1, 2, 3, 4])
+def test_the_reversals_of_a_staircase_lie_where_levitt_says(downs: int) -> None:
+    model = Psychometric(guess=0.0)
+    settings = {
+        **STAIRCASE, "downs": downs, "steps": [0.005], "start": 0.06, "reversals": 400, "discarded": 20, "trials": 5000,
+        "function": model.model_dump(),
+    }  # fmt: skip
+    found = run(settings, Observer(model, 0.06, 0.08, 0.0, 3)).summary()
+    expected = 0.06 + 0.08 * model.distance_of(0.5 ** (1.0 / downs), 0.0)
+    assert found["mean_of_reversals"] == pytest.approx(expected, abs=0.003)
+
+
+def test_constant_stimuli_present_each_level_once_in_each_repetition() -> None:
+    orders = []
+    for seed in (1, 2):
+        method = make(CONSTANT, seed)
+        order = []
+        while (level := method.next()) is not None:
+            order.append(level)
+            method.take(level, True)
+        blocks = [order[start : start + 7] for start in range(0, len(order), 7)]
+        assert len(blocks) == 40 and all(sorted(block) == CONSTANT["levels"] for block in blocks)
+        orders.append(order)
+    assert orders[0] != orders[1]
+
+
+def test_quest_chooses_the_level_of_least_expected_entropy() -> None:
+    method = make({**QUEST, "trials": 5}, 0)
+    assert isinstance(method, QuestPlus)
+    for correct in (True, False, True):
+        method.take(method.next() or 0.0, correct)
+    shares = np.stack([method._shares(level) for level in method.levels])
+    plain = []
+    for share in shares:
+        entropy = 0.0
+        for likelihood in (share, 1.0 - share):
+            joint = method.posterior * likelihood
+            posterior = joint / joint.sum()
+            entropy -= joint.sum() * float((posterior * np.log(np.maximum(posterior, 1e-300))).sum())
+        plain.append(entropy)
+    assert method.entropies() == pytest.approx(plain, rel=1e-12)
+    assert method.next() == method.levels[int(np.argmin(plain))]
+
+
+_BITS = """
+import random
+from studies.experiments.psychophysics.methods import make
+source = random.Random(5)
+for shape in ("normal", "weibull"):
+    method = make({**%r, "function": {"shape": shape, "axis": "log"}}, 0)
+    for _ in range(8):
+        method.take(method.next(), source.random() < 0.75)
+    print([level.hex() for level, _ in method.answers], [float(part).hex() for part in method.entropies()])
+"""
+
+
+@pytest.mark.endurance
+def test_quest_has_the_same_bits_on_another_processor() -> None:
+    features = {
+        "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-FMA_Usable,-FMA4_Usable,-AVX2_Usable",
+    }
+    command = [sys.executable, "-W", "ignore", "-c", _BITS % QUEST]
+    said = [
+        subprocess.run(command, env={**os.environ, **other}, capture_output=True, text=True, check=True).stdout
+        for other in ({}, features)
+    ]
+    assert said[0] == said[1] and len(said[0]) > 500
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_that_is_replayed_goes_on_as_if_it_had_not_ended(name: str) -> None:
+    settings = METHODS[name]
+    source = random.Random(5)
+    method = make(settings, 11)
+    for _ in range(40):
+        method.take(method.next() or 0.0, source.random() < 0.75)
+    again = replay(settings, 11, method.answers)
+    for _ in range(10):
+        correct = source.random() < 0.75
+        level = method.next()
+        assert level is not None and again.next() == level
+        method.take(level, correct)
+        again.take(level, correct)
+    assert again.estimate() == method.estimate()
+
+
+@pytest.mark.parametrize("shape", ["logistic", "normal", "weibull"])
+def test_a_fit_recovers_the_function_of_many_answers(shape: str) -> None:
+    model = Psychometric(shape=shape, axis="log", guess=0.5)  # type: ignore[arg-type]
+    levels = [0.03, 0.06, 0.1]
+    observer = Observer(model, 0.06, 1.2, 0.02, 7)
+    answers = [(level, observer.answer(level)) for level in levels for _ in range(1000)]
+    found = fit(answers, model)
+    assert found.low is not None and found.high is not None and found.threshold is not None
+    assert found.low < found.threshold < found.high and found.high / found.low < 1.25
+    assert found.low < 0.06 < found.high
+    assert found.proportion == 0.75 and found.trials == 3000
+    asked = fit(answers, model, 0.85)
+    assert asked.threshold is not None and asked.threshold > found.threshold
+
+
+def test_answers_that_bound_nothing_have_no_interval() -> None:
+    model = Psychometric()
+    for answers in ([], [(0.1, True)] * 9, [(0.1, True), (0.2, True)] * 9):
+        assert fit(answers, model)[:3] == (None, None, None)
+    # all right at the higher level, chance at the lower one: nothing bounds the threshold from below but the range
+    few = [(0.1, True), (0.1, False)] * 3 + [(0.2, True)] * 2
+    found = fit(few, model)
+    assert found.low is None or found.high is None
+
+
+def coverage(settings: dict[str, Any], observers: int) -> tuple[float, float]:
+    """Return the share of 95 % intervals with the threshold in them, and the mean error of the threshold over it."""
+    model = Psychometric.model_validate(settings["function"])
+    width = 0.08 if model.axis == "linear" else 1.5
+    held, errors = 0, 0.0
+    for number in range(observers):
+        source = random.Random(number)
+        threshold = 0.04 + 0.04 * source.random()
+        lapse = 0.02 * source.random()
+        estimate = run(settings, Observer(model, threshold, width, lapse, 1000 + number), number).estimate()
+        held += (estimate.low is None or estimate.low <= threshold) and (
+            estimate.high is None or threshold <= estimate.high
+        )
+        errors += (estimate.threshold or 0.0) / threshold - 1.0
+    return held / observers, errors / observers
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_intervals_of_a_few_observers_have_their_thresholds(name: str) -> None:
+    settings = {**METHODS[name], "repetitions": 20} if name == "constant" else {**METHODS[name], "trials": 50}
+    share, _ = coverage(settings, 6)
+    # 4 of 6 or fewer of 95 % intervals have a chance of 3 in 100, and the seeds are fixed
+    assert share > 0.7
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("name", METHODS)
+def test_95_percent_intervals_of_1000_observers_have_the_threshold_in_93_to_97_percent(name: str) -> None:
+    share, bias = coverage(METHODS[name], 1000)
+    assert 0.93 <= share <= 0.97
+    assert abs(bias) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({**STAIRCASE, "start": 0.5}, "start is 0.5, must be between"),
+        ({**STAIRCASE, "steps": [0.0]}, "steps has 0, must be greater than 0"),
+        ({**STAIRCASE, "discarded": 60}, "discarded is 60"),
+        ({**CONSTANT, "levels": [0.1]}, "levels"),
+        ({**CONSTANT, "function": {"shape": "weibull"}}, "set axis: log"),
+        ({**CONSTANT, "proportion": 0.4}, "a share of 0.4 is not between 0.5 and 1"),
+        ({**QUEST, "levels": {"low": 0.0, "high": 0.3}}, "must be greater than 0 on a logarithmic axis"),
+        ({**QUEST, "thresholds": {"low": 0.3, "high": 0.1}}, "high is 0.1, must be greater than low, 0.3"),
+        ({"method": "guessing"}, "method"),
+    ],
+)
+def test_wrong_settings_are_named(settings: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        make(settings, 0)
+
+
+def test_the_most_trials_of_a_method_are_known_before_it_begins() -> None:
+    assert [most_trials(settings) for settings in (CONSTANT, STAIRCASE, QUEST)] == [280, 300, 200]
