@@ -71,6 +71,9 @@ class LiveRecording:
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
+        self._book = book
+        # what the time of a reception is ahead of the monotonic clock [ns]
+        self.epoch_offset_ns = participant.clock.epoch_offset_ns
         self._listeners = connect(participant, shared=True)
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
@@ -104,6 +107,11 @@ class LiveRecording:
                     message = self._message(listener, frames, received_ns)
                     if message is not None and (wanted is None or message.channel_topic in wanted):
                         yield message
+
+    def is_here(self, node: str) -> bool:
+        """Return whether a node of the rig is on this machine, so that both have one monotonic clock."""
+        known = node in self._book.nodes
+        return known and self._book.endpoint(node, self._network.machine).startswith("ipc://")
 
     def close(self) -> None:
         self._open.close()

@@ -150,6 +150,7 @@ VERBS = {
     "calibrate sensitivity --json": "",
     "view REFERENCE --port 0": "",
     "bridge foxglove --duration 1": "",
+    "bridge lsl --duration 1": "",
     "device list": "studies haptic",
     "keys show": "base",
     "new law my_law": "base",

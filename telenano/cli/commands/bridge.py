@@ -25,6 +25,7 @@ from telenano.cli.options import (
 )
 from telenano.cli.output import report_errors
 from telenano.foxglove_bridge import DEFAULT_PORT, DEFAULT_RATE_HZ, Bridge, FoxgloveServer, address_of
+from telenano.lsl_bridge import DEFAULT_NAME, LslBridge, lsl_streams
 from telenano.ros2_bridge import DEFAULT_ROUTER, Ros2Bridge, close_session, is_connected, zenoh_publishers
 
 TOKEN_VARIABLE = "TELENANO_BRIDGE_TOKEN"
@@ -119,7 +120,37 @@ def ros2(
             _hand_on(bridge, live, duration, is_waiting=nobody_runs(book))
 
 
-def _hand_on(bridge: Bridge | Ros2Bridge, live: LiveRecording, duration: float | None, *, is_waiting: bool) -> None:
+@app.command()
+def lsl(
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    name: Annotated[
+        str, typer.Option("--name", metavar="NAME", help="What the names of the streams begin with.")
+    ] = DEFAULT_NAME,
+    duration: DurationOption = None,
+) -> None:
+    """Publish states, events and trials on the Lab Streaming Layer, until Ctrl-C, with the error of their time.
+
+    It only sends. Streams of LSL are plain, and every machine of the network can find and read them.
+    """
+    with report_errors(False):
+        open_stream, clock = lsl_streams()
+        book = load_site(site_file)
+        with LiveRecording(book) as live:
+            bridge = LslBridge(open_stream, clock, live.epoch_offset_ns, name, live.is_here)
+            found = bridge.clocks
+            typer.echo(
+                f"publishing on LSL as {name}; LSL's clock is ahead of the rig's monotonic clock by"
+                f" {1e6 * found.offset_s:.3f} us, known to {1e6 * found.uncertainty_s:.3f} us"
+            )
+            _hand_on(bridge, live, duration, is_waiting=nobody_runs(book))
+            if bridge.elsewhere:
+                nodes = ", ".join(sorted(bridge.elsewhere))
+                typer.echo(f"telenano: not published: {nodes}, on another machine; start a bridge there", err=True)
+
+
+def _hand_on(
+    bridge: Bridge | Ros2Bridge | LslBridge, live: LiveRecording, duration: float | None, *, is_waiting: bool
+) -> None:
     if is_waiting:
         # A rig may be started after its bridge.
         typer.echo("telenano: no rig of this site file runs on this machine yet; waiting for one", err=True)
