@@ -8,6 +8,7 @@ from proto.errors import ConfigError, known_names
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
 SCENARIO_DIRECTORY = _FOLDER / "scenarios"
+EXPERIMENT_DIRECTORY = _FOLDER / "experiments"
 SCHEMA_DIRECTORY = _FOLDER / "schemas"
 DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
 TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
@@ -35,6 +36,18 @@ def find_scenario(name: str) -> Path:
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
     raise ConfigError(f"unknown scenario {name!r}: {known_names(name, known_scenarios())}, or give a .yaml file")
+
+
+def find_experiment(name: str) -> Path:
+    """Return the file of an experiment that comes with the project or is given as a path; ConfigError lists names."""
+    own = EXPERIMENT_DIRECTORY / f"{name}.yaml"
+    if "/" not in name and own.is_file():
+        return own
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        return path
+    known = sorted(file.stem for file in EXPERIMENT_DIRECTORY.glob("*.yaml"))
+    raise ConfigError(f"unknown experiment {name!r}: {known_names(name, known)}, or give a .yaml file")
 
 
 def site_file_named(given: Path | None) -> Path | None:

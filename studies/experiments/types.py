@@ -26,7 +26,7 @@ class Trial(NamedTuple):
     participant: str
     session: int
     block: int
-    index: int
+    index: int  # type: ignore[assignment]
     phase: str
     task: str
     task_parameters: Mapping[str, Any]

@@ -58,6 +58,9 @@ LAZY_COMMANDS = {
         "app",
         "Study each law in lockstep: stability, transparency.",
     ),
+    "experiment": LazyCommand(
+        "telenano.cli.commands.experiment", "app", "Run trials of people or simulated operators over conditions."
+    ),
     "scenario": LazyCommand("telenano.cli.commands.scenario", "app", "List, show, check and make scenarios."),
     "param": LazyCommand("telenano.cli.commands.param", "app", "List the keys of a scenario, and get their values."),
     "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
@@ -100,7 +103,19 @@ GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
-    "Study": ("study", "law", "curve", "scan", "sample", "particles", "push", "assemble", "calibrate", "reproduce"),
+    "Study": (
+        "experiment",
+        "study",
+        "law",
+        "curve",
+        "scan",
+        "sample",
+        "particles",
+        "push",
+        "assemble",
+        "calibrate",
+        "reproduce",
+    ),
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),
 }
 

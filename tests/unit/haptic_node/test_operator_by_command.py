@@ -84,7 +84,7 @@ def test_a_wrong_section_changes_nothing_and_says_what_is_wrong(hand: Bench, tex
 
 
 def test_it_comes_alone(hand: Bench) -> None:
-    with pytest.raises(RefusedError, match="disturbances.seed: cannot be set together with operator"):
+    with pytest.raises(RefusedError, match=r"disturbances\.seed: cannot be set together with operator"):
         hand.control("set", **{"operator": json.dumps(HARDER), "disturbances.seed": 1})
 
 

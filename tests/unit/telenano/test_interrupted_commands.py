@@ -62,6 +62,7 @@ RECIPES = {
     "bag recover": Recipe("bag recover {recording} --out {out}.mcap"),
     "bag plot": Recipe("bag plot {recording} afm/state.tip_force_n.2 --out {out}.png"),
     "scenario new": Recipe("scenario new mine --out {out}.yaml"),
+    "experiment new": Recipe("experiment new mine --out {out}.yaml"),
     "new": Recipe("new law mine --out {out}"),
 }
 # the formats of an export are written by different libraries
@@ -72,6 +73,7 @@ VARIANTS = (
 # why a command with --out is not in the table
 ELSEWHERE = {
     "up": "a session ends with its recording, figure and summary: tests/stack/test_fig12.py",
+    "experiment run": "each trial is in the journal when it is over: tests/unit/studies/test_experiment_runner.py",
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",

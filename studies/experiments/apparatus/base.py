@@ -1,0 +1,130 @@
+"""An apparatus carries out a trial and has its task judge it; what it runs on is in `lockstep` and `live`."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from studies.experiments.desk import AbortedError, Answers, Desk
+from studies.experiments.journal import now_utc
+from studies.experiments.operators import Simulated
+from studies.experiments.plan import Plan, checked_document, parameters_of
+from studies.experiments.tasks.base import joined
+from studies.experiments.types import Trial, TrialData, TrialOutcome
+
+
+class Take(NamedTuple):
+    """One interval of a trial, as it was measured.
+
+    Args:
+        data: The tables, with times from its beginning.
+        disturbance: What disturbed it, in words; empty for nothing.
+        recording: The path of its recording from the experiment's folder; empty without one.
+        verified: What link and law reported before it counted.
+    """
+
+    data: TrialData
+    disturbance: str
+    recording: str
+    verified: Mapping[str, Any]
+
+
+class Course(NamedTuple):
+    """What an apparatus runs: the trial, the attempt, the scenario, how long [s], and the number of the interval."""
+
+    trial: Trial
+    attempt: int
+    document: Mapping[str, Any]
+    duration_s: float
+    interval: int
+    intervals: int
+    parameters: Any
+
+
+class Apparatus(ABC):
+    """What trials run on.
+
+    Args:
+        plan: The experiment.
+        desk: Tells and asks participant and experimenter.
+    """
+
+    def __init__(self, plan: Plan, desk: Desk) -> None:
+        self.plan, self.desk = plan, desk
+
+    def prepare(self, trial: Trial) -> None:
+        """Bring up what a trial runs on, so that its participant can be told something before it."""
+        return
+
+    @abstractmethod
+    def take(self, course: Course) -> Take:
+        """Run one interval.
+
+        Raises:
+            AbortedError: Somebody ended it.
+            RigError: The apparatus cannot go on.
+        """
+
+    def close(self) -> None:
+        """Give up what runs."""
+        return
+
+    def run(self, trial: Trial, attempt: int) -> TrialOutcome:
+        """Carry out an attempt at a trial, whose seed is that of the attempt, and judge it."""
+        task, started_utc = self.plan.tasks[trial.task], now_utc()
+        parameters = parameters_of(task, trial.task_parameters)
+        intervals = task.intervals(parameters, trial.seed)
+        takes: list[Take] = []
+        try:
+            for number, interval in enumerate(intervals):
+                document = self.document(trial, parameters, interval.settings)
+                course = Course(trial, attempt, document, interval.duration_s, number, len(intervals), parameters)
+                takes.append(self.take(course))
+                if takes[-1].disturbance:
+                    break
+        except AbortedError as error:
+            duration_s = math.fsum(interval.duration_s for interval in intervals)
+            return TrialOutcome({}, "aborted", str(error), duration_s, started_utc, "", {})
+        durations_s = [interval.duration_s for interval in intervals[: len(takes)]]
+        data = takes[0].data if len(takes) == 1 else joined([take.data for take in takes], durations_s)
+        disturbance = takes[-1].disturbance
+        answers = data.answers
+        if not disturbance:
+            answers = (*answers, *self._answers(trial, task, parameters, data))
+        measures = task.judge(data._replace(answers=answers), parameters, trial.seed)
+        return TrialOutcome(
+            measures={name: _finite(value) for name, value in measures.items()},
+            status="disturbed" if disturbance else "done",
+            disturbance=disturbance,
+            duration_s=math.fsum(durations_s),
+            started_utc=started_utc,
+            recording=";".join(take.recording for take in takes if take.recording),
+            verified=dict(takes[-1].verified),
+            answers=answers,
+        )
+
+    def document(self, trial: Trial, parameters: Any, interval: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the checked scenario of an interval: of the task, of the condition over it, and of the operator."""
+        settings = {**interval, **trial.settings}
+        if (hand := self.simulated(trial)) is not None:
+            settings |= hand.settings(self.plan.tasks[trial.task], parameters, trial)
+        origin = f"{self.plan.path}: trial {trial.index} of {trial.participant}"
+        return checked_document(self.plan, trial.task, trial.task_parameters, settings, trial.seed, origin)
+
+    def simulated(self, trial: Trial) -> Simulated | None:
+        """Return the simulated participant of a trial; None where a person does it."""
+        operator = self.plan.experiment.operator
+        return Simulated(operator.profile, trial.seed) if operator.kind == "simulated" else None
+
+    def _answers(self, trial: Trial, task: Any, parameters: Any, data: TrialData) -> Answers:
+        hand = self.simulated(trial)
+        if hand is not None:
+            return tuple(hand.answer(task, parameters, trial, data))
+        questions = task.questions(parameters)
+        return self.desk.ask(trial, questions, data) if questions else ()
+
+
+def _finite(value: Any) -> Any:
+    """Return a value as a journal keeps it: None for a number that is none, plain numbers for those of numpy."""
+    plain = value.item() if hasattr(value, "item") else value
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain

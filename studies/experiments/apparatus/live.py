@@ -1,0 +1,413 @@
+"""Trials on a rig of processes that stays up: the condition changes while the hand is at rest, and is verified.
+
+Before each trial the link is clean while a simulated hand goes back to its start and the law changes, as a rig does it
+bumplessly; then the link takes the condition. The trial begins only when `link/status` and `link/delay` report the
+settings and the delay, `law/status` the law at both halves, and `node/health` that every node runs. Each trial is an
+MCAP file of its own: the recorder begins a new one after it.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import RecordingError, RigError
+from proto.messages import HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
+from proto.nodes import HAND, LINK, RECORDER, TIP
+from recording.reader import Recording
+from services.console.command_client import send_control
+from services.controller.config import ControllerConfig
+from services.delay_node.config import LinkSettings, flattened
+from services.haptic_node.config import HapticConfig
+from services.runtime.bus.observer import Observer
+from services.runtime.loop.commands import Command, CommandName
+from services.runtime.loop.freshness import DELAY_STEP_NS
+from services.runtime.loop.main import load_site
+from services.runtime.settings.config import flatten, validate
+from services.runtime.settings.scenario import LoadedScenario, Scenario
+from studies.experiments.apparatus.base import Apparatus, Course, Take
+from studies.experiments.apparatus.lockstep import empty
+from studies.experiments.apparatus.rig_process import RigProcess, wait_for_others
+from studies.experiments.desk import Desk
+from studies.experiments.disturbances import disturbances
+from studies.experiments.plan import Plan, changes_while_running, parameters_of
+from studies.experiments.recorded_trial import RecordedTrial
+from studies.experiments.types import Trial, TrialData
+
+_HALVES = ("controller@master", "controller@slave")
+_REPORTS = ("link/status", "link/delay", "law/status", "node/health")
+_NODES = (HAND, *_HALVES, f"{LINK}@master", TIP, RECORDER)
+# How long a state is waited for [s]; the rig's own deadlines are far shorter.
+_PATIENCE_S = 20.0
+_LISTEN_S = 0.05
+# The hand is at rest below this speed [m/s], for this time [s], and at its start within this distance [m].
+_REST_M_PER_S, _REST_S, _HOME_M, _HOME_S, _REST_MOST_S = 2e-4, 0.1, 2e-4, 6.0, 6.0
+_NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}
+_CLEAN: dict[str, Scalar] = {"profile": "clean"}
+_SIMULATED = ("simulated", "simulated_impedance")
+_NOTHING = TrialData(empty("afm/state"), empty("haptic/state"), empty("law/status"))
+# What is under way when the programme ends still belongs to the trial.
+_AFTER_S = 0.3
+
+
+class Wanted(NamedTuple):
+    """What a running rig is set to: the law, the link, the operator and the disturbances, by key of `set`."""
+
+    law: dict[str, Scalar]
+    link: dict[str, Scalar]
+    operator: str
+    hand: dict[str, Scalar]
+    tip: dict[str, Scalar]
+
+
+class Live(Apparatus):
+    """An apparatus of processes on this machine.
+
+    Args:
+        plan: The experiment.
+        folder: The folder of the experiment.
+        desk: Tells and asks participant and experimenter.
+        show: Called with what a person has to know.
+    """
+
+    def __init__(self, plan: Plan, folder: Path, desk: Desk, show: Callable[[str], None] = lambda text: None) -> None:
+        super().__init__(plan, desk)
+        self._folder, self._show = folder.resolve(), show
+        self._site_file = DEFAULT_SITE_FILE
+        self._rig: RigProcess | None = None
+        self._kept = ""
+        self._set = Wanted({}, {}, "", {}, {})
+        self._document: Mapping[str, Any] = {}
+        self._place_m = 0.0
+        self._observer: Observer | None = None
+        # the newest report by topic and source, and when it came
+        self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
+        wait_for_others(self._folder, show)
+
+    def close(self) -> None:
+        if self._observer is not None:
+            self._observer.close()
+            self._observer = None
+        if self._rig is not None:
+            self.desk.detach()
+            self._rig.end()
+            self._rig = None
+
+    def take(self, course: Course) -> Take:
+        trial = course.trial
+        rig = self._rig_of(trial, course.document)
+        self._ready()
+        wanted = wanted_of(course.document, trial.seed)
+        self._change(wanted)
+        verified = self._verified(wanted)
+        place = f"t{trial.index:04d}-{course.attempt}" + (f"-{course.interval}" if course.intervals > 1 else "")
+        mark: dict[str, Scalar] = {"trial": trial.index, "attempt": course.attempt, "interval": course.interval}
+        # What comes before the trial is in no file of its own: it is of use to nobody.
+        self._split(rig).unlink()
+        self._command("mark", RECORDER, {**mark, "state": "begin", "task": trial.task, "phase": trial.phase})
+        self.desk.begin(trial, course.attempt, first=course.interval == 0)
+        self._command("start", HAND)
+        try:
+            answers = list(self._wait(course.duration_s, time.monotonic()))
+        finally:
+            self._command("stop", HAND)
+        self._watch(_AFTER_S)
+        self._command("mark", RECORDER, {**mark, "state": "end"})
+        path = self._folder / "recordings" / trial.participant / f"{place}.mcap"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._split(rig).replace(path)
+        # The hand comes to rest while the trial is judged.
+        self._command("set", LINK, _CLEAN)
+        return self._judged(course, path, verified, answers)
+
+    def _judged(self, course: Course, path: Path, verified: dict[str, Any], answers: list[Mapping[str, Any]]) -> Take:
+        name = str(path.relative_to(self._folder))
+        try:
+            recorded = RecordedTrial(path)
+        except RecordingError as error:
+            return Take(_NOTHING, f"the recording cannot be read: {error}", name, verified)
+        band = _section(course.document, "controller", ControllerConfig).deadband
+        evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
+        found = disturbances(evidence, self.plan.experiment.disturbed.stall_s)
+        if recorded.duration_s < 0.9 * course.duration_s:
+            found.append(f"it lasted {recorded.duration_s:.2f} s instead of {course.duration_s:.2f} s")
+        timed = [{**answer, "time_s": 1e-9 * (answer["given_ns"] - recorded.start_ns)} for answer in answers]
+        answered = ({key: answer[key] for key in ("name", "value", "time_s")} for answer in timed)
+        data = recorded.data(course.duration_s, answered)
+        return Take(data, "; ".join(found), name, verified)
+
+    def prepare(self, trial: Trial) -> None:
+        parameters = parameters_of(self.plan.tasks[trial.task], trial.task_parameters)
+        first = self.plan.tasks[trial.task].intervals(parameters, trial.seed)[0]
+        self._rig_of(trial, self.document(trial, parameters, first.settings))
+
+    def _rig_of(self, trial: Trial, document: Mapping[str, Any]) -> RigProcess:
+        """Return the rig of a trial: the one that runs, or a new one where it differs in what none takes while it runs.
+
+        Each participant has rigs of their own, so that all that is theirs is in folders of theirs.
+        """
+        kept = json.dumps([trial.participant, kept_keys(document)], sort_keys=True)
+        self._document = document
+        if self._rig is not None and kept == self._kept:
+            self._rig.check()
+            return self._rig
+        self.close()
+        parent = self._folder / "rig"
+        number = len(list(parent.glob(f"{trial.participant}-*"))) + 1
+        folder = parent / f"{trial.participant}-{number}"
+        hand = document.get("haptic_node", {})
+        # No simulated hand presses before the first trial.
+        operator = _NO_HAND if self.simulated(trial) is not None else hand.get("operator", _NO_HAND)
+        started = {**document, "haptic_node": {**hand, "operator": operator}}
+        is_person = self.plan.experiment.operator.kind == "person"
+        self._show(f"starting the rig of {trial.participant}")
+        self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
+        self._kept, self._newest = kept, {}
+        self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
+        self._observer = Observer(load_site(self._site_file), _REPORTS)
+        self._await_running(self._rig)
+        self._command("stop", HAND)
+        self.desk.attach(self._site_file)
+        return self._rig
+
+    def _await_running(self, rig: RigProcess) -> None:
+        """Wait until the session of a new rig runs: its devices are armed and the hand's clock counts."""
+        deadline_s = time.monotonic() + 4.0 * _PATIENCE_S
+        with closing(Observer(load_site(self._site_file), ("haptic/state",))) as observer:
+            while time.monotonic() < deadline_s:
+                rig.check()
+                for observed in observer.listen(_LISTEN_S):
+                    state = observed.received.message
+                    if isinstance(state, HapticState) and state.session_s >= 0.0:
+                        return
+        raise RigError(f"the rig did not begin its session; see {rig.folder}")
+
+    def _ready(self) -> None:
+        """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""
+        states = self._states()
+        if states["haptic/state"].estop or states["afm/state"].mode == "estop":
+            raise RigError("a device is in emergency stop: find out why, and go on with `telenano experiment resume`")
+        if states["afm/state"].mode not in ("follow", "hold"):
+            self._command("set", LINK, _CLEAN)
+            self._command("arm", TIP)
+
+    def _states(self) -> dict[str, Any]:
+        """Return the newest state of both devices."""
+        found: dict[str, Any] = {}
+        with closing(Observer(load_site(self._site_file), ("haptic/state", "afm/state"))) as observer:
+            for observed in observer.listen(_PATIENCE_S):
+                found[observed.received.topic] = observed.received.message
+                if len(found) == 2:
+                    return found
+        raise RigError("the devices of the rig are silent; see the logs in its folder")
+
+    def _change(self, wanted: Wanted) -> None:
+        """Set the rig to a condition: clean link, hand at its start and at rest, law, and then the link."""
+        before = self._set
+        self._place_m = self._go_home() if wanted.operator else self._await_rest()
+        for target, new, old in (
+            ("controller", wanted.law, before.law),
+            (HAND, wanted.hand, before.hand),
+            (TIP, wanted.tip, before.tip),
+        ):
+            if changes := {key: value for key, value in new.items() if old.get(key) != value}:
+                self._command("set", target, changes)
+        self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']} at both halves")
+        if wanted.operator:
+            self._command("set", HAND, {"operator": wanted.operator})
+        self._command("set", LINK, {**wanted.link})
+        self._set = wanted
+
+    def _go_home(self) -> float:
+        """Have a simulated hand go back to where it starts; return where it is then [m]."""
+        start_m = self._start_m
+        path = [{"time_s": 0.0, "position_m": start_m}]
+        self._command("set", HAND, {"operator": json.dumps({"kind": "impedance", "path": path, "arm": "ordinary"})})
+        self._command("start", HAND)
+        try:
+            self._await_hand(lambda state: abs(-state.position_m[2] - start_m) <= _HOME_M, _HOME_S)
+        finally:
+            self._command("stop", HAND)
+        return self._await_rest()
+
+    @property
+    def _start_m(self) -> float:
+        return float(_section(self._document, "haptic_node", HapticConfig).device.start_position_m)
+
+    def _await_rest(self) -> float:
+        return self._await_hand(lambda state: abs(state.velocity_m_per_s[2]) < _REST_M_PER_S, _REST_MOST_S)
+
+    def _await_hand(self, is_there: Callable[[HapticState], bool], most_s: float) -> float:
+        """Wait until something has held of the hand for a while, at most for a time; return where it is then [m]."""
+        since_ns: int | None = None
+        place_m = 0.0
+        with closing(Observer(load_site(self._site_file), ("haptic/state",))) as observer:
+            for observed in observer.listen(most_s):
+                state = observed.received.message
+                if not isinstance(state, HapticState):
+                    continue
+                place_m = -state.position_m[2]
+                if not is_there(state):
+                    since_ns = None
+                    continue
+                since_ns = state.t_ns if since_ns is None else since_ns
+                if state.t_ns - since_ns >= _REST_S * 1e9:
+                    break
+        return place_m
+
+    def _verified(self, wanted: Wanted) -> dict[str, Any]:
+        """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
+        expected = {way: _of_way(wanted.link, way) for way in ("forward", "backward")}
+
+        def link_is_set() -> bool:
+            status = self._report("link/status", f"{LINK}@master")
+            return isinstance(status, LinkStatus) and all(
+                getattr(status, way).profile == wanted.link["profile"] and dict(getattr(status, way).settings) == keys
+                for way, keys in expected.items()
+            )
+
+        self._watch_until(link_is_set, "the settings of the link")
+        delays = constant_delays_ns(wanted.link)
+        self._watch_until(
+            lambda: all(self._delay_ns(way) == delay_ns for way, delay_ns in delays.items()), f"the delays {delays} ns"
+        )
+        self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']}")
+        self._watch_until(lambda: not self._absent(), "every node")
+        status = self._report("link/status", f"{LINK}@master")
+        assert isinstance(status, LinkStatus)
+        return {
+            "law": wanted.law["law"],
+            "profile": status.forward.profile,
+            "link_seed": wanted.link.get("seed"),
+            **{f"{way}.{key}": value for way, keys in expected.items() for key, value in keys.items()},
+            **{f"{way}_delay_ns": self._delay_ns(way) for way in expected},
+            "hand_start_m": round(self._place_m, 7),
+            "nodes": len(_NODES),
+        }
+
+    def _delay_ns(self, way: str) -> int | None:
+        found = [
+            message
+            for (topic, _), (_, message) in self._newest.items()
+            if topic == "link/delay" and isinstance(message, LinkDelay) and message.direction == way
+        ]
+        return found[-1].delay_ns if found else None
+
+    def _law_is(self, law: str) -> bool:
+        reports = [self._report("law/status", half) for half in _HALVES]
+        return all(report is not None and report.law == law and not report.switching for report in reports)
+
+    def _absent(self) -> list[str]:
+        """Return the nodes that report nothing, or that they do not run."""
+        reports = {node: self._report("node/health", node) for node in _NODES}
+        return [node for node, report in reports.items() if report is None or report.state in ("stopping", "starting")]
+
+    def _report(self, topic: str, src: str) -> Any:
+        """Return the newest report, None where none came since the last change."""
+        at_s, message = self._newest.get((topic, src), (0.0, None))
+        fresh_s = 2.0 if topic == "node/health" else 1.0
+        return message if time.monotonic() - at_s <= fresh_s else None
+
+    def _watch_until(self, is_so: Callable[[], bool], what: str) -> None:
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while not is_so():
+            if time.monotonic() >= deadline_s:
+                raise RigError(f"the rig did not report {what} within {_PATIENCE_S:g} s")
+            self._watch(_LISTEN_S)
+
+    def _watch(self, duration_s: float) -> None:
+        """Take what the rig reports for a time [s]."""
+        assert self._observer is not None
+        for observed in self._observer.listen(duration_s):
+            message = observed.received.message
+            way = f" {message.direction}" if isinstance(message, LinkDelay) else ""
+            if not (isinstance(message, NodeHealth) and "@" in observed.name):
+                self._newest[observed.received.topic, message.src + way] = (time.monotonic(), message)
+        if self._rig is not None:
+            self._rig.check()
+
+    def _wait(self, duration_s: float, begun_s: float) -> Iterator[Mapping[str, Any]]:
+        """Wait for the end of a trial, and yield what is answered meanwhile."""
+        while (elapsed_s := time.monotonic() - begun_s) < duration_s:
+            self._watch(min(_LISTEN_S, duration_s - elapsed_s))
+            yield from self.desk.during(elapsed_s)
+
+    def _command(self, name: CommandName, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
+        """Send a command; RigError where a node refuses it. What was reported before counts no more."""
+        answers = send_control(
+            Command(name, target, parameters=parameters or {}), self._site_file, "master", lambda event: None
+        )
+        refused = [f"{src}: {event.text}" for src, event in sorted(answers.items()) if event.kind == "refused"]
+        if refused:
+            raise RigError(f"{name} {target}: {'; '.join(refused)}")
+        self._newest = {}
+
+    def _split(self, rig: RigProcess) -> Path:
+        """Have the recorder begin a new file; return the one that it has finished."""
+        finished = rig.recordings[-1]
+        self._command("set", RECORDER, {"record.split": True})
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while not Recording(finished).closed:
+            if time.monotonic() >= deadline_s:
+                raise RigError(f"{finished}: the recorder did not end the file")
+            self._watch(_LISTEN_S)
+        return finished
+
+
+def _section(document: Mapping[str, Any], name: str, model: Any) -> Any:
+    loaded = LoadedScenario(validate(Scenario, document, "a trial"), "a trial", dict(document))
+    return loaded.section(name, model)
+
+
+def kept_keys(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a scenario that a running rig does not take: two trials with other ones need two rigs."""
+    flat = flatten({key: value for key, value in document.items() if key not in ("name", "description", "duration_s")})
+    return {key: value for key, value in flat.items() if not changes_while_running(key)}
+
+
+def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
+    """Return what a running rig is set to for a trial, with every default in it, so that nothing of the last one stays.
+
+    Args:
+        document: The scenario of the trial.
+        seed: The seed of the link where the scenario gives none.
+    """
+    law = flatten(_section(document, "controller", ControllerConfig).model_dump(mode="json"))
+    given = document.get("delay_node", {})
+    link = flattened(
+        _section({**document, "delay_node": {"seed": seed, **given}}, "delay_node", LinkSettings), only_set=True
+    )
+    hand = document.get("haptic_node", {})
+    operator = hand.get("operator", {})
+    is_person = operator.get("kind") == "interactive" or hand.get("driver", "simulated") not in _SIMULATED
+    disturbed = {name: document.get(name, {}).get("disturbances", {}) for name in ("haptic_node", "afm_node")}
+    flat = {name: flatten({"disturbances": keys}) for name, keys in disturbed.items()}
+    return Wanted(
+        law={key: value for key, value in law.items() if key != "period_s" and _is_scalar(value)},
+        link={key: value for key, value in link.items()},
+        operator="" if is_person else json.dumps(operator or _NO_HAND),
+        hand={key: value for key, value in flat["haptic_node"].items() if _is_scalar(value)},
+        tip={key: value for key, value in flat["afm_node"].items() if _is_scalar(value)},
+    )
+
+
+def _is_scalar(value: Any) -> bool:
+    return isinstance(value, bool | int | float | str)
+
+
+def _of_way(link: Mapping[str, Scalar], way: str) -> dict[str, Scalar]:
+    return {key.removeprefix(f"{way}."): value for key, value in link.items() if key.startswith(f"{way}.")}
+
+
+def constant_delays_ns(link: Mapping[str, Scalar]) -> dict[str, int]:
+    """Return the delays that the link will report, by direction, where nothing but a fixed delay makes them [ns]."""
+    found = {}
+    for way in ("forward", "backward"):
+        keys = {key for key, value in _of_way(link, way).items() if value not in ("none", 0, 0.0, False)}
+        if all(key in ("delay_s", "reliable") or key.startswith(("loss.", "corruption.")) for key in keys):
+            delay_ns = round(1e9 * float(link.get(f"{way}.delay_s", 0.0)))
+            found[way] = delay_ns - delay_ns % DELAY_STEP_NS
+    return found

@@ -1,0 +1,54 @@
+"""Trials in simulated time: the steps of the nodes without processes, as `telenano.simulate` runs them."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from recording.column_table import ColumnTable
+from studies.experiments.apparatus.base import Apparatus, Course, Take
+from studies.experiments.desk import Desk
+from studies.experiments.plan import Plan
+from studies.experiments.types import TrialData
+
+Simulate = Callable[[Mapping[str, Any], str], Any]
+
+
+def _simulate(document: Mapping[str, Any], origin: str) -> Any:
+    # The models of the closed loop take seconds to load.
+    from studies.loops.simulation import simulate_document
+
+    return simulate_document(document, origin)
+
+
+class Lockstep(Apparatus):
+    """An apparatus without processes or clock; nothing can disturb a trial.
+
+    Args:
+        plan: The experiment.
+        desk: Tells and asks nobody.
+        simulate: Runs a scenario; `studies.loops.simulation.simulate_document` unless given.
+    """
+
+    def __init__(self, plan: Plan, desk: Desk, simulate: Simulate = _simulate) -> None:
+        super().__init__(plan, desk)
+        self._simulate = simulate
+
+    def take(self, course: Course) -> Take:
+        document = {**course.document, "duration_s": course.duration_s}
+        link = {"seed": course.trial.seed, **document.get("delay_node", {})}
+        session = self._simulate({**document, "delay_node": link}, str(self.plan.path))
+        conditions = session.conditions
+        data = TrialData(session.table("afm/state"), session.table("haptic/state"), empty("law/status"))
+        verified = {
+            "law": conditions.law,
+            "round_trip_ms": conditions.round_trip_ms,
+            "profile": conditions.link_profile,
+            "link_seed": conditions.link_seed,
+        }
+        return Take(data, "", "", verified)
+
+
+def empty(topic: str) -> ColumnTable:
+    """Return a table of a topic without rows, such as law/status, which lockstep does not have."""
+    return ColumnTable(topic, {"time_s": np.empty(0)}, {"time_s": "s"}, {"time_s": "Time since the trial began"})

@@ -1,0 +1,207 @@
+"""What an experiment tells and asks: nobody at all, the recorder and the experimenter, or a person at the page."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from proto.errors import ConfigError
+from proto.experiment_messages import Question
+from studies.experiments.asked import CONSENT, CONSENT_TEXT, INSTRUMENTS
+from studies.experiments.bus import Answer, ExperimentBus
+from studies.experiments.plan import PICTURE_DELAY, Plan, parameters_of
+from studies.experiments.types import Trial, TrialData, TrialOutcome
+
+Answers = tuple[Mapping[str, Any], ...]
+_COUNTDOWN_S = 3.0
+_NOW = ("stop", "exclude", "skip", "disturbed")
+
+
+class AbortedError(Exception):
+    """A trial that ended before its time because the experimenter said so; the text is the reason."""
+
+
+class Place(NamedTuple):
+    """Where a participant is in the session: trials that are over, and all of them."""
+
+    done: int = 0
+    total: int = 0
+
+
+class Desk:
+    """Tells and asks nobody. `action` is what an experimenter wants of the session, empty for nothing."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.action, self.reason = "", ""
+        self.place = Place()
+
+    def attach(self, site_file: Path) -> None:
+        """Take part in a rig that has come up."""
+
+    def detach(self) -> None:
+        """Take leave of a rig that is about to end."""
+
+    def consent(self, participant: str) -> bool:
+        """Return whether a participant agrees to take part; one who has agreed before is not asked."""
+        return False
+
+    def instruct(self, trial: Trial) -> None:
+        """Have the participant read what the task of a trial is."""
+
+    def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
+        """Count down to a trial, and show it; `first` for the first one of its intervals."""
+
+    def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
+        """Return what was answered since the last call, each with name, value and given_ns; AbortedError ends all."""
+        return ()
+
+    def over(self, trial: Trial, attempt: int, outcome: TrialOutcome) -> None:
+        """Tell what came of a trial."""
+
+    def ask(self, trial: Trial, questions: tuple[Question, ...], data: TrialData) -> Answers:
+        """Return the answers to what a task asks after a trial, each with name, value and time_s."""
+        return ()
+
+    def instrument(self, name: str) -> Mapping[str, Any] | None:
+        """Return the answers to an instrument by item; None where nobody answers."""
+        return None
+
+    def rest(self, duration_s: float) -> bool:
+        """Rest for a time [s]; return whether anybody did."""
+        return False
+
+    def pause(self) -> None:
+        """Wait until the experimenter goes on."""
+
+    def finish(self) -> None:
+        """Tell the participant that the session is over."""
+
+
+class BusDesk(Desk):
+    """Tells recorder and experimenter of each trial; a simulated participant is asked nothing."""
+
+    bus: ExperimentBus | None = None
+    site_file: Path | None = None
+
+    def attach(self, site_file: Path) -> None:
+        self.bus, self.site_file = ExperimentBus(site_file), site_file
+
+    def detach(self) -> None:
+        if self.bus is not None:
+            self.bus.close()
+            self.bus = None
+
+    def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
+        self._tell(trial, attempt, "running", "")
+
+    def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
+        found = self._taken([] if self.bus is None else self.bus.answers())
+        if self.action in _NOW:
+            raise AbortedError(self.reason or self.action)
+        return found
+
+    def over(self, trial: Trial, attempt: int, outcome: TrialOutcome) -> None:
+        self._tell(trial, attempt, "skipped" if self.action == "skip" else outcome.status, outcome.disturbance)
+
+    def _tell(self, trial: Trial, attempt: int, state: str, text: str) -> None:
+        if self.bus is not None:
+            delay_s = float(trial.settings.get(PICTURE_DELAY, 0.0))
+            total = self.place.total
+            self.bus.trial(trial, state=state, attempt=attempt, trials=total, text=text[:1000], picture_delay_s=delay_s)
+
+    def _taken(self, answers: Sequence[Answer]) -> list[Mapping[str, Any]]:
+        """Return what a participant answered; what the experimenter wants is noted."""
+        for answer in answers:
+            if answer.role == "experimenter" and isinstance(wanted := answer.values.get("action"), str):
+                self.action = "" if wanted == "resume" else wanted
+                self.reason = str(answer.values.get("reason", ""))[:200]
+        return [
+            {"name": name, "value": value, "given_ns": answer.given_ns}
+            for answer in answers
+            if answer.role == "participant"
+            for name, value in answer.values.items()
+        ]
+
+
+class PersonDesk(BusDesk):
+    """Leads a person at the page through a session."""
+
+    def consent(self, participant: str) -> bool:
+        answer = self._wait("consent", "Consent", CONSENT_TEXT, questions=(CONSENT,))
+        return answer is not None and answer.values.get(CONSENT.name) == "yes"
+
+    def instruct(self, trial: Trial) -> None:
+        task = self.plan.tasks[trial.task]
+        text = task.instruction(parameters_of(task, trial.task_parameters))
+        self._wait("instruction", task.title, text, practice=trial.phase == "practice")
+
+    def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
+        bus, task = self._bus(), self.plan.tasks[trial.task]
+        parameters = parameters_of(task, trial.task_parameters)
+        shown: dict[str, Any] = {"done": self.place.done, "total": self.place.total}
+        shown |= {"practice": trial.phase == "practice"}
+        if first:
+            cue = bus.cue("countdown", task.title, remaining_s=_COUNTDOWN_S, **shown)
+            bus.wait(cue, _COUNTDOWN_S, self._idle)
+        bus.cue(
+            "trial",
+            task.title,
+            task.instruction(parameters),
+            remaining_s=task.intervals(parameters, trial.seed)[0].duration_s,
+            course=task.target(parameters, trial.seed),
+            band=task.band(parameters),
+            **shown,
+        )
+        super().begin(trial, attempt, first=first)
+
+    def ask(self, trial: Trial, questions: tuple[Question, ...], data: TrialData) -> Answers:
+        end_s = float(data.haptic["time_s"][-1]) if len(data.haptic["time_s"]) else 0.0
+        answer = self._wait("question", self.plan.tasks[trial.task].title, "", questions=questions)
+        if answer is None:
+            return ()
+        time_s = end_s + answer.shown_s
+        return tuple({"name": name, "value": value, "time_s": time_s} for name, value in answer.values.items())
+
+    def instrument(self, name: str) -> Mapping[str, Any] | None:
+        if name not in INSTRUMENTS:
+            raise ConfigError(f"ask: {name} is no instrument; there are {', '.join(INSTRUMENTS)}")
+        answer = self._wait("question", "A few questions", "", questions=INSTRUMENTS[name])
+        return None if answer is None else dict(answer.values)
+
+    def rest(self, duration_s: float) -> bool:
+        self._wait("rest", "Rest", "", remaining_s=duration_s)
+        return True
+
+    def pause(self) -> None:
+        self._wait("pause", "Pause", "", answered=False)
+
+    def finish(self) -> None:
+        self._bus().cue("end", "Thank you", "The session is over.", done=self.place.done, total=self.place.total)
+
+    def _bus(self) -> ExperimentBus:
+        assert self.bus is not None, "the rig of a person's session has come up"
+        return self.bus
+
+    def _idle(self, answers: list[Answer]) -> bool:
+        self._taken(answers)
+        return self.action in _NOW
+
+    def _wait(
+        self,
+        stage: str,
+        title: str,
+        text: str,
+        *,
+        remaining_s: float | None = None,
+        answered: bool = True,
+        **shown: Any,
+    ) -> Answer | None:
+        bus = self._bus()
+        cue = bus.cue(
+            stage, title, text, remaining_s=remaining_s, done=self.place.done, total=self.place.total, **shown
+        )
+
+        def is_over(answers: list[Answer]) -> bool:
+            return self._idle(answers) or (not answered and self.action != "pause")
+
+        return bus.wait(cue, remaining_s, is_over)

@@ -1,0 +1,143 @@
+"""What disturbed a trial, told apart from what its condition did, by the link's own truth.
+
+A process that stood still, an emergency stop, a node that was started again: the trial does not count. A device that
+held because nothing came is another matter: where the link kept back, dropped or delayed what it had received, that is
+what the condition is about, and an outcome. `link/fates` has the truth of every message, so nothing has to be guessed.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.topics import deadline_of
+
+Times = npt.NDArray[np.float64]
+# A node reports twice a second; one that said nothing for so long was not there.
+_SILENT_S = 3.0
+# A device holds when nothing came for its deadline, and says so within a period or two.
+_SHARE = 0.5
+_LOOK_BACK_S = 0.2
+# A hold for one of these reasons means that nothing came in time; others, such as too much force, are outcomes.
+STALE = ("command_deadline", "hold_expired", "no command within the deadline")
+LOST = ("device_lost", "the device is lost")
+
+
+class Passage(NamedTuple):
+    """One direction of the link: when messages reached it, and when those that were not lost left it [s], sorted."""
+
+    arrived_s: Times
+    released_s: Times
+
+
+class Hold(NamedTuple):
+    """A device that ceased to follow: when [s], which, and why."""
+
+    time_s: float
+    node: str
+    reason: str
+
+
+class Evidence(NamedTuple):
+    """What a recording tells of a trial; times [s] since its beginning.
+
+    Args:
+        duration_s: How long it was meant to last.
+        hand_s: The times of the hand's samples, and how long each step was, shape (n, 2).
+        tip_s: The same of the instrument.
+        forward: The way from the hand to the tip.
+        backward: The way back.
+        holds: Devices that ceased to follow.
+        estops: When a device was in emergency stop first, by node.
+        restarted: Nodes that were started again, or reported nothing.
+        faults: What nodes called an error.
+        missing: What the recording lacks, in sentences.
+        quiet_s: The longest time for which the dead band may keep signals back.
+    """
+
+    duration_s: float
+    hand_s: Times
+    tip_s: Times
+    forward: Passage
+    backward: Passage
+    holds: Sequence[Hold] = ()
+    estops: Sequence[tuple[str, float]] = ()
+    restarted: Sequence[str] = ()
+    faults: Sequence[str] = ()
+    missing: Sequence[str] = ()
+    quiet_s: float = 0.0
+
+
+def disturbances(evidence: Evidence, stall_s: float) -> list[str]:
+    """Return what disturbed a trial, in sentences; empty where only the condition acted.
+
+    Args:
+        evidence: What the recording tells.
+        stall_s: The longest standstill of a process that does not count.
+    """
+    return [
+        *(f"{node} was in emergency stop at {time_s:.2f} s" for node, time_s in evidence.estops),
+        *_stalls("the hand's device", evidence.hand_s, stall_s),
+        *_stalls("the instrument", evidence.tip_s, stall_s),
+        *_silences(evidence, stall_s),
+        *_unexplained(evidence),
+        *(f"{node} was started again or fell silent" for node in evidence.restarted),
+        *evidence.faults,
+        *(f"the recording is not whole: {text}" for text in evidence.missing),
+    ]
+
+
+def longest_gap(times_s: Times, begin_s: float, end_s: float) -> tuple[float, float]:
+    """Return the longest time without an entry within an interval [s], and when it began; the ends count as entries."""
+    inside = times_s[(times_s > begin_s) & (times_s < end_s)]
+    edges = np.concatenate(([begin_s], inside, [end_s]))
+    gaps = np.diff(edges)
+    place = int(np.argmax(gaps))
+    return float(gaps[place]), float(edges[place])
+
+
+def _stalls(what: str, steps_s: Times, stall_s: float) -> Iterable[str]:
+    if not len(steps_s):
+        yield f"{what} said nothing"
+        return
+    longest = int(np.argmax(steps_s[:, 1]))
+    time_s, step_s = steps_s[longest].tolist()
+    if step_s > stall_s:
+        yield f"{what} stood still for {1e3 * step_s:.0f} ms at {time_s:.2f} s"
+
+
+def _silences(evidence: Evidence, stall_s: float) -> Iterable[str]:
+    """Yield gaps in what reached the link, which are no work of the link."""
+    allowed_s = stall_s + evidence.quiet_s
+    gap_s, begin_s = longest_gap(evidence.forward.arrived_s, 0.0, evidence.duration_s)
+    if gap_s > allowed_s:
+        yield f"nothing of the hand reached the link for {1e3 * gap_s:.0f} ms at {begin_s:.2f} s"
+    gap_s, begin_s = longest_gap(evidence.backward.arrived_s, 0.0, evidence.duration_s)
+    if gap_s > allowed_s and not _link_was_silent(evidence.forward, begin_s, begin_s + gap_s, allowed_s):
+        yield f"nothing of the tip reached the link for {1e3 * gap_s:.0f} ms at {begin_s:.2f} s"
+
+
+def _unexplained(evidence: Evidence) -> Iterable[str]:
+    """Yield holds for want of commands although the link had delivered."""
+    least_s = _SHARE * min(deadline_of("afm/command"), deadline_of("haptic/command"))
+    for hold in evidence.holds:
+        if not 0.0 <= hold.time_s <= evidence.duration_s:
+            continue
+        if any(word in hold.reason for word in LOST):
+            yield f"{hold.node} lost its device at {hold.time_s:.2f} s"
+        if not any(word in hold.reason for word in STALE):
+            continue
+        begin_s = hold.time_s - least_s / _SHARE - _LOOK_BACK_S
+        ways = (evidence.forward, evidence.backward)
+        if not any(_link_was_silent(way, begin_s, hold.time_s, least_s) for way in ways):
+            yield f"{hold.node} held at {hold.time_s:.2f} s ({hold.reason}) although the link had delivered"
+
+
+def _link_was_silent(way: Passage, begin_s: float, end_s: float, least_s: float) -> bool:
+    """Return whether the link delivered nothing for a time although messages had reached it before."""
+    gap_s, gap_begin_s = longest_gap(way.released_s, begin_s, end_s)
+    if gap_s < least_s:
+        return False
+    arrived = way.arrived_s
+    return bool(np.any((arrived > gap_begin_s - least_s) & (arrived < gap_begin_s + gap_s)))

@@ -1,0 +1,155 @@
+"""The journal of an experiment: JSON lines that are only ever appended, each by one write and forced to the disk.
+
+What an experiment has done is the fold of its records and nothing else, so a run that was killed goes on from them.
+The records, each with its kind in `record` and the time in `utc`:
+
+- `begun`: digest of the experiment's file, seed, versions, apparatus; once, and `resumed` at each later run;
+- `participant`: a participant's number and session begin; `session_over`: the planned trials of it are done;
+- `trying`: an attempt at a trial begins (participant, index, attempt);
+- `trial`: what came of it: the fields of Trial and TrialOutcome, and the attempt;
+- `interrupted`: an attempt that began and of which a killed run recorded nothing more; it does not count;
+- `asked`: the answers to an instrument such as NASA-TLX (participant, block, trial or -1, instrument, items);
+- `break`: a rest and how long it took [s]; `excluded`, `included`: a participant does not count, or does again;
+- `stopped`: why a run ended before its plan did; `ended`: the plan is done; `published`: where results were copied to;
+- `erased`: the data of a participant are gone; the participant is not asked again.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from proto.errors import ConfigError, RigError
+from services.runtime.settings.optional_modules import optional_module
+
+NAME = "journal.jsonl"
+Record = dict[str, Any]
+fcntl = optional_module("fcntl")
+
+
+def now_utc() -> str:
+    """Return the time as ISO 8601 text, with milliseconds."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def read(path: Path) -> list[Record]:
+    """Return the records of a journal; one that was being written when its writer died is left out.
+
+    Raises:
+        ConfigError: The file cannot be read, or a line before the last one is no record; the message names it.
+    """
+    return _parsed(path)[0]
+
+
+def torn(path: Path) -> str:
+    """Return the beginning of a last record that is not whole; empty where there is none."""
+    return _parsed(path)[1].decode(errors="replace")[:80]
+
+
+def _parsed(path: Path) -> tuple[list[Record], bytes]:
+    """Return the records, and what of the last line is not whole."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    lines = content.split(b"\n")
+    records: list[Record] = []
+    for number, line in enumerate(lines[:-1], 1):
+        try:
+            record = json.loads(line)
+        except ValueError as error:
+            raise ConfigError(f"{path}: line {number} is no JSON: {error}; restore it from a backup") from error
+        if not isinstance(record, dict) or not isinstance(record.get("record"), str):
+            raise ConfigError(f"{path}: line {number} is no record of an experiment: it has no `record`")
+        records.append(record)
+    return records, lines[-1]
+
+
+class Journal:
+    """The journal of an experiment that is open for writing, for one runner at a time.
+
+    Args:
+        path: The file; it is made where there is none.
+
+    Raises:
+        RigError: Another process has it open.
+        ConfigError: It cannot be read or written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be opened: {error.strerror}") from error
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._descriptor)
+            raise RigError(f"{path}: another `telenano experiment` is at work on it; wait for it or end it") from error
+        try:
+            self.records, rest = _parsed(path)
+        except ConfigError:
+            os.close(self._descriptor)
+            raise
+        self.torn = rest.decode(errors="replace")[:80]
+        if rest:
+            os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - len(rest))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.close(self._descriptor)
+
+    def write(self, record: str, **fields: Any) -> Record:
+        """Append a record, and return it when it is on the disk.
+
+        Raises:
+            RigError: It could not be written whole; the journal is then as it was before.
+        """
+        entry: Record = {"record": record, "utc": now_utc(), **fields}
+        line = (json.dumps(entry, allow_nan=False, default=_plain) + "\n").encode()
+        size = os.fstat(self._descriptor).st_size
+        try:
+            written = os.write(self._descriptor, line)
+            if written < len(line):
+                raise OSError(0, f"only {written} of {len(line)} bytes were written")
+            os.fsync(self._descriptor)
+        except OSError as error:
+            os.ftruncate(self._descriptor, size)
+            raise RigError(f"{self.path}: a record could not be written: {error.strerror}") from error
+        # what is known in memory is what a later run will read
+        self.records.append(json.loads(line))
+        return self.records[-1]
+
+    def of(self, *kinds: str) -> Iterator[Record]:
+        """Yield the records of some kinds, in their order."""
+        return (record for record in self.records if record["record"] in kinds)
+
+    def replace(self, records: list[Record]) -> None:
+        """Write other records in the place of all, for an erasure: whole, or not at all."""
+        content = "".join(json.dumps(record) + "\n" for record in records).encode()
+        part = self.path.with_name(f".{self.path.name}.part")
+        part.write_bytes(content)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(self.path)
+        descriptor = os.open(self.path, os.O_RDWR | os.O_APPEND)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.close(self._descriptor)
+        self._descriptor, self.records = descriptor, list(records)
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold of a value that is none of its own: arrays, their scalars, mappings."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"a record cannot hold a {type(value).__name__}")

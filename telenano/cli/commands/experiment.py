@@ -1,0 +1,324 @@
+"""`telenano experiment`: trials of people or simulated operators over conditions, from plan to publication."""
+
+import contextlib
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+
+from presets import EXPERIMENT_DIRECTORY, find_experiment
+from proto.errors import ConfigError
+from recording.whole_files import whole_file
+from services.runtime.settings.config import read_yaml
+from telenano.cli.options import JsonOption, command_group
+from telenano.cli.output import fail, print_document, print_json, print_rows, report_errors
+
+if TYPE_CHECKING:
+    from studies.experiments.apparatus.base import Apparatus
+    from studies.experiments.desk import Desk
+    from studies.experiments.plan import Plan
+
+app = command_group()
+people = command_group()
+app.add_typer(people, name="people", help="Note what is known of participants: consent, handedness, exclusion.")
+
+_FILE = "experiment.yaml"
+FileArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="The experiment: a known name or a YAML file.")]
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the experiment.")]
+PseudonymArgument = Annotated[str, typer.Argument(metavar="ID", help="The pseudonym, such as P03; never a name.")]
+ParticipantOption = Annotated[
+    list[str] | None,
+    typer.Option("--participant", metavar="ID", help="Only this participant (repeatable); default: all, in turn."),
+]
+
+
+class ApparatusName(StrEnum):
+    """What trials can run on."""
+
+    LIVE = "live"
+    LOCKSTEP = "lockstep"
+
+
+class Handedness(StrEnum):
+    """The hand that a participant uses."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    BOTH = "both"
+    UNKNOWN = "unknown"
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the experiment: lower case, digits, _ and -.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="File to write; default: NAME.yaml.")
+    ] = None,
+    base: Annotated[str, typer.Option("--from", metavar="NAME|FILE", help="Experiment to begin with.")] = "template",
+    as_json: JsonOption = False,
+) -> None:
+    """Write the file of an experiment of your own, with what each key means."""
+    with report_errors(as_json):
+        path = out or Path(f"{name}.yaml")
+        if path.exists():
+            raise ConfigError(f"{path}: exists already; give another name or --out")
+        source = find_experiment(base)
+        first = f"name: {read_yaml(source).get('name', '')}"
+        text = source.read_text(encoding="utf-8").replace(f"\n{first}\n", f"\nname: {name}\n", 1)
+        with whole_file(path, replace=False) as part:
+            part.write_text(text, encoding="utf-8")
+            _load(part)
+    if as_json:
+        print_json({"file": str(path)})
+    else:
+        typer.echo(f"{path}; next: telenano experiment check {path}")
+
+
+@app.command()
+def check(file: FileArgument, as_json: JsonOption = False) -> None:
+    """Check an experiment: how many trials, how long, which factor varies where, and whether the order is balanced."""
+    with report_errors(as_json):
+        from studies.experiments.summary import summary_of
+
+        plan = _load(find_experiment(file))
+        found = summary_of(plan)
+        balance = plan.balance()
+    if as_json:
+        print_json({**found, "places": balance.places, "followed": balance.followed})
+        return
+    blocks = found.pop("blocks")
+    doubts = found.pop("doubts")
+    for key, value in found.items():
+        shown = ", ".join(map(str, value)) or "none" if isinstance(value, list) else value
+        typer.echo(f"{key.replace('_', ' ')}: {shown}")
+    if len(blocks) > 1:
+        typer.echo("\nblocks of a session")
+        print_rows(blocks)
+    names = [", ".join(f"{key} = {level}" for key, level in row.items()) or "all" for row in plan.within_block]
+    typer.echo("\nhow often each condition comes at each place of a sequence, and right after each other one")
+    places = range(len(names))
+    print_rows(
+        [
+            {"condition": f"{number}: {name}"}
+            | {f"at {place + 1}": balance.places[number][place] for place in places}
+            | {f"after {other}": balance.followed[other][number] for other in places}
+            for number, name in enumerate(names)
+        ]
+    )
+    for doubt in doubts:
+        typer.echo(f"note: {doubt}", err=True)
+
+
+@app.command()
+def run(
+    file: FileArgument,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder of the experiment; default: experiments/NAME.")
+    ] = None,
+    participant: ParticipantOption = None,
+    apparatus: Annotated[
+        ApparatusName | None, typer.Option("--apparatus", help="Run on this, in place of what the file says.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run an experiment: all simulated participants, or a session of a person at the page of the rig."""
+    with report_errors(as_json, _INTERRUPTED):
+        source = find_experiment(file)
+        plan = _load(source)
+        folder = out or Path("experiments") / plan.experiment.name
+        if (folder / "journal.jsonl").exists():
+            raise ConfigError(f"{folder}: has an experiment already; `telenano experiment resume {folder}` goes on")
+        _copy(plan, source, folder, apparatus)
+        _run(folder, participant, as_json=as_json)
+
+
+@app.command()
+def resume(folder: FolderArgument, participant: ParticipantOption = None, as_json: JsonOption = False) -> None:
+    """Go on with an experiment after a break or a crash: no trial is lost, and none is done twice."""
+    with report_errors(as_json, _INTERRUPTED):
+        from studies.experiments.runner import folder_plan
+
+        folder_plan(folder)
+        _run(folder, participant, as_json=as_json)
+
+
+@app.command()
+def status(folder: FolderArgument, as_json: JsonOption = False) -> None:
+    """Show how far an experiment is: trials done, left and disturbed of each participant."""
+    with report_errors(as_json):
+        from studies.experiments import journal
+        from studies.experiments.runner import folder_plan
+        from studies.experiments.summary import state_of
+
+        path = folder / journal.NAME
+        plan = _load(folder_plan(folder))
+        found = state_of(plan, journal.read(path) if path.exists() else [])
+    if as_json:
+        print_json(found)
+        return
+    rows = found.pop("participants")
+    for key, value in found.items():
+        typer.echo(f"{key.replace('_', ' ')}: {value}")
+    print_rows(rows)
+
+
+@app.command()
+def erase(
+    folder: FolderArgument,
+    pseudonym: PseudonymArgument,
+    signed_by: Annotated[
+        str, typer.Option("--signed-by", metavar="ROLE", help="Who does it, such as data protection officer.")
+    ] = "",
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether it is meant.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Erase all data of a participant, with a proof of what is gone; it cannot be undone."""
+    with report_errors(as_json):
+        from studies.experiments.people import erase as erased
+
+        if not yes and not typer.confirm(f"Erase everything of {pseudonym} in {folder}?"):
+            raise ConfigError("nothing was erased")
+        path, proof = erased(folder, pseudonym, signed_by)
+    if as_json:
+        print_json({"proof": str(path), **proof})
+        return
+    counts = ", ".join(f"{count} of {kind}" for kind, count in proof["counts"].items())
+    typer.echo(f"erased: {counts or 'nothing'}; proof: {path}")
+    if proof["published_before"]:
+        typer.echo(f"note: the results were published {proof['published_before']} times before; recall those copies")
+
+
+@people.command("add")
+def add(
+    folder: FolderArgument,
+    pseudonym: PseudonymArgument,
+    handedness: Annotated[Handedness, typer.Option("--handedness", help="The hand used.")] = Handedness.UNKNOWN,
+    consent: Annotated[bool, typer.Option("--consent", help="The participant has consented in writing.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Add a participant, or note handedness and consent of one."""
+    with report_errors(as_json):
+        from studies.experiments.people import People
+
+        known: dict[str, Any] = {"handedness": handedness.value} if handedness is not Handedness.UNKNOWN else {}
+        person = People(folder).change(pseudonym, **known, **({"consent": True} if consent else {}))
+    print_document({"participant": pseudonym, **person.model_dump()}, str(folder), as_json=as_json)
+
+
+@people.command("exclude")
+def exclude(
+    folder: FolderArgument,
+    pseudonym: PseudonymArgument,
+    reason: Annotated[str, typer.Option("--reason", metavar="TEXT", help="Why; empty takes the participant back.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Exclude a participant's data with a reason, or take them back with an empty one; nothing is deleted."""
+    with report_errors(as_json):
+        from studies.experiments.journal import NAME, Journal
+        from studies.experiments.people import People
+
+        with Journal(folder / NAME) as journal:
+            person = People(folder).change(pseudonym, excluded=reason)
+            journal.write("excluded" if reason else "included", participant=pseudonym, reason=reason)
+    print_document({"participant": pseudonym, **person.model_dump()}, str(folder), as_json=as_json)
+
+
+@people.command("list")
+def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
+    """List the participants."""
+    with report_errors(as_json):
+        from studies.experiments.people import People, shown
+
+        rows = shown(People(folder).known)
+    if as_json:
+        print_json({"participants": rows})
+    else:
+        print_rows(rows)
+
+
+_INTERRUPTED = "interrupted; `telenano experiment resume` goes on with the trial that was interrupted"
+
+
+def _load(path: Path) -> "Plan":
+    from studies.experiments.plan import load_plan
+
+    return load_plan(path)
+
+
+def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | None) -> None:
+    """Copy the file of an experiment, and a scenario of its own, to its folder: what was run stays what it was."""
+    document = read_yaml(source)
+    changed: dict[str, Any] = {} if apparatus is None else {"apparatus": apparatus.value}
+    folder.mkdir(parents=True, exist_ok=True)
+    if (source.parent / plan.experiment.scenario).is_file() or plan.experiment.scenario.endswith((".yaml", ".yml")):
+        changed["scenario"] = "scenario.yaml"
+        with whole_file(folder / "scenario.yaml") as part:
+            part.write_text(yaml.safe_dump(plan.scenario, sort_keys=False), encoding="utf-8")
+    text = yaml.safe_dump({**document, **changed}, sort_keys=False) if changed else source.read_text(encoding="utf-8")
+    with whole_file(folder / _FILE) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _run(folder: Path, participants: list[str] | None, *, as_json: bool) -> None:
+    """Run what is left of the experiment in a folder, and print how far it is."""
+    from studies.experiments.journal import NAME, Journal
+    from studies.experiments.people import People
+    from studies.experiments.runner import Runner, remaining
+    from studies.experiments.summary import state_of
+
+    def show(text: str) -> None:
+        typer.echo(text, err=as_json)
+
+    plan = _load(folder / _FILE)
+    with Journal(folder / NAME) as journal:
+        if journal.torn:
+            show(f"note: {journal.path}: the last record was not whole and is dropped: {journal.torn}")
+        wanted = _participants(plan, participants, list(remaining(plan, journal.records)))
+        with _apparatus(plan, folder, show) as (apparatus, desk):
+            runner = Runner(plan, journal, People(folder), apparatus, desk, show)
+            runner.begin()
+            stopped = runner.run(wanted)
+        found = state_of(plan, journal.records)
+    if as_json:
+        print_json(found)
+    else:
+        typer.echo(f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}")
+    if stopped.reason:
+        fail(f"stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", as_json=False)
+
+
+def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> list[str]:
+    """Return the participants of a run: those given; else all that are left, of people the first one."""
+    for name in given or ():
+        if name not in plan.experiment.pseudonyms:
+            known = ", ".join(plan.experiment.pseudonyms)
+            raise ConfigError(f"--participant {name}: is no participant of {plan.path}; there are {known}")
+    return given or (left[:1] if plan.experiment.operator.kind == "person" else left)
+
+
+@contextlib.contextmanager
+def _apparatus(plan: "Plan", folder: Path, show: Any) -> Iterator[tuple["Apparatus", "Desk"]]:
+    """Yield what the trials run on, and who is told and asked; a rig ends with the block."""
+    from studies.experiments.apparatus.lockstep import Lockstep
+    from studies.experiments.desk import BusDesk, Desk, PersonDesk
+
+    is_person = plan.experiment.operator.kind == "person"
+    if plan.experiment.apparatus == "lockstep":
+        if is_person:
+            raise ConfigError(f"{plan.path}: apparatus: a person cannot take part in simulated time; take live")
+        desk = Desk(plan)
+        yield Lockstep(plan, desk), desk
+        return
+    from studies.experiments.apparatus.live import Live
+
+    desk = PersonDesk(plan) if is_person else BusDesk(plan)
+    with contextlib.closing(Live(plan, folder, desk, show)) as apparatus:
+        yield apparatus, desk
+
+
+def known_experiments() -> list[str]:
+    """Return the names of the experiments that come with the project."""
+    return sorted(path.stem for path in EXPERIMENT_DIRECTORY.glob("*.yaml"))
