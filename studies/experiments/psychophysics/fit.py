@@ -4,7 +4,10 @@ The likelihood is tabulated over threshold, width and lapse rate, on a grid that
 that no search can end beside the maximum. The interval is where the logarithm of the likelihood, greatest over width
 and lapse rate, is no further below its maximum than half the quantile of chi² with one degree of freedom (D. J. Venzon
 and S. H. Moolgavkar, Appl. Stat. 37 (1988) 87). How the levels were chosen does not matter to a likelihood, so constant
-stimuli, staircases and QUEST+ have the same fit.
+stimuli and staircases have the same fit.
+
+QUEST+ has a prior, and the interval by its posterior (`posterior`). The few levels that it presents leave the width
+open: by the likelihood alone, 95 % intervals had the threshold in 92 % of a thousand simulated observers.
 """
 
 import math
@@ -19,14 +22,18 @@ from studies.experiments.psychophysics.function import Psychometric
 
 Answer = tuple[float, bool]
 METHOD = "maximum likelihood, interval by profile likelihood"
+POSTERIOR = "mean of the posterior, credible interval"
 
 # points of the grid: thresholds, widths, lapse rates
 _GRID = 41, 21, 5
 _ROUNDS = 4
 # widths from this share of the range of levels to this many times it
 _NARROWEST, _WIDEST = 0.02, 5.0
+# An end at which the posterior is still so large a share of its maximum is one of the prior and not of the answers.
+_CUT_OFF = 0.05
 # The grid closes in on what is no further below the maximum, in units of the logarithm of the likelihood.
 _KEPT = 5.0
+_LEAST = 1e-300
 
 
 class Estimate(NamedTuple):
@@ -92,16 +99,69 @@ def fit(
     return _estimate(model, found, confidence, middle, len(given))
 
 
+def posterior(
+    answers: Iterable[Answer],
+    model: Psychometric,
+    thresholds: tuple[float, float],
+    widths: Numbers,
+    lapses: Numbers,
+    proportion: float | None = None,
+    confidence: float = 0.95,
+) -> Estimate:
+    """Return the mean of the posterior of the threshold, on its axis, with its credible interval.
+
+    Args:
+        answers: The level of each trial, and whether its answer was correct (or yes).
+        model: The family of functions.
+        thresholds: The ends, on the axis, between which every threshold is as likely beforehand.
+        widths: Widths that are as likely beforehand.
+        lapses: Lapse rates that are as likely beforehand.
+        proportion: The share of correct answers that defines the threshold; None for F = 1/2.
+        confidence: The confidence of the interval.
+
+    Returns:
+        The estimate; an end is None where the range of thresholds, and not the answers, bounds the posterior.
+    """
+    given = list(answers)
+    middle = 0.5 * (1.0 + model.guess) if proportion is None else proportion
+    if not given:
+        return Estimate(None, None, None, confidence, None, None, middle, 0, POSTERIOR)
+    grid = _Grid(model, _counted(given), proportion, lapses)
+    places = np.linspace(*thresholds, 2 * _GRID[0])
+    for _ in range(2):
+        logarithms = grid.likelihood(places, widths)
+        density = np.exp(logarithms - logarithms.max())
+        found, share = places, density.sum(axis=(1, 2))
+        places = _closer(places, np.log(np.maximum(share, _LEAST)), kept=2.0 * _KEPT)
+    # the distribution function by trapezoids, at the points of the grid
+    steps = np.concatenate(([0.0], np.cumsum(0.5 * (share[1:] + share[:-1]))))
+    tail = 0.5 - 0.5 * confidence
+    ends = [float(np.interp(part * steps[-1], steps, found)) for part in (tail, 1.0 - tail)]
+    mean = float((share * found).sum() / share.sum())
+    level, low, high = (float(level) for level in model.from_axis([mean, *ends]))
+    width = float((density.sum(axis=(0, 2)) * widths).sum() / density.sum())
+    lapse = float((density.sum(axis=(0, 1)) * grid.lapses).sum() / density.sum())
+    is_bounded = [part < _CUT_OFF * float(share.max()) for part in (share[0], share[-1])]
+    least, greatest = low if is_bounded[0] else None, high if is_bounded[1] else None
+    return Estimate(level, least, greatest, confidence, width, lapse, middle, len(given), POSTERIOR)
+
+
 class _Grid:
     """The answers, and the likelihood of them over threshold, width and lapse rate."""
 
-    def __init__(self, model: Psychometric, counts: Sequence[tuple[float, int, int]], proportion: float | None) -> None:
+    def __init__(
+        self,
+        model: Psychometric,
+        counts: Sequence[tuple[float, int, int]],
+        proportion: float | None,
+        lapses: Numbers | None = None,
+    ) -> None:
         self._model, self._proportion = model, proportion
         self.places = model.on_axis([level for level, _, _ in counts])
         self._right = np.asarray([right for _, right, _ in counts], dtype=float)
         self._wrong = np.asarray([wrong for _, _, wrong in counts], dtype=float)
-        lapses = _GRID[2] if model.most_lapses > 0.0 else 1
-        self.lapses = np.linspace(0.0, model.most_lapses, lapses)
+        free = np.linspace(0.0, model.most_lapses, _GRID[2] if model.most_lapses > 0.0 else 1)
+        self.lapses = free if lapses is None else lapses
         if proportion is not None:
             self.lapses = self.lapses[self.lapses < 1.0 - proportion]
 
@@ -134,9 +194,9 @@ def _counted(answers: Sequence[Answer]) -> list[tuple[float, int, int]]:
     return [(level, *counts[level]) for level in sorted(counts)]  # type: ignore[misc]
 
 
-def _closer(points: Numbers, profile: Numbers, *, ratio: bool = False) -> Numbers:
+def _closer(points: Numbers, profile: Numbers, *, ratio: bool = False, kept: float = _KEPT) -> Numbers:
     """Return a grid over the points that are likely enough, and a point more to either side."""
-    likely = np.flatnonzero(profile >= profile.max() - _KEPT)
+    likely = np.flatnonzero(profile >= profile.max() - kept)
     first, last = max(int(likely[0]) - 1, 0), min(int(likely[-1]) + 1, len(points) - 1)
     space = np.geomspace if ratio else np.linspace
     return space(points[first], points[last], len(points))

@@ -13,7 +13,7 @@ from pydantic import Field, RootModel, model_validator
 
 from services.runtime.settings.config import Settings, validate
 from studies.experiments.psychophysics.exact import Numbers, exp, log, total
-from studies.experiments.psychophysics.fit import Answer, Estimate, fit
+from studies.experiments.psychophysics.fit import Answer, Estimate, fit, posterior
 from studies.experiments.psychophysics.function import Psychometric
 
 _MOST_TRIALS = 10_000
@@ -265,6 +265,7 @@ class QuestPlus(_Base):
         spaced = Range.ratios if function.axis == "log" else Range.steps
         self.levels = spaced(settings.levels)
         grids = function.on_axis(spaced(settings.thresholds)), settings.widths.ratios(), np.asarray(settings.lapses)
+        self._prior = (float(grids[0][0]), float(grids[0][-1])), grids[1], grids[2]
         self._thresholds, self._widths, self._lapses = (part.ravel() for part in np.meshgrid(*grids, indexing="ij"))
         shares = np.stack([self._shares(level) for level in self.levels])
         self._tables = [(table, log(table)) for table in (shares, 1.0 - shares)]
@@ -287,6 +288,11 @@ class QuestPlus(_Base):
         sum_of_all = total(weighted)
         self.posterior = weighted / sum_of_all
         self._logarithm = self._logarithm + log(share) - log(sum_of_all)
+
+    def estimate(self) -> Estimate:
+        """Return the mean of the posterior, with its credible interval."""
+        settings = self.settings
+        return posterior(self.answers, settings.function, *self._prior, settings.proportion, settings.confidence)
 
     def entropies(self) -> Numbers:
         """Return the expected entropy after the next answer, for each level."""
