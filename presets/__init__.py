@@ -1,4 +1,4 @@
-"""The sites and scenarios that come with the project, and the way from a name to their files."""
+"""The sites, scenarios and networks that come with the project, and the way from a name to their files."""
 
 from pathlib import Path
 
@@ -9,6 +9,7 @@ _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
 SCENARIO_DIRECTORY = _FOLDER / "scenarios"
 EXPERIMENT_DIRECTORY = _FOLDER / "experiments"
+NETWORK_DIRECTORY = _FOLDER / "networks"
 SCHEMA_DIRECTORY = _FOLDER / "schemas"
 DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
 TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"

@@ -39,9 +39,9 @@ class Jitter(Settings):
     scale_s: Seconds = Field(
         default=0.0,
         description="half-width (uniform), standard deviation (normal, pareto, "
-        "pareto_normal) or seconds per table unit (table) [s]",
+        "pareto_normal), mean of the first part (hyperexponential) or seconds per table unit (table) [s]",
     )
-    distribution: Literal["uniform", "normal", "pareto", "pareto_normal", "table"] = Field(
+    distribution: Literal["uniform", "normal", "pareto", "pareto_normal", "hyperexponential", "table"] = Field(
         default="normal", description="law of the random part"
     )
     correlation: Correlation = Field(default=0.0, description="correlation of the normal scores of successive messages")
@@ -51,6 +51,10 @@ class Jitter(Settings):
         le=100.0,
         description="shape a of the Pareto law; its standard deviation exists for a > 2 only",
     )
+    second_share: Probability = Field(
+        default=0.0, description="share of the messages whose delay is of the second part (hyperexponential)"
+    )
+    second_scale_s: Seconds = Field(default=0.0, description="mean of the second part (hyperexponential) [s]")
     table_file: str | None = Field(
         default=None,
         description="file of samples, any count per line, # begins a comment; or what `ping` printed: half of each "
@@ -248,6 +252,8 @@ class Impairment(Settings):
             yield "jitter.table_file", "distribution 'table' needs a file of samples"
         if self.jitter.distribution == "table" and self.jitter.scale_s == 0.0:
             yield "jitter.scale_s", "is 0, by which every sample of the table is multiplied; 1 where they are seconds"
+        if self.jitter.second_share > 0.0 and self.jitter.second_scale_s == 0.0:
+            yield "jitter.second_scale_s", "0 s is no mean of a second part; give one, or jitter.second_share = 0"
         if self.order != "any" and self.reordering.probability > 0.0:
             yield "order", f"{self.order!r} forbids overtaking, but reordering.probability asks for it; set one of them"
         if self.rate.rate_bytes_per_s is not None and self.delivery_trace.file is not None:

@@ -1,75 +1,99 @@
-"""Named networks: typical figures of published measurements, as partial settings.
+"""Named networks: partial settings of the link, each with its source and the statistics that it is held to.
 
-Each is a plain mapping over the defaults; docs/link.md gives the source and the reasoning of every figure. Forward is
-the operator's uplink: the operator sits at the end of an access line, the instrument near the core of the network.
+A network is a file of `presets/networks`, and its name is that of the file. What is in one is `Profile`: `source` says
+which figures were published where, `assumed` what the source leaves open, and `statistics` what the messages of a
+direction have, which `tests/unit/delay_node/test_network_presets.py` measures. Forward is the operator's uplink: the
+operator sits at the end of an access line, the instrument near the core of the network.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Annotated, Any, Literal
 
-MEGABIT_BYTES_PER_S = 125_000.0
+from pydantic import Field
+
+from presets import NETWORK_DIRECTORY
+from proto.errors import ConfigError
+from services.runtime.settings.config import Settings, read_yaml, validate
+
+Milliseconds = Annotated[float, Field(ge=0.0)]
 
 
-class Profile(NamedTuple):
+class Source(Settings):
+    """Where figures were published, and which of them were taken."""
+
+    cite: str = Field(min_length=1, description="Paper, report, or file of a repository with its commit")
+    taken: str = Field(min_length=1, description="The figures taken from it, with their place")
+
+
+class Statistics(Settings):
+    """What the messages of one direction have, sent at 1 kHz; None where nothing is stated."""
+
+    mean_ms: Milliseconds | None = Field(default=None, description="Mean delay [ms]")
+    deviation_ms: Milliseconds | None = Field(default=None, description="Standard deviation of the delay [ms]")
+    percentiles_ms: dict[float, Milliseconds] = Field(default={}, description="Percentile -> delay [ms]")
+    lost: float = Field(default=0.0, ge=0.0, le=1.0, description="Share lost")
+    lost_in_a_row: float | None = Field(default=None, ge=1.0, description="Mean number of messages lost in a row")
+    overtakes: bool = Field(default=False, description="Whether messages overtake each other")
+
+
+class Profile(Settings):
     """A named network."""
 
-    about: str
-    settings: Mapping[str, Any]
+    about: str = Field(min_length=1, description="What it is, in one line")
+    source: tuple[Source, ...] = Field(default=(), description="Published figures; empty: typical figures of our own")
+    assumed: tuple[str, ...] = Field(default=(), description="What the source leaves open, and what was chosen")
+    statistics: dict[Literal["forward", "backward"], Statistics] = Field(description="What the messages have")
+    link: dict[str, Any] = Field(default={}, description="Settings of the link over their defaults")
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        return self.link
+
+    @property
+    def round_trip_ms(self) -> float:
+        """The mean delay of both directions together [ms]."""
+        return sum(way.mean_ms or 0.0 for way in self.statistics.values())
 
 
-def _line(
-    delay_s: float, jitter_s: float, rate_mbit_per_s: float, buffer_s: float, **others: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return an ordered line whose tail-drop buffer holds `buffer_s` of traffic."""
-    rate_bytes_per_s = rate_mbit_per_s * MEGABIT_BYTES_PER_S
-    return {
-        "delay_s": delay_s,
-        "jitter": {"scale_s": jitter_s, "distribution": "pareto", "correlation": 0.99},
-        "order": "link",
-        "rate": {"rate_bytes_per_s": rate_bytes_per_s, "overhead_bytes": 54},
-        "queue": {"limit_messages": None, "limit_bytes": int(rate_bytes_per_s * buffer_s), "drop": "tail"},
-        **others,
-    }
+class _Profiles(Mapping[str, Profile]):
+    """The files of the folder by name; one is read when it is asked for."""
+
+    def __getitem__(self, name: str) -> Profile:
+        if name not in self:
+            raise KeyError(name)
+        return _read(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in _names()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_names())
+
+    def __len__(self) -> int:
+        return len(_names())
 
 
-def _bursts(loss_probability: float, mean_burst_messages: float) -> dict[str, float]:
-    """Return the Gilbert-Elliott numbers of a loss share that comes in bursts."""
-    r = 1.0 / mean_burst_messages
-    return {"p": r * loss_probability / (1.0 - loss_probability), "r": r}
+@cache
+def _names() -> tuple[str, ...]:
+    names = sorted(path.stem for path in NETWORK_DIRECTORY.glob("*.yaml"))
+    return ("clean", *(name for name in names if name != "clean"))
 
 
-PROFILES: Mapping[str, Profile] = {
-    "clean": Profile("no impairment: a plain bridge", {}),
-    "lan": Profile(
-        "switched Gigabit Ethernet in one building, round trip 0.4 ms",
-        {way: _line(0.0002, 0.00002, 1000.0, 0.001) for way in ("forward", "backward")},
-    ),
-    "dsl": Profile(
-        "VDSL2 access line 50/10 Mbit/s, round trip 30 ms",
-        {
-            "forward": _line(0.015, 0.001, 10.0, 0.1, loss={"probability": 0.001}),
-            "backward": _line(0.015, 0.001, 50.0, 0.1, loss={"probability": 0.001}),
-        },
-    ),
-    "lte": Profile(
-        "LTE cell 40/15 Mbit/s, round trip 55 ms with strong jitter",
-        {
-            "forward": _line(0.032, 0.006, 15.0, 0.3, gilbert_elliott=_bursts(0.003, 3.0)),
-            "backward": _line(0.023, 0.004, 40.0, 0.3, gilbert_elliott=_bursts(0.003, 3.0)),
-        },
-    ),
-    "satellite": Profile(
-        "geostationary satellite 25/5 Mbit/s, round trip 600 ms",
-        {
-            "forward": _line(0.310, 0.010, 5.0, 0.3, gilbert_elliott=_bursts(0.005, 10.0)),
-            "backward": _line(0.290, 0.005, 25.0, 0.3, gilbert_elliott=_bursts(0.005, 10.0)),
-        },
-    ),
-    "transcontinental": Profile(
-        "research networks across an ocean, round trip 150 ms",
-        {way: _line(0.075, 0.0005, 1000.0, 0.05, loss={"probability": 0.0001}) for way in ("forward", "backward")},
-    ),
-}
+@cache
+def _read(name: str) -> Profile:
+    path = NETWORK_DIRECTORY / f"{name}.yaml"
+    return validate(Profile, read_yaml(path), str(path))
+
+
+PROFILES: Mapping[str, Profile] = _Profiles()
+
+
+def profile_named(name: str) -> Profile:
+    """Return a profile by its name in any case; ConfigError names the profiles that there are."""
+    if name.lower() not in PROFILES:
+        raise ConfigError(f"unknown profile {name!r}; known are {known_profiles()}")
+    return PROFILES[name.lower()]
 
 
 def known_profiles() -> str:

@@ -12,6 +12,8 @@ NORMAL_WEIGHT = 0.25
 PARETO_WEIGHT = 0.75
 
 normal_quantile = NormalDist().inv_cdf
+# Newton's steps end where they change the root by less than this share, and there are never more.
+_SMALLEST_STEP, _MOST_STEPS = 1e-13, 100
 
 
 def uniform_quantile(u: float) -> float:
@@ -30,6 +32,27 @@ def pareto_quantile(shape: float) -> Callable[[float], float]:
 
     def quantile(u: float) -> float:
         return float(((1.0 - u) ** exponent - mean) / deviation)
+
+    return quantile
+
+
+def hyperexponential_quantile(second_share: float, second_mean: float) -> Callable[[float], float]:
+    """Quantile of exponential numbers, of which the share w has the mean m and the others have the mean 1.
+
+    S(x) = (1 - w) exp(-x) + w exp(-x/m) = 1 - u has no inverse in closed form. log S is convex and falls, so Newton's
+    steps from 0 on rise to the root and never pass it; without a second part the first step is exact.
+    """
+    rate = 1.0 / second_mean if second_share > 0.0 else 1.0
+
+    def quantile(u: float) -> float:
+        wanted, x = math.log1p(-u), 0.0
+        for _ in range(_MOST_STEPS):
+            first, second = (1.0 - second_share) * math.exp(-x), second_share * math.exp(-rate * x)
+            step = (math.log(first + second) - wanted) * (first + second) / (first + rate * second)
+            x += step
+            if step <= _SMALLEST_STEP * x:
+                break
+        return x
 
     return quantile
 
@@ -86,6 +109,9 @@ def _parts(settings: Jitter, samples: Sequence[float]) -> list[tuple[float, str,
             return [(1.0, "jitter", normal_quantile)]
         case "pareto":
             return [(1.0, "jitter", pareto_quantile(settings.pareto_shape))]
+        case "hyperexponential":
+            ratio = settings.second_scale_s / settings.scale_s if settings.scale_s else 1.0
+            return [(1.0, "jitter", hyperexponential_quantile(settings.second_share, ratio))]
         case "table":
             return [(1.0, "jitter", table_quantile(samples))]
         case "pareto_normal":

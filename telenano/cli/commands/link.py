@@ -10,10 +10,11 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from proto.nodes import LINK
 from recording.tables import json_fields
-from services.delay_node.profiles import PROFILES
+from services.delay_node.profiles import PROFILES, profile_named
 from services.runtime.bus.observer import RIG_HINT, Observer, messages_of
 from services.runtime.datagram.rate import WARN_QUEUE_NS
 from services.runtime.loop.main import load_site
+from services.runtime.settings.config import flatten
 from telenano.cli.commands.link_probe import probe
 from telenano.cli.commands.session import SessionCommand, send_command
 from telenano.cli.commands.topic import open_observer
@@ -71,17 +72,38 @@ def profile(
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", help="Profile to apply; without it, list the profiles.")
     ] = None,
+    shown: Annotated[
+        bool,
+        typer.Option("--show", help="Show its source, assumptions, statistics and settings, and change nothing."),
+    ] = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Apply a named profile, in place of all settings but the seed; or list the profiles."""
-    rows = [{"profile": known, "what": row.about} for known, row in PROFILES.items()]
-    if name is not None:
+    """Apply a named profile, in place of all settings but the seed; or list the profiles, or show one."""
+    if name is not None and not shown:
         _change([f"profile={name}"], site_file, as_json=as_json)
-    elif as_json:
-        print_json({"profiles": rows})
-    else:
-        print_rows(rows)
+        return
+    with report_errors(as_json):
+        if name is not None:
+            found = profile_named(name).model_dump(mode="json")
+            rows = profile_rows(found)
+        else:
+            rows = [{"profile": known, "what": row.about} for known, row in PROFILES.items()]
+            found = {"profiles": rows}
+        if as_json:
+            print_json(found)
+        else:
+            print_rows(rows)
+
+
+def profile_rows(found: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a profile, as plain data, as rows of a table."""
+    rows = [{"what": "about", "value": found["about"]}]
+    for source in found["source"]:
+        rows += [{"what": "source", "value": source["cite"]}, {"what": "taken", "value": source["taken"]}]
+    rows += [{"what": "assumed", "value": text} for text in found["assumed"]]
+    figures = flatten({key: found[key] for key in ("statistics", "link")})
+    return rows + [{"what": key, "value": value} for key, value in figures.items() if value is not None]
 
 
 @app.command()

@@ -1,6 +1,11 @@
-"""`telenano link show` between two machines."""
+"""`telenano link show` between two machines, and the profiles."""
+
+import json
+
+from typer.testing import CliRunner
 
 from telenano.cli.commands.link import network_rows
+from telenano.cli.root import app
 
 
 def test_what_the_network_did_is_shown_for_both_directions() -> None:
@@ -39,3 +44,19 @@ def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled()
     earlier = {key: forward[key] for key in ("receiving", "sent", "arrived", "late", "lost", "refused", "delay_valid")}
     shown = {row["what"]: row["forward"] for row in network_rows({"forward": earlier})}
     assert shown["network: queue [ms]"] == shown["network: line"] == shown["network: lost of settled [%]"] == ""
+
+
+def test_profiles_are_listed_and_shown_without_a_rig():
+    listed = CliRunner().invoke(app, ["link", "profile", "--json"])
+    names = [row["profile"] for row in json.loads(listed.stdout)["profiles"]]
+    assert names[0] == "clean"
+    assert {"wifi", "4g", "5g", "leo_satellite", "transatlantic", "netfi_delay_3"} <= set(names)
+    shown = CliRunner().invoke(app, ["link", "profile", "WiFi", "--show"])
+    assert shown.exit_code == 0
+    for part in ("MobiSys 2016", "assumed", "statistics.forward.percentiles_ms", "forward.jitter.second_share"):
+        assert part in shown.stdout
+    found = json.loads(CliRunner().invoke(app, ["link", "profile", "5g", "--show", "--json"]).stdout)
+    assert found["link"]["backward"]["delay_s"] == 0.0075
+    unknown = CliRunner().invoke(app, ["link", "profile", "6g", "--show"])
+    assert unknown.exit_code != 0
+    assert "unknown profile '6g'; known are clean" in unknown.stderr
