@@ -1,13 +1,14 @@
 """What an experiment tells and asks: nobody at all, the recorder and the experimenter, or a person at the page."""
 
+import random
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from proto.errors import ConfigError
 from proto.experiment_messages import Question
-from studies.experiments.asked import CONSENT, CONSENT_TEXT, INSTRUMENTS
+from studies.experiments.asked import CONSENT, CONSENT_TEXT
 from studies.experiments.bus import Answer, ExperimentBus
+from studies.experiments.operators import Simulated
 from studies.experiments.plan import PICTURE_DELAY, Plan, parameters_of
 from studies.experiments.types import Trial, TrialData, TrialOutcome
 
@@ -62,9 +63,15 @@ class Desk:
         """Return the answers to what a task asks after a trial, each with name, value and time_s."""
         return ()
 
-    def instrument(self, name: str) -> Mapping[str, Any] | None:
-        """Return the answers to an instrument by item; None where nobody answers."""
-        return None
+    def instrument(self, name: str, trial: Trial) -> Mapping[str, Any] | None:
+        """Return the answers to an instrument by item; None where nobody answers. A simulated participant rates."""
+        hand, draw = Simulated(self.plan.experiment.operator.profile, trial.seed), random.Random(f"{name} {trial.seed}")
+        return {
+            question.name: draw.choice(question.options)
+            if question.options
+            else hand.rate(question.least, question.most, question.step, draw)
+            for question in self.plan.experiment.instruments[name]
+        }
 
     def rest(self, duration_s: float) -> bool:
         """Rest for a time [s]; return whether anybody did."""
@@ -162,10 +169,8 @@ class PersonDesk(BusDesk):
         time_s = end_s + answer.shown_s
         return tuple({"name": name, "value": value, "time_s": time_s} for name, value in answer.values.items())
 
-    def instrument(self, name: str) -> Mapping[str, Any] | None:
-        if name not in INSTRUMENTS:
-            raise ConfigError(f"ask: {name} is no instrument; there are {', '.join(INSTRUMENTS)}")
-        answer = self._wait("question", "A few questions", "", questions=INSTRUMENTS[name])
+    def instrument(self, name: str, trial: Trial) -> Mapping[str, Any] | None:
+        answer = self._wait("question", "A few questions", "", questions=self.plan.experiment.instruments[name])
         return None if answer is None else dict(answer.values)
 
     def rest(self, duration_s: float) -> bool:

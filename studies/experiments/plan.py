@@ -15,10 +15,12 @@ from pydantic import BeforeValidator, Field, PlainValidator, model_validator
 
 from presets import find_scenario
 from proto.errors import ConfigError, known_names
+from proto.experiment_messages import Question
 from proto.messages import Scalar
 from services.launcher.plan import anchored, check_sections
 from services.runtime.settings.config import Settings, flatten, merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+from studies.experiments.asked import INSTRUMENTS, choice, scale
 from studies.experiments.orders import (
     MOST_PERMUTED,
     Balance,
@@ -158,6 +160,25 @@ class Asked(Settings):
     after: Literal["trial", "block", "session"] = Field(default="block", description="After what it is asked")
 
 
+class Item(Settings):
+    """A question of an instrument of one's own: a scale, or a choice where there are options."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="Name of the item in the table")
+    text: str = Field(max_length=128, description="The question")
+    low: str = Field(default="", max_length=128, description="What the lower end of the scale means")
+    high: str = Field(default="", max_length=128, description="What its upper end means")
+    least: float = Field(default=1.0, description="Lowest value")
+    most: float = Field(default=7.0, description="Highest value")
+    step: float = Field(default=1.0, gt=0.0, description="Distance of the values")
+    options: tuple[str, ...] = Field(default=(), max_length=16, description="What can be chosen, in place of a scale")
+
+    def question(self) -> Question:
+        """Return the question as it goes to the page."""
+        if self.options:
+            return choice(self.name, self.text, self.options)
+        return scale(self.name, self.text, self.low, self.high, self.least, self.most, self.step)
+
+
 class Operator(Settings):
     """Who does the trials."""
 
@@ -197,7 +218,8 @@ class Experiment(Settings):
     breaks: Breaks = Field(default=Breaks(), description="Rests")
     disturbed: Disturbed = Field(default=Disturbed(), description="Trials that are repeated")
     stop: Stop = Field(default=Stop(), description="What ends a run early")
-    ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions")
+    questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Instruments of one's own, by name")
+    ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions, and when they are asked")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -208,6 +230,11 @@ class Experiment(Settings):
             raise ValueError(f"factors: {', '.join(adaptive)} are adaptive; a trial can have one such factor")
         if len(_DELAYS.keys() & self.factors.keys()) > 1:
             raise ValueError("factors: round_trip_ms and delay_ms are the same delay: give one of them")
+        for asked in self.ask:
+            if asked.instrument not in self.instruments:
+                raise ValueError(
+                    f"ask: {asked.instrument} is no instrument; {known_names(asked.instrument, self.instruments)}"
+                )
         if len({task.name for task in self.tasks}) < len(self.tasks):
             raise ValueError("tasks: each may be there once")
         for name in self.pseudonyms:
@@ -216,6 +243,12 @@ class Experiment(Settings):
         if len(set(self.pseudonyms)) < len(self.pseudonyms):
             raise ValueError("participants: each may be there once")
         return self
+
+    @property
+    def instruments(self) -> dict[str, tuple[Question, ...]]:
+        """The instruments that can be asked, by name."""
+        own = {name: tuple(item.question() for item in items) for name, items in self.questionnaires.items()}
+        return {**INSTRUMENTS, **own}
 
     @property
     def pseudonyms(self) -> tuple[str, ...]:

@@ -299,7 +299,7 @@ class Runner:
 
     def _ask(self, after: str, trial: Trial) -> None:
         for asked in self.plan.experiment.ask:
-            if asked.after == after and (items := self.desk.instrument(asked.instrument)) is not None:
+            if asked.after == after and (items := self.desk.instrument(asked.instrument, trial)) is not None:
                 self.journal.write(
                     "asked",
                     participant=trial.participant,

@@ -126,6 +126,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"blocks": {"factors": ["lawn"]}}, "blocks.factors: lawn is no factor; .*law"),
     ({"order": "counterbalanced"}, "order: counterbalanced: 6 conditions have 720 orders; take latin_square"),
     ({"scenario": "fig99"}, "unknown scenario 'fig99'"),
+    ({"ask": [{"instrument": "tlx"}]}, "ask: tlx is no instrument; .*nasa_tlx"),
     ({"seed": -1}, "seed: Input should be greater than or equal to 0"),
     ({"factors": {"task.level": {"adaptive": {"method": "guess"}}}}, "factors.task.level.adaptive"),
 ]

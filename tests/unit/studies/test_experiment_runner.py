@@ -164,7 +164,7 @@ class Person(Desk):
         if trial.index == 1 and attempt == 0:
             self.action, self.reason = self.wanted, "a phone rang"
 
-    def instrument(self, name: str) -> dict[str, float]:
+    def instrument(self, name: str, trial: Any) -> dict[str, float]:
         self.asked.append(name)
         return {"effort": 40.0}
 
@@ -178,7 +178,19 @@ ASKING = {"operator": {"kind": "person"}, "participants": 1, "tasks": ["tiny", "
 
 def test_instruments_rests_and_instructions_come_where_the_file_says(tmp_path: Path) -> None:
     ask = [{"instrument": "nasa_tlx", "after": "block"}, {"instrument": "comfort", "after": "session"}]
-    plan = plan_of(tmp_path, ask=ask, breaks={"every_trials": 4, "duration_s": 9, "between_blocks_s": 20}, **ASKING)
+    own = {
+        "comfort": [
+            {"name": "ease", "text": "How easy was it?"},
+            {"name": "law", "text": "Which?", "options": ["a", "b"]},
+        ]
+    }
+    plan = plan_of(
+        tmp_path,
+        ask=ask,
+        questionnaires=own,
+        breaks={"every_trials": 4, "duration_s": 9, "between_blocks_s": 20},
+        **ASKING,
+    )
     desk = Person(plan, "")
     assert run(plan, Bench(plan), desk) == ""
     first, second = (task for task in desk.asked if task.startswith("instruct"))
@@ -254,3 +266,23 @@ def test_an_adaptive_method_goes_on_from_the_journal(tmp_path: Path, killed_afte
         # a participant who is right above 1 is followed there
         assert min(levels[4:]) >= 0.5 and max(levels[4:]) <= 1.75
         assert len(levels) >= 8
+
+
+def test_a_simulated_participant_rates_within_the_scales(tmp_path: Path) -> None:
+    own = {
+        "comfort": [
+            {"name": "ease", "text": "How easy was it?"},
+            {"name": "side", "text": "Which?", "options": ["a", "b"]},
+        ]
+    }
+    asked = [{"instrument": "comfort", "after": "trial"}, {"instrument": "nasa_tlx", "after": "session"}]
+    plan = plan_of(tmp_path, ask=asked, questionnaires=own, participants=1)
+    assert run(plan, Bench(plan)) == ""
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        rows = list(journal.of("asked"))
+    assert [(row["instrument"], row["trial"]) for row in rows] == [
+        *(("comfort", i) for i in range(6)),
+        ("nasa_tlx", -1),
+    ]
+    assert all(1.0 <= row["items"]["ease"] <= 7.0 and row["items"]["side"] in ("a", "b") for row in rows[:6])
+    assert len(rows[-1]["items"]) == 6 and all(0.0 <= value <= 100.0 for value in rows[-1]["items"].values())
