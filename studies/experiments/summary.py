@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from studies.experiments.journal import Record
-from studies.experiments.plan import Plan, parameters_of
+from studies.experiments.plan import Plan, changes_while_running, parameters_of
 from studies.experiments.runner import progress_of, remaining
 from studies.experiments.types import Trial
 
@@ -61,12 +61,17 @@ def _duration_s(plan: Plan, trial: Trial) -> float:
 
 def _around_s(plan: Plan, trials: Sequence[Trial]) -> float:
     """Return what passes on a rig beside the trials themselves [s]."""
-    intervals = [
-        len(plan.tasks[t.task].intervals(parameters_of(plan.tasks[t.task], t.task_parameters), t.seed)) for t in trials
-    ]
-    starts = len({(trial.session, trial.block) for trial in trials}) if plan.restarting else plan.experiment.sessions
+    intervals, starts = 0, 0
+    before: object = None
+    for trial in trials:
+        task = plan.tasks[trial.task]
+        parameters = parameters_of(task, trial.task_parameters)
+        for interval in task.intervals(parameters, trial.seed):
+            settings = {**task.settings(parameters, trial.seed), **interval.settings, **trial.settings}
+            kept = (trial.session, {key: value for key, value in settings.items() if not changes_while_running(key)})
+            intervals, starts, before = intervals + 1, starts + (kept != before), kept
     countdown_s = _COUNTDOWN_S * len(trials) if plan.experiment.operator.kind == "person" else 0.0
-    return sum(intervals) * _BETWEEN_S + starts * _START_S + countdown_s
+    return intervals * _BETWEEN_S + starts * _START_S + countdown_s
 
 
 def _breaks_s(plan: Plan, trials: Sequence[Trial]) -> float:
