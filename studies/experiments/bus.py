@@ -72,7 +72,7 @@ class ExperimentBus:
         self._cue: dict[str, Any] | None = None
         self._told_s = 0.0
         self._taken: deque[str] = deque(maxlen=MOST_QUESTIONS)
-        self._known: set[str] = set()
+        self._known: set[tuple[str, ...]] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -167,7 +167,10 @@ class ExperimentBus:
         )
 
     def answers(self) -> list[Answer]:
-        """Return what was answered since the last call, each answer once, and repeat the cue where that is due."""
+        """Return what was answered since the last call, each answer once, and repeat the cue where that is due.
+
+        Of the answers of a participant to the same question of a cue, the first one counts.
+        """
         self._network.process_events()
         found = [answer for message in self._received() if (answer := self._new(message)) is not None]
         if found or time.monotonic() - self._told_s >= _REPEAT_S:
@@ -207,10 +210,13 @@ class ExperimentBus:
         return [message for message in found if isinstance(message, ExperimentAnswer) and message.src == VIEW]
 
     def _new(self, message: ExperimentAnswer) -> Answer | None:
+        """Return an answer that is new: of a participant the first to a question counts, also where it came twice."""
         self._taken.append(message.id)
-        if message.id in self._known:
+        is_own = message.role == "participant"
+        key = (message.cue, *sorted(message.values)) if is_own else (message.id,)
+        if key in self._known:
             return None
-        self._known.add(message.id)
+        self._known.add(key)
         return Answer(message.id, message.cue, message.role, message.values, message.given_ns, message.shown_s)
 
     def _tell(self) -> None:

@@ -37,6 +37,8 @@ _CORNERS = 60
 # How fast the hand goes towards the sample to detect it [m/s], and what it feels before: the mean of this time [s].
 _APPROACH_M_PER_S = 4e-3
 _BEFORE_S, _GAP_S = 0.5, 0.1
+# It judges nothing before its arm goes steadily [s].
+_STEADY_S = 1.5
 
 
 class Profile(Parameters):
@@ -159,7 +161,7 @@ class Simulated:
         total = np.concatenate(([0.0], np.cumsum(force_n)))
         first = np.searchsorted(time_s, time_s - _BEFORE_S - _GAP_S)
         last = np.searchsorted(time_s, time_s - _GAP_S)
-        known = (last > first) & (time_s >= _BEFORE_S + _GAP_S)
+        known = (last > first) & (time_s >= _STEADY_S)
         before = (total[last] - total[first]) / np.maximum(last - first, 1)
         noticed = np.flatnonzero(known & (np.abs(force_n - before) > self.profile.threshold_n))
         return float(time_s[noticed[0]]) if noticed.size else None

@@ -1,0 +1,114 @@
+"""Simulated participants have the psychometric function and the effects that they state."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from proto.errors import ConfigError
+from services.haptic_node.config import HapticConfig
+from services.runtime.settings.config import nested, validate
+from studies.experiments.asked import NASA_TLX, raw_tlx
+from studies.experiments.operators import SLOPE_OF_WAVE, Simulated, round_trip_s
+from studies.experiments.tasks import TASKS, task_named
+from studies.experiments.types import Trial, TrialData
+
+SPRING = {
+    "afm_node.environment": "spring",
+    "afm_node.spring.stiffness_n_per_m": 20.0,
+    "afm_node.spring.bilateral": False,
+    "afm_node.spring.rest_position_m": 1e-8,
+}
+
+
+def trial(task: str, seed: int = 0, **settings: Any) -> Trial:
+    return Trial("P01", 1, 1, seed, "main", task, {}, {}, settings, seed)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_hand_is_an_operator_of_the_rig_and_short_enough_for_a_command(name: str) -> None:
+    import json
+
+    task, p = task_named(name, {}, "made")
+    given = Simulated({}, 1).settings(task, p, trial(name, 5))
+    section = nested(given, "made")["haptic_node"]
+    validate(HapticConfig, section, "made", "haptic_node").operator.to_params()
+    assert len(json.dumps(section["operator"])) < 4096
+    assert given == Simulated({}, 1).settings(task, p, trial(name, 5))
+
+
+@pytest.mark.parametrize("ratio", [1.05, 1.3])
+def test_the_choices_of_an_observer_have_its_psychometric_function(ratio: float) -> None:
+    who = Simulated({"weber": 0.2, "lapse": 0.1}, 3)
+    task, p = task_named("discriminate_stiffness", {"ratio": ratio}, "made")
+    expected = 0.05 + 0.9 * 0.5 * math.erfc(-math.log(ratio) / 0.2 / math.sqrt(2.0))
+    assert who.probability(ratio) == pytest.approx(expected, rel=1e-9)
+    none: Any = TrialData(*([None] * 3))  # type: ignore[arg-type]
+    right, number = 0, 1500
+    for seed in range(number):
+        (answer,) = who.answer(task, p, trial(task.name, seed), none)
+        first, second = (each.settings["afm_node.spring.stiffness_n_per_m"] for each in task.intervals(p, seed))
+        right += (answer["value"] == "first") == (first > second)
+    # four standard errors
+    assert right / number == pytest.approx(expected, abs=4.0 * math.sqrt(expected * (1.0 - expected) / number))
+
+
+def test_the_answer_that_it_has_learnt_to_wait_for_is_that_of_the_link() -> None:
+    task, p = task_named("touch_and_hold", {}, "made")
+    ways = {"delay_node.forward.delay_s": 0.05, "delay_node.backward.delay_s": 0.07}
+    assert round_trip_s(ways) == pytest.approx(0.12)
+    given = Simulated({}, 1).settings(task, p, trial(task.name, **ways))
+    assert given["haptic_node.operator.answer_s"] == pytest.approx(0.12)
+    assert Simulated({}, 1).settings(task, p, trial(task.name))["haptic_node.operator.answer_s"] == 0.0
+    with pytest.raises(ConfigError, match=r"participant: weber"):
+        Simulated({"weber": -1.0}, 1)
+
+
+def test_ratings_are_on_the_scale() -> None:
+    import random
+
+    who, draw = Simulated({"rating": 70.0}, 1), random.Random(1)
+    values = {question.name: who.rate(0.0, 100.0, 5.0, draw) for question in NASA_TLX}
+    assert all(0.0 <= value <= 100.0 and value % 5.0 == 0.0 for value in values.values())
+    assert raw_tlx(values) == pytest.approx(70.0, abs=15.0)
+
+
+def simulated(task_name: str, parameters: dict[str, Any], law: str, delay_ms: float, **settings: Any) -> dict[str, Any]:
+    """Run a trial in lockstep with a participant without scatter, and judge it."""
+    from studies.loops.simulation import simulate_scenario
+
+    task, p = task_named(task_name, parameters, "made")
+    who = Simulated({"noise": 0.0}, 1)
+    ways = {f"delay_node.{way}.delay_s": 1e-3 * delay_ms for way in ("forward", "backward")}
+    planned = trial(task_name, 2, **ways)
+    operator = nested(who.settings(task, p, planned), "made")["haptic_node"]["operator"]
+    found = simulate_scenario(
+        "touch", law=law, operator=operator, duration_s=task.duration_s(p), settings={**ways, **settings}
+    )
+    data = TrialData(found.table("afm/state"), found.table("haptic/state"), found.table("haptic/state"))
+    data = data._replace(answers=who.answer(task, p, planned, data))
+    return task.judge(data, p, planned.seed)
+
+
+@pytest.mark.endurance
+def test_completion_time_grows_with_the_round_trip_by_the_stated_slope() -> None:
+    delays_ms = [0.0, 25.0, 50.0, 100.0, 150.0]
+    judged = [simulated("touch_and_hold", {}, "wave", each, **SPRING) for each in delays_ms]
+    times_s = np.array([each["completion_time_s"] for each in judged])
+    trips_s = 2e-3 * np.array(delays_ms)
+    slope = np.polyfit(trips_s, times_s, 1)
+    assert slope[0] == pytest.approx(SLOPE_OF_WAVE, rel=0.03)
+    assert np.abs(times_s - np.polyval(slope, trips_s)).max() < 0.02
+    assert all(each["success"] for each in judged)
+
+
+@pytest.mark.endurance
+def test_contact_is_felt_later_by_the_delay_back_and_a_target_is_followed_later_by_that_there() -> None:
+    for name, parameters, measure in (
+        ("detect_contact", {}, "detection_time_s"),
+        ("track", {"centre": 10e-9, "amplitude": 4e-9}, "lag_s"),
+    ):
+        found = [simulated(name, parameters, "wave", each, **SPRING)[measure] for each in (0.0, 50.0, 100.0)]
+        grows = np.diff(found) / 0.05
+        assert (grows > 0.8).all()
