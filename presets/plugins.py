@@ -1,4 +1,4 @@
-"""What installed packages add: laws, devices, operators, samples, programs and scenarios, by entry points.
+"""What installed packages add: laws, devices, operators, samples, programs, tasks and scenarios, by entry points.
 
 A package names them in its `pyproject.toml`, and is found as soon as pip has installed it:
 
@@ -23,7 +23,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from presets.package_probe import import_problem
 
-KINDS = ("laws", "devices", "operators", "samples", "programs", "scenarios")
+KINDS = ("laws", "devices", "operators", "samples", "programs", "tasks", "scenarios")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")

@@ -15,6 +15,7 @@ _TRY_IT = {
     "operator": "telenano up --scenario fig12 --set 'haptic_node.operator={kind: $name}'",
     "sample": "telenano up --scenario fig12 --set afm_node.environment=$name",
     "program": "telenano up --scenario image\ntelenano session set --target afm_node program=$name $name.radius_m=3e-8",
+    "task": "telenano experiment new\n# and in its YAML, under tasks: {name: $name}",
     "device": "telenano up --scenario fig12 --set haptic_node.driver=$name",
     "instrument": "telenano up --scenario fig12 --set afm_node.driver=$name",
 }
@@ -29,6 +30,10 @@ def _taken(kind: str) -> Collection[str]:
         from services.controller.config import TAKEN as TAKEN_LAWS
 
         return TAKEN_LAWS
+    if kind == "task":
+        from studies.experiments.tasks import OWN_TASKS
+
+        return [task.name for task in OWN_TASKS]
     from services.afm_node.config import TAKEN as TAKEN_AFM
 
     if kind == "sample":
@@ -40,7 +45,7 @@ def _taken(kind: str) -> Collection[str]:
 
 
 def new_package(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a package with a law, device, instrument, operator, sample or program, and a test of it; return its files.
+    """Write a package with a law, device, instrument, operator, sample, program or task, and a test of it; return its files.
 
     Raises:
         ConfigError: The name cannot be that of a package, or the folder exists.

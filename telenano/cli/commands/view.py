@@ -71,8 +71,8 @@ def view(
 
     Where the output is no terminal, the addresses go to a file that only its owner can read: they end with the tokens.
 
-    The token of the operator is in TELENANO_VIEW_OPERATOR_TOKEN, that of observers in TELENANO_VIEW_OBSERVER_TOKEN;
-    without them new ones are made.
+    The token of the operator is in TELENANO_VIEW_OPERATOR_TOKEN, that of observers in TELENANO_VIEW_OBSERVER_TOKEN,
+    that of a participant of an experiment in TELENANO_VIEW_PARTICIPANT_TOKEN; without them new ones are made.
     """
     with report_errors(False):
         if reason := missing_for_view():

@@ -22,6 +22,7 @@ NAMES = {
     "sample": "layered",
     "device": "stub_handle",
     "instrument": "stub_afm",
+    "task": "gentle",
 }
 
 PROGRAM = """
