@@ -8,7 +8,7 @@ from proto.errors import TelenanoError
 from proto.nodes import PAGE, name_of
 from services.launcher.plan import Plan
 from services.launcher.processes import Inherited
-from services.viz_node.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE
+from services.viz_node.access import OBSERVER_VARIABLE, OPERATOR_VARIABLE, PARTICIPANT_VARIABLE
 from services.viz_node.config import ViewConfig
 from services.viz_node.serve import SOCKET_VARIABLE, addresses_of, announced, missing_for_view
 
@@ -42,6 +42,10 @@ def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) 
     tls, access = config.tls(), config.access()
     bound = stack.enter_context(config.bind())
     addresses = addresses_of(bound, access, tls, config.name)
-    stack.enter_context(announced({"view": addresses["operator"]}, show))
-    tokens = {OPERATOR_VARIABLE: access.operator_token, OBSERVER_VARIABLE: access.observer_token}
+    stack.enter_context(announced({"view": addresses["operator"], "participant": addresses["participant"]}, show))
+    tokens = {
+        OPERATOR_VARIABLE: access.operator_token,
+        OBSERVER_VARIABLE: access.observer_token,
+        PARTICIPANT_VARIABLE: access.participant_token,
+    }
     return Inherited({**tokens, SOCKET_VARIABLE: str(bound.fileno())}, (bound.fileno(),))

@@ -14,6 +14,7 @@ from proto.errors import ConfigError
 LOOPBACK = "127.0.0.1"
 OPERATOR_VARIABLE = "TELENANO_VIEW_OPERATOR_TOKEN"
 OBSERVER_VARIABLE = "TELENANO_VIEW_OBSERVER_TOKEN"
+PARTICIPANT_VARIABLE = "TELENANO_VIEW_PARTICIPANT_TOKEN"
 _TOKEN_BYTES = 24
 _LEAST_TOKEN = 16
 # as browsers write it: no path, and null for a page that has none
@@ -21,9 +22,13 @@ _ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/\s]*")
 
 
 class Role(StrEnum):
-    """What a page may do: an observer looks, an operator commands as well."""
+    """What a page may do: an observer looks, an operator commands as well.
+
+    A participant of an experiment holds the hand, answers and stops, and is told nothing of the rig.
+    """
 
     OBSERVER = "observer"
+    PARTICIPANT = "participant"
     OPERATOR = "operator"
 
 
@@ -40,6 +45,8 @@ class Access:
     networks: tuple[str, ...] = ("127.0.0.0/8", "::1/128")
     # further origins of web sockets; empty is that of a program, because a browser always names one
     origins: tuple[str, ...] = ()
+    # empty where there is none
+    participant_token: str = ""
 
     @classmethod
     def made(
@@ -47,6 +54,7 @@ class Access:
         *,
         operator: str = "",
         observer: str = "",
+        participant: str = "",
         names: Sequence[str] = (),
         allow: Sequence[str] = (),
         origins: Sequence[str] = (),
@@ -55,11 +63,12 @@ class Access:
 
         Raises: ConfigError for a token that could be guessed, and for an address that is none.
         """
-        for token in filter(None, (operator, observer)):
+        given = [token for token in (operator, observer, participant) if token]
+        for token in given:
             if len(token) < _LEAST_TOKEN:
                 raise ConfigError(f"a token of the view has {len(token)} characters, it must have {_LEAST_TOKEN}")
-        if operator and operator == observer:
-            raise ConfigError("the tokens of operator and observer are the same: an observer could command")
+        if len(set(given)) < len(given):
+            raise ConfigError("the tokens of two roles are the same: an observer or a participant could command")
         hosts, networks = (*cls.hosts, *names), (*cls.networks, *allow)
         for network in networks:
             try:
@@ -75,6 +84,7 @@ class Access:
             tuple(dict.fromkeys(hosts)),
             networks,
             tuple(origins),
+            participant or secrets.token_urlsafe(_TOKEN_BYTES),
         )
 
     def role_of(self, token: str) -> Role | None:
@@ -82,8 +92,11 @@ class Access:
         given = token.encode()
         is_operator = hmac.compare_digest(given, self.operator_token.encode())
         is_observer = hmac.compare_digest(given, self.observer_token.encode())
+        is_participant = hmac.compare_digest(given, self.participant_token.encode()) and bool(given)
         if is_operator:
             return Role.OPERATOR
+        if is_participant:
+            return Role.PARTICIPANT
         return Role.OBSERVER if is_observer else None
 
     def admits_address(self, address: str) -> bool:
@@ -116,4 +129,5 @@ def is_loopback(host: str) -> bool:
 
 def tokens_given() -> dict[str, str]:
     """Return the tokens that the environment names; a role without one gets a new one."""
-    return {"operator": os.environ.get(OPERATOR_VARIABLE, ""), "observer": os.environ.get(OBSERVER_VARIABLE, "")}
+    variables = {"operator": OPERATOR_VARIABLE, "observer": OBSERVER_VARIABLE, "participant": PARTICIPANT_VARIABLE}
+    return {role: os.environ.get(variable, "") for role, variable in variables.items()}

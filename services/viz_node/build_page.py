@@ -14,7 +14,7 @@ from pathlib import Path
 WEB = Path(__file__).resolve().parent / "web"
 _LEAST_NODE = (20, 19)
 _CERTIFICATES = ("/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem")
-_SOURCES = ("src/**/*", "gallery/*", "index.html", "package-lock.json", "vite.config.ts", "tsconfig.json")
+_SOURCES = ("src/**/*", "gallery/*", "*.html", "package-lock.json", "vite.config.ts", "tsconfig.json")
 
 
 def main() -> int:

@@ -81,6 +81,7 @@ class RigHand:
         """Bind the endpoint of the view; ConfigError or EndpointError when the site file has none, or it is taken."""
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(VIEW, load_site(site_file)))
+        self._clock = participant.clock
         try:
             self._publisher = participant.bind(VIEW)
         except TelenanoError:
@@ -89,6 +90,14 @@ class RigHand:
 
     def push(self, force_n: float, across_n: tuple[float, float] = (0.0, 0.0)) -> None:
         self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]))
+
+    def answer(self, **fields: Any) -> None:
+        """Publish what a person answered to a cue of an experiment."""
+        self._publisher.publish("experiment/answer", **fields)
+
+    def now_ns(self) -> int:
+        """Return the time on the clock of this endpoint [ns]."""
+        return self._clock.now_ns()
 
     def close(self) -> None:
         """Publish the last message, and close the endpoint."""

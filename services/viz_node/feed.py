@@ -1,13 +1,14 @@
 """What is sent to the pages: all that changed since the last time, and a snapshot for a page that comes later."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import msgpack
 
 from proto.ends import read_end
 from proto.nodes import site_of
+from services.viz_node.participant import CUE, CUE_KEYS, TRIAL, TRIAL_KEYS
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
 
 # at most a second of the loop at once: more would hold up the page, and is past anyway
@@ -96,6 +97,12 @@ class Feed:
         }
 
     @property
+    def answered(self) -> Collection[str]:
+        """Return the ids of the answers that the experiment has taken, the newest ones."""
+        found: Collection[str] = self._state.get(CUE, {}).get("answered", ())
+        return found
+
+    @property
     def skipped(self) -> int:
         """How many samples no page got, because this process stood still."""
         return sum(batch.skipped for batch in self._batches.values())
@@ -123,6 +130,9 @@ class Feed:
             self._record_health(seen)
         elif seen.topic == "session/event":
             self._record_event(seen)
+        elif seen.topic in (CUE, TRIAL):
+            keys = CUE_KEYS if seen.topic == CUE else TRIAL_KEYS
+            self._set_state(seen.topic, {key: seen.fields[key] for key in keys})
         elif seen.topic == "afm/scanline":
             self._record_line(seen)
 

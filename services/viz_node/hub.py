@@ -5,7 +5,7 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import msgpack
@@ -16,7 +16,9 @@ from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
 from services.viz_node.metrics import metrics_text
+from services.viz_node.participant import ParticipantPicture
 from services.viz_node.requests import (
+    AnswerRequest,
     CommandRequest,
     DocumentRequest,
     EstopRequest,
@@ -50,6 +52,9 @@ VALIDITY_S = 1.0
 _MOST_STOPS = 4
 # Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
 _MOST_READS = 8
+# An answer is sent again until the experiment has taken it, and given up after this time.
+_ANSWER_EVERY_S = 0.2
+_ANSWER_DEADLINE_S = 5.0
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 
@@ -82,6 +87,12 @@ class HandOutlet(Protocol):
 
     def push(self, force_n: float, across_n: tuple[float, float]) -> None:
         """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go."""
+
+    def answer(self, **fields: Any) -> None:
+        """Publish the answer of a person to a cue of an experiment."""
+
+    def now_ns(self) -> int:
+        """Return the time on the clock of the endpoint [ns]."""
 
     def close(self) -> None:
         """Let go of the endpoint."""
@@ -203,6 +214,7 @@ class Hub:
         # since when the hand was looked after, and how long the page has said nothing
         self._looked_s = self._silent_s = 0.0
         self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
+        self._picture = ParticipantPicture()
 
     async def run(self) -> None:
         """Tell the pages what changed, until cancelled."""
@@ -235,7 +247,7 @@ class Hub:
         if self._make_forms is None:
             return
         self._forms = await asyncio.to_thread(self._make_forms)
-        for session in self.sessions:
+        for session in self._told():
             session.answer(_packed({"k": "forms", "forms": self._forms}))
 
     def tick(self) -> None:
@@ -255,10 +267,18 @@ class Hub:
             self._about = about
             changes["source"] = about
         self._hold()
-        if not changes:
-            return
-        frame = _packed({"k": "tick", **changes})
-        for session in self.sessions:
+        for picture in self._picture.take(changes, time.monotonic()):
+            self._offer(picture, self.sessions - self._told())
+        if changes:
+            self._offer(changes, self._told())
+
+    def _told(self) -> set[Session]:
+        """Return the pages that are told everything: all but those of participants."""
+        return {session for session in self.sessions if session.role is not Role.PARTICIPANT}
+
+    def _offer(self, changes: Mapping[str, Any], sessions: Collection[Session]) -> None:
+        frame = _packed({"k": "tick", **changes}) if sessions else b""
+        for session in sessions:
             if not session.offer(frame):
                 session.restart(self.snapshot(session))
 
@@ -269,6 +289,10 @@ class Hub:
         self.tick()
         self.sessions.add(session)
         session.offer(self.snapshot(session))
+        if role is Role.PARTICIPANT:
+            # what is published before its readers have connected reaches nobody
+            with contextlib.suppress(TelenanoError):
+                self._outlet()
         return session
 
     def leave(self, session: Session) -> None:
@@ -285,7 +309,9 @@ class Hub:
         return metrics_text(self._feed.snapshot()["nodes"], now_ns)
 
     def snapshot(self, session: Session) -> bytes:
-        """Return everything that a page needs to begin."""
+        """Return everything that a page needs to begin, and to a participant no more than that may know."""
+        if session.role is Role.PARTICIPANT:
+            return _packed(self._picture.snapshot(self._feed.snapshot(), hand=self._open_hand is not None))
         return _packed(
             {
                 "k": "snapshot",
@@ -304,7 +330,7 @@ class Hub:
         if isinstance(request, HandRequest):
             self._push(session, request)
             return
-        if isinstance(request, DocumentRequest | PartRequest):
+        if isinstance(request, DocumentRequest | PartRequest) and session.role is not Role.PARTICIPANT:
             session.answer(_packed(await self._read(session, request)))
             return
         identifier = getattr(request, "id", "")
@@ -317,6 +343,8 @@ class Hub:
         except Exception as error:  # noqa: BLE001
             # whatever went wrong: who asked for an emergency stop has to be told that there was none
             is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
+        if session.role is Role.PARTICIPANT:
+            text = self._picture.said(is_ok=is_ok)
         session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text}))
 
     async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
@@ -343,8 +371,12 @@ class Hub:
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
             raise RefusedError(f"this page asks more than {_REQUESTS_PER_S} times a second")
-        if session.role is not Role.OPERATOR:
-            raise RefusedError("this page was opened with the token of an observer, who may look and not command")
+        if isinstance(request, AnswerRequest) and session.role is not Role.OBSERVER:
+            return await self._answer(session, request)
+        may_stop = session.role is Role.PARTICIPANT and isinstance(request, EstopRequest)
+        if session.role is not Role.OPERATOR and not may_stop:
+            whose = "an observer, who may look" if session.role is Role.OBSERVER else "a participant, who may answer"
+            raise RefusedError(f"this page was opened with the token of {whose} and not command")
         if isinstance(request, TransportRequest):
             return {"transport": ("ack", self._source.transport(request.action, request.value))}
         if self._commander is None:
@@ -354,6 +386,34 @@ class Hub:
         if isinstance(request, CommandRequest):
             return await self._command(self._commander, session, request, arrived_s)
         raise RefusedError("a page says hello once")
+
+    def _outlet(self) -> HandOutlet:
+        """Return the endpoint of the page, and open it the first time."""
+        if self._open_hand is None:
+            raise RefusedError("a recording is no experiment that could be answered")
+        if self._hand is None:
+            self._hand = self._open_hand()
+        return self._hand
+
+    async def _answer(self, session: Session, request: AnswerRequest) -> Answers:
+        """Publish an answer until the experiment says in a cue that it has taken it."""
+        outlet = self._outlet()
+        given_ns = outlet.now_ns()
+        end_s = time.monotonic() + _ANSWER_DEADLINE_S
+        while time.monotonic() < end_s:
+            outlet.answer(
+                id=request.id,
+                cue=request.cue,
+                role="participant" if session.role is Role.PARTICIPANT else "experimenter",
+                values=request.values,
+                given_ns=given_ns,
+                shown_s=request.shown_s,
+            )
+            for _ in range(round(_ANSWER_EVERY_S / TICK_S)):
+                await asyncio.sleep(TICK_S)
+                if request.id in self._feed.answered:
+                    return {"experiment": ("ack", "taken")}
+        raise RefusedError("no experiment takes the answer: does one run?")
 
     async def _stop(self, commander: Commander) -> Answers:
         """Stop the devices beside whatever else is being sent, and give up every command of every page."""
@@ -428,7 +488,7 @@ class Hub:
         if not session.may_ask(time.monotonic()):
             return
         free = self._holder in (None, session)
-        if self._open_hand is None or session.role is not Role.OPERATOR or not free:
+        if self._open_hand is None or session.role is Role.OBSERVER or not free:
             reason = "another page holds the hand" if not free else "this page cannot hold the hand"
             if request.held:
                 session.answer(_packed({"k": "hand", "held": False, "text": reason}))
@@ -437,11 +497,10 @@ class Hub:
             self._release()
             return
         try:
-            if self._hand is None:
-                self._hand = self._open_hand()
+            outlet = self._outlet()
             self._holder, self._force = session, (request.force_n, request.across_n)
             self._looked_s, self._silent_s = time.monotonic(), 0.0
-            self._hand.push(*self._force)
+            outlet.push(*self._force)
         except TelenanoError as error:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
 

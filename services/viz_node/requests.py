@@ -15,6 +15,7 @@ LARGEST_FRAME = 1 << 16
 COMMANDS = ("start", "stop", "arm", "set", "mark")
 _MOST_PARAMETERS = 64
 _MOST_TEXT = 256
+_LONGEST_SHOWN_S = 1e6
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
@@ -78,7 +79,25 @@ class HandRequest(NamedTuple):
     across_n: tuple[float, float] = (0.0, 0.0)
 
 
-Request = Hello | CommandRequest | EstopRequest | TransportRequest | HandRequest | DocumentRequest | PartRequest
+class AnswerRequest(NamedTuple):
+    """What a person answers to a cue of an experiment, and how long that had been shown [s]."""
+
+    id: str
+    cue: str
+    values: dict[str, Scalar]
+    shown_s: float
+
+
+Request = (
+    Hello
+    | CommandRequest
+    | EstopRequest
+    | TransportRequest
+    | HandRequest
+    | DocumentRequest
+    | PartRequest
+    | AnswerRequest
+)
 
 
 def read_request(frame: bytes) -> Request:
@@ -111,7 +130,12 @@ def read_request(frame: bytes) -> Request:
     if kind == "hand":
         x_n, y_n = (_float(fields, key) if key in fields else 0.0 for key in ("across_x_n", "across_y_n"))
         return HandRequest(_float(fields, "force_n"), fields.get("held") is True, (x_n, y_n))
-    raise RequestError(f"k is {str(kind)[:40]!r}: must be hello, command, estop, transport, hand, document or part")
+    if kind == "experiment":
+        shown_s = min(max(0.0, _float(fields, "shown_s")), _LONGEST_SHOWN_S)
+        return AnswerRequest(_id(fields), _text(fields, "cue"), _parameters(fields, "values"), shown_s)
+    raise RequestError(
+        f"k is {str(kind)[:40]!r}: must be hello, command, estop, transport, hand, document, part or experiment"
+    )
 
 
 def _text(fields: Mapping[Any, Any], key: str) -> str:
@@ -142,10 +166,10 @@ def _float(fields: Mapping[Any, Any], key: str) -> float:
     return float(value)
 
 
-def _parameters(fields: Mapping[Any, Any]) -> dict[str, Scalar]:
-    value = fields.get("parameters", {})
+def _parameters(fields: Mapping[Any, Any], name: str = "parameters") -> dict[str, Scalar]:
+    value = fields.get(name, {})
     if not isinstance(value, dict):
-        raise RequestError("parameters: must be a map")
+        raise RequestError(f"{name}: must be a map")
     for key, scalar in value.items():
         number = isinstance(scalar, int | float)
         if (
@@ -153,7 +177,7 @@ def _parameters(fields: Mapping[Any, Any]) -> dict[str, Scalar]:
             or not (number or isinstance(scalar, str))
             or (number and not math.isfinite(scalar))
         ):
-            raise RequestError(f"parameters.{str(key)[:40]}: must be a finite number, true or false, or a text")
+            raise RequestError(f"{name}.{str(key)[:40]}: must be a finite number, true or false, or a text")
         if isinstance(scalar, int) and not -(2**63) <= scalar < 2**63:
-            raise RequestError(f"parameters.{key[:40]}: an integer has 64 bits at most")
+            raise RequestError(f"{name}.{key[:40]}: an integer has 64 bits at most")
     return value

@@ -111,19 +111,15 @@ def check_exposure(host: str, tls: Tls | None) -> None:
             raise ConfigError(f"{file}: is not a file; a certificate and its key in PEM are needed")
 
 
-def address_of(bound: socket.socket, access: Access, *, tls: bool, observer: bool = False, name: str = "") -> str:
-    """Return the address to open, with the token behind # where it reaches no server and no log."""
+def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: str = "") -> dict[str, str]:
+    """Return the addresses for each role to open, with the token behind # where it reaches no server and no log."""
     host, port = bound.getsockname()[:2]
     shown = name or (f"[{host}]" if ":" in host else host)
-    token = access.observer_token if observer else access.operator_token
-    return f"{'https' if tls else 'http'}://{shown}:{port}/#{token}"
-
-
-def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: str = "") -> dict[str, str]:
-    """Return the addresses for each role to open."""
+    base = f"{'https' if tls else 'http'}://{shown}:{port}/"
     return {
-        role: address_of(bound, access, tls=tls is not None, observer=observer, name=name)
-        for role, observer in (("operator", False), ("observer", True))
+        "operator": f"{base}#{access.operator_token}",
+        "observer": f"{base}#{access.observer_token}",
+        "participant": f"{base}participant.html#{access.participant_token}",
     }
 
 

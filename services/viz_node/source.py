@@ -16,6 +16,8 @@ TOPICS_SHOWN = (
     "link/network",
     "node/health",
     "session/event",
+    "experiment/cue",
+    "experiment/trial",
 )
 
 

@@ -79,7 +79,7 @@ class View:
         # the addresses end with tokens, which are not written to a pipe
         lines = [self._process.stdout.readline() for _ in range(2)]
         file = Path(lines[1].rpartition(": ")[2].strip())
-        self.operator, self.observer = (line.split()[1] for line in file.read_text().splitlines())
+        self.operator, self.observer, self.participant = (line.split()[1] for line in file.read_text().splitlines())
 
     def kill(self) -> None:
         """End the server as a crash does: it says nothing to its pages."""

@@ -8,5 +8,7 @@ export default defineConfig({
     modulePreload: { polyfill: false },
     assetsInlineLimit: 0,
     chunkSizeWarningLimit: 1200,
+    // the cockpit, and the page of a participant, who is told nothing of what the cockpit shows
+    rolldownOptions: { input: ["index.html", "participant.html"] },
   },
 });

@@ -6,7 +6,7 @@ import { Document } from "./document";
 import { part } from "./dom";
 import { Hand } from "./hand";
 import { Image } from "./image";
-import { PANELS } from "./panels";
+import { PANELS, hasExperiment } from "./panels";
 import type { ScenePanel } from "./panels/scene";
 import type { ScopesPanel } from "./panels/scopes";
 import { StatusPanel } from "./panels/status";
@@ -85,7 +85,12 @@ connection.onFrame = (frame: ServerFrame) => {
     store.forms = frame.forms;
     cockpit.image.build();
     begin();
-  } else if (frame.k === "tick") store.take(frame);
+  } else if (frame.k === "tick") {
+    const had = hasExperiment(cockpit);
+    store.take(frame);
+    // an experiment has begun: its panel is there from now on
+    if (!had && hasExperiment(cockpit)) regions.begin();
+  }
   else if (frame.k === "hand") cockpit.hand.refuse(frame.text);
   dirty = true;
   taken += performance.now() - begun;

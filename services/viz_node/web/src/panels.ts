@@ -1,6 +1,7 @@
 import type { Cockpit, PanelRow } from "./cockpit";
 import { DelayPanel } from "./panels/delay";
 import { EventsPanel } from "./panels/events";
+import { ExperimentPanel } from "./panels/experiment";
 import { HandPanel } from "./panels/hand";
 import { ImagePanel } from "./panels/image";
 import { InstrumentPanel } from "./panels/instrument";
@@ -16,6 +17,7 @@ import { SummaryPanel } from "./panels/summary";
 import { TimelinePanel } from "./panels/timeline";
 
 const isLive = ({ store }: Cockpit): boolean => store.commands;
+export const hasExperiment = ({ store }: Cockpit): boolean => store.state.has("experiment/cue");
 const isRecording = ({ store }: Cockpit): boolean => store.source.kind === "recording";
 
 /** Every panel of the page in the order of its region: one file, and one row here. */
@@ -33,6 +35,7 @@ export const PANELS: readonly PanelRow[] = [
   { id: "particles", title: "Particles", region: "dock", shows: isLive, make: (root, cockpit) => new ParticlesPanel(root, cockpit) },
   { id: "gallery", title: "Delay", region: "dock", make: (root, cockpit) => new DelayPanel(root, cockpit) },
   { id: "settings", title: "Settings", region: "dock", shows: isLive, make: (root, cockpit) => new SettingsPanel(root, cockpit) },
+  { id: "experiment", title: "Experiment", region: "watch", shows: hasExperiment, make: (root, cockpit) => new ExperimentPanel(root, cockpit) },
   { id: "nodes", title: "Nodes", region: "watch", make: (root, cockpit) => new NodesPanel(root, cockpit) },
   { id: "events", title: "Events", region: "watch", make: (root, cockpit) => new EventsPanel(root, cockpit) },
 ];

@@ -88,7 +88,7 @@ export interface Tick extends Changes {
 
 export interface Snapshot extends Changes {
   k: "snapshot";
-  role: "operator" | "observer";
+  role: "operator" | "observer" | "participant";
   commands: boolean;
   hand: boolean;
   streams: StreamAbout[];

@@ -41,7 +41,7 @@ export class Clock {
 
 /** Everything that the page knows of the rig. */
 export class Store {
-  role: "operator" | "observer" = "observer";
+  role: Snapshot["role"] = "observer";
   commands = false;
   hand = false;
   forms: Facts = {};

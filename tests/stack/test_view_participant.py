@@ -1,0 +1,294 @@
+"""A person takes part in an experiment in the browser: consent, practice, six trials, NASA-TLX, end.
+
+A small runner gives the cues on the bus of a real rig, as that of `telenano experiment` does. What the browser was
+sent, what was recorded and what the runner was answered are compared.
+"""
+
+import asyncio
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from browser_page import AXE, PATIENCE_S, PATIENT, View, browser, keep, needs_browser, until
+from stack_rig import Rig
+
+from presets import DEFAULT_SITE_FILE
+from studies.experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX, choice
+from studies.experiments.bus import Answer, ExperimentBus
+from studies.experiments.tasks import TASKS
+from studies.experiments.types import Trial
+
+pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
+
+TRIALS = 6
+LAWS = ("virtual_impedance", "wave")
+PICTURE_S = 0.21875
+# what would tell the condition: laws, levels, the picture's delay
+TELLING = (*LAWS, "virtual impedance", "level_high", "level_low", "picture", "clean", "condition")
+
+
+class Runner(threading.Thread):
+    """Gives the cues of a session, and keeps what was answered."""
+
+    def __init__(self, bus: ExperimentBus) -> None:
+        super().__init__(daemon=True)
+        self.bus = bus
+        self.answered: list[tuple[str, Answer]] = []
+        self.asked: list[Answer] = []
+        self.fault: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            self._session()
+        except BaseException as error:  # noqa: BLE001
+            self.fault = error
+
+    def ask(self, stage: str, *arguments: Any, **more: Any) -> Answer:
+        cue = self.bus.cue(stage, *arguments, **more)
+        answer = self.bus.wait(cue, PATIENCE_S, self.asked.extend)
+        assert answer is not None, f"nobody answered {stage}"
+        self.answered.append((stage, answer))
+        return answer
+
+    def pause(self, stage: str, seconds: float, *arguments: Any, **more: Any) -> Answer | None:
+        return self.bus.wait(self.bus.cue(stage, *arguments, remaining_s=seconds, **more), seconds, self.asked.extend)
+
+    def trial(self, index: int, phase: str) -> None:
+        task = TASKS["touch_and_hold"]
+        p = task.parameters.model_validate({"limit_s": PATIENCE_S})
+        condition = {"law": LAWS[index % 2], "level": ("level_low", "level_high")[index % 2], "delay_s": 0.0625}
+        trial = Trial("P01", 1, int(phase == "main"), index, phase, task.name, {}, condition, {}, index)
+        told: dict[str, Any] = {"done": index, "total": TRIALS, "practice": phase == "practice"}
+        self.bus.trial(trial, state="planned", trials=TRIALS, picture_delay_s=PICTURE_S)
+        # the first one is long enough for a picture of it
+        self.pause("countdown", 4.0 if index == 0 and phase == "main" else 0.5, task.title, task.instruction(p), **told)
+        self.bus.trial(trial, state="running", trials=TRIALS, picture_delay_s=PICTURE_S)
+        button = (choice("felt", "Press at the touch", ("I feel it",)),)
+        self.ask(
+            "trial",
+            task.title,
+            course=task.target(p, 0),
+            band=task.band(p),
+            remaining_s=PATIENCE_S,
+            questions=button,
+            **told,
+        )
+        self.bus.trial(trial, state="done", trials=TRIALS, picture_delay_s=PICTURE_S)
+
+    def _session(self) -> None:
+        assert self.ask("consent", "Taking part", CONSENT_TEXT, questions=(CONSENT,)).values == {"consent": "yes"}
+        task = TASKS["touch_and_hold"]
+        self.ask("instruction", task.title, task.instruction(task.parameters()))
+        self.trial(0, "practice")
+        for index in range(TRIALS):
+            self.trial(index, "main")
+            if index == TRIALS // 2:
+                self.pause("rest", 1.0, "Rest", "Rest your hand.", done=index + 1, total=TRIALS)
+        self.ask("question", "The load of the task", "Rate each.", questions=NASA_TLX, done=TRIALS, total=TRIALS)
+        self.bus.cue("end", "The end", "Thank you. You may close the page.", done=TRIALS, total=TRIALS)
+
+
+class Listener(threading.Thread):
+    """Another page of the participant, which keeps every byte that it is sent."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(daemon=True)
+        base, _, self.token = address.partition("participant.html#")
+        self.url, self.origin = base.replace("http", "ws", 1) + "bus", base.rstrip("/")
+        self.traffic: list[bytes] = []
+        self.wanted = True
+
+    def run(self) -> None:
+        asyncio.run(self._listen())
+
+    async def _listen(self) -> None:
+        from websockets.asyncio.client import connect
+
+        async with connect(self.url, origin=self.origin, max_size=None) as socket:  # type: ignore[arg-type]
+            await socket.send(msgpack.packb({"k": "hello", "token": self.token, "protocol": 1}))
+            while self.wanted:
+                with contextlib.suppress(TimeoutError):
+                    self.traffic.append(await asyncio.wait_for(socket.recv(decode=False), 0.2))
+
+
+@pytest.fixture
+def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    found = Rig(tmp_path)
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(found.sockets))
+    try:
+        found.start("--duration", "300", "--no-view", "--set", PATIENT, scenario="touch")
+        found.wait_until(found.running, "a running session")
+        yield found
+    finally:
+        found.close()
+
+
+class Person:
+    """Who takes part, at a page."""
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        self.faults: list[str] = []
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("console", lambda line: self.faults.append(line.text) if line.type == "error" else None)
+        page.set_default_timeout(PATIENCE_S * 1e3)
+
+    def stage(self, name: str) -> None:
+        until(lambda: self.page.evaluate("document.body.dataset.stage") == name, f"the stage {name}: {self.faults}")
+
+    def begun(self, words: str) -> bool:
+        """Return whether a trial runs that the page calls so, and has not been answered."""
+        button = "document.querySelector('#during-felt')"
+        runs = f"document.body.dataset.stage === 'trial' && {button} !== null && !{button}.disabled"
+        return bool(self.page.evaluate(f"{runs} && document.querySelector('#count').textContent === {words!r}"))
+
+    def picture(self, name: str) -> None:
+        if folder := os.environ.get("TELENANO_PICTURES"):
+            keep(self.page.screenshot(), Path(folder) / f"{name}.png")
+
+    def check(self) -> None:
+        """Nothing sticks out of the window, and a reader with weak eyes or a screen reader gets along."""
+        assert self.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        self.page.evaluate(AXE.read_text())
+        found = self.page.evaluate("axe.run({runOnly: ['wcag2a', 'wcag2aa']}).then((r) => r.violations)")
+        assert [(each["id"], [node["target"] for node in each["nodes"]]) for each in found] == []
+
+    def press(self) -> None:
+        """Hold the hand down for a while, with the pointer."""
+        box = self.page.locator("#hand-pad").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + 20.0
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x, y + 0.6 * box["height"], steps=6)
+
+
+@pytest.mark.parametrize("size", [(1366, 768), (390, 844)], ids=["laptop", "phone"])
+def test_a_person_takes_part(rig: Rig, size: tuple[int, int]) -> None:
+    view = View(rig.environment)
+    name = "laptop" if size[0] > 1000 else "phone"
+    try:
+        with ExperimentBus(DEFAULT_SITE_FILE) as bus, browser() as chromium:
+            listener, runner = Listener(view.participant), Runner(bus)
+            context = chromium.new_context(viewport={"width": size[0], "height": size[1]}, has_touch=size[0] < 1000)
+            person = Person(context.new_page())
+            person.page.goto(view.participant, wait_until="commit")
+            person.page.get_by_text("The experiment has not begun").wait_for()
+            cockpit = chromium.new_context(viewport={"width": size[0], "height": size[1]}).new_page()
+            cockpit.goto(view.operator, wait_until="commit")
+            listener.start()
+            runner.start()
+            take_part(person, cockpit, name)
+            runner.join(PATIENCE_S)
+            assert runner.fault is None
+            listener.wanted = False
+            listener.join(PATIENCE_S)
+            person.stage("end")
+            person.picture(f"experiment-end-{name}")
+            assert person.faults == []
+            compare(rig, runner)
+            traffic = b"".join(listener.traffic)
+            assert len(traffic) > 100_000
+            for word in TELLING:
+                assert word.encode() not in traffic
+            for number in (PICTURE_S, 0.0625):
+                assert msgpack.packb(number) not in traffic
+            assert any(answer.values.get("action") == "disturbed" for answer in runner.asked)
+    finally:
+        view.close()
+
+
+def take_part(person: Person, cockpit: Any, name: str) -> None:
+    page = person.page
+    person.stage("consent")
+    person.check()
+    person.picture(f"experiment-consent-{name}")
+    assert page.locator("#submit").is_disabled()
+    page.get_by_label("yes").check()
+    page.locator("#submit").click()
+    person.stage("instruction")
+    person.picture(f"experiment-instruction-{name}")
+    # by the keyboard: the button has the focus
+    page.keyboard.press("Enter")
+    for index in range(TRIALS + 1):
+        if index == 1:
+            person.stage("countdown")
+            person.picture(f"experiment-countdown-{name}")
+        begun = f"Trial {index} of {TRIALS}" if index else "Practice"
+        until(lambda begun=begun: person.begun(begun), f"the trial that is {begun}: {person.faults}")
+        person.press()
+        if index == 1:
+            page.wait_for_timeout(1200.0)
+            person.check()
+            person.picture(f"experiment-trial-{name}")
+            experimenter(cockpit, name)
+        page.wait_for_timeout(300.0)
+        # the answer that the task is about, while the hand presses
+        page.keyboard.press("Space") if index % 2 else page.locator("#during-felt").dispatch_event("click")
+        page.mouse.up()
+    person.stage("question")
+    person.check()
+    # by keyboard, pointer and touch: nothing is chosen before
+    for number, question in enumerate(NASA_TLX):
+        scale = page.locator(f"#scale-{question.name}")
+        assert scale.get_attribute("aria-valuetext") == "not answered"
+        assert page.locator("#submit").is_disabled()
+        if number % 2:
+            scale.focus()
+            page.keyboard.press("ArrowRight")
+        else:
+            box = scale.bounding_box()
+            scale.click(position={"x": box["width"] * 0.75, "y": box["height"] / 2})
+    person.picture(f"experiment-tlx-{name}")
+    page.locator("#submit").click()
+    person.stage("end")
+
+
+def experimenter(cockpit: Any, name: str) -> None:
+    """See the trial with its condition, and mark it as disturbed."""
+    cockpit.locator("#experiment-facts").wait_for(state="attached")
+    if cockpit.locator("#tab-experiment").count():
+        cockpit.locator("#tab-experiment").dispatch_event("click")
+    until(lambda: "level_low" in cockpit.inner_text("#experiment-facts"), "the condition on the experimenter's page")
+    if folder := os.environ.get("TELENANO_PICTURES"):
+        cockpit.locator("#experiment").scroll_into_view_if_needed()
+        keep(cockpit.screenshot(), Path(folder) / f"experiment-cockpit-{name}.png")
+    cockpit.locator("#experiment-reason").fill("the door opened")
+    cockpit.locator("#experiment-disturbed").dispatch_event("click")
+    cockpit.locator(".answer.done").first.wait_for()
+
+
+def compare(rig: Rig, runner: Runner) -> None:
+    """Compare what was recorded with what the runner was answered."""
+    rig.wait_until(lambda: bool(rig.recording().messages("experiment/answer")), "recorded answers")
+    kept = [row.decode() for row in rig.recording().messages("experiment/answer")]
+    recorded = {message.id: message for message in kept}
+    answers = [answer for _, answer in runner.answered] + runner.asked
+    until(
+        lambda: (
+            {answer.id for answer in answers}
+            <= {row.decode().id for row in rig.recording().messages("experiment/answer")}
+        ),
+        "all answers",
+    )
+    for answer in answers:
+        message = recorded[answer.id]
+        assert (dict(message.values), message.role, message.given_ns) == (
+            dict(answer.values),
+            answer.role,
+            answer.given_ns,
+        )
+    load = next(answer.values for stage, answer in runner.answered if stage == "question")
+    assert set(load) == {question.name for question in NASA_TLX}
+    assert {load["mental_demand"], load["physical_demand"]} == {75, 55}
+    trials = [row.decode() for row in rig.recording().messages("experiment/trial")]
+    done = [(message.phase, message.index, message.condition["law"]) for message in trials if message.state == "done"]
+    assert done == [("practice", 0, LAWS[0]), *(("main", i, LAWS[i % 2]) for i in range(TRIALS))]
+    # the hand of the page pressed, in the trials
+    force_n = np.array([row.decode().force_n[2] for row in rig.recording().messages("operator/force")])
+    assert force_n.min() < -0.5

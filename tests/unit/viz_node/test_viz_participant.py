@@ -1,0 +1,342 @@
+"""What a participant's page is sent: its traffic has nothing of the condition, and the picture is late.
+
+Every message that pages are told of carries the condition in words and numbers here, wherever it has room for them,
+but for what a participant sees and feels: where hand and tip are, and the forces on them.
+"""
+
+import struct
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("httpx2")
+from starlette.testclient import TestClient
+
+from proto import TOPICS
+from proto.contract import examples
+from proto.experiment_messages import Question
+from proto.messages import Array, Message
+from services.viz_node import hub as hubs
+from services.viz_node import server
+from services.viz_node.access import Access
+from services.viz_node.feed import Seen
+from services.viz_node.hub import Hub
+from services.viz_node.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
+from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from services.viz_node.streams import described
+
+TOKEN = "participant-token-01"
+ACCESS = Access(
+    "operator-token-0123",
+    "observer-token-0123",
+    hosts=("testserver",),
+    networks=("127.0.0.0/8",),
+    participant_token=TOKEN,
+)
+# The condition: a law, a profile and a level in words, and a delay in numbers.
+WORDS = ("model_mediated", "leo_satellite", "very_late", "condition")
+DELAY_S = 0.12345
+PICTURE_S = 0.28675
+SEEN = ("position_m", "operator_force_n", "force_n", "base_position_m", "deflection_m", "tip_force_n", "separation_m")
+
+
+class Source(NoTransport):
+    def __init__(self) -> None:
+        # filled by the test while the server takes from it
+        self.waiting: deque[Seen] = deque()
+
+    def poll(self, *, watched: bool) -> list[Seen]:
+        return [self.waiting.popleft() for _ in range(len(self.waiting))]
+
+    def about(self) -> Mapping[str, Any]:
+        return {"kind": "live", "name": "/rigs/leo_satellite.yaml"}
+
+    def close(self) -> None:
+        pass
+
+
+class Commander:
+    def send(self, *_: Any) -> dict[str, tuple[str, str]]:
+        raise AssertionError("a participant commands nothing")
+
+    def estop(self) -> dict[str, tuple[str, str]]:
+        return {"afm_node@slave": ("ack", "latched under model_mediated")}
+
+
+class Outlet:
+    def __init__(self, rig: "Rig") -> None:
+        self._rig = rig
+
+    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
+        self._rig.pushed.append(force_n)
+
+    def answer(self, **fields: Any) -> None:
+        self._rig.answers.append(fields)
+        if self._rig.takes:
+            self._rig.cue(answered=(fields["id"],))
+
+    def now_ns(self) -> int:
+        return 1_000
+
+    def close(self) -> None:
+        pass
+
+
+class Rig:
+    def __init__(self) -> None:
+        self.source, self.pushed, self.answers, self.takes, self.seq = Source(), [], [], True, 0
+        self.hub = Hub(self.source, Commander(), lambda: {"laws": list(WORDS)}, lambda: Outlet(self))
+
+    def tell(self, topic: str, fields: Mapping[str, Any], src: str) -> None:
+        self.seq += 1
+        said = {**fields, "seq": self.seq, "t_ns": self.seq * 1_000_000, "src": src, "v": 1}
+        self.source.waiting.append(Seen(topic, src, said["t_ns"], said))
+
+    def cue(self, **changes: Any) -> None:
+        empty = Array.from_numpy(np.empty(0)).model_dump()
+        fields = dict.fromkeys(CUE_KEYS) | {
+            "id": "c-1",
+            "stage": "trial",
+            "title": "Touch",
+            "text": "Press.",
+            "done": 2,
+        }
+        fields |= {"total": 6, "practice": False, "quantity": "none", "band": 0.0, "times_s": empty, "target": empty}
+        question = Question(name="felt", text="?", low="", high="", least=0.0, most=0.0, step=0.0, options=("now",))
+        self.tell(
+            "experiment/cue", fields | {"questions": [question.model_dump()], "answered": ()} | changes, "c@master"
+        )
+
+    def trial(self, picture_s: float = 0.0) -> None:
+        fields = dict.fromkeys(TRIAL_KEYS, 0) | {"condition": {"law": WORDS[0], "level": WORDS[2], "delay": DELAY_S}}
+        self.tell("experiment/trial", fields | {"text": WORDS[3], "picture_delay_s": picture_s}, "c@master")
+
+    def tip(self, force_n: float, site: str = "slave") -> None:
+        fields = told(examples(TOPICS["afm/state"])["ordinary"]) | {"tip_force_n": (0.0, 0.0, force_n)}
+        self.tell("afm/state", fields, f"afm_node@{site}")
+
+
+def told(message: Message) -> dict[str, Any]:
+    """Return a message as plain data."""
+    return message.model_dump()
+
+
+def marked(value: Any, name: str = "") -> Any:
+    """Return a part of a message with the condition in every text and number but those that are seen and felt."""
+    if name in SEEN:
+        return value
+    if isinstance(value, Mapping):
+        found = {key: marked(each, key) for key, each in value.items()}
+        return found | ({WORDS[3]: DELAY_S} if name == "data" else {})
+    if isinstance(value, str):
+        return " ".join(WORDS)
+    if isinstance(value, float):
+        return DELAY_S
+    return [marked(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
+    monkeypatch.setattr(hubs, "VALIDITY_S", 60.0)
+    return Rig()
+
+
+@pytest.fixture
+def client(rig: Rig) -> Iterator[TestClient]:
+    with TestClient(server.make_app(rig.hub, ACCESS, None), client=("127.0.0.1", 5)) as found:
+        yield found
+
+
+class Page:
+    """A page that keeps every byte that it was sent."""
+
+    def __init__(self, stack: ExitStack, client: TestClient, token: str = TOKEN) -> None:
+        self.traffic = b""
+        self.frames: list[dict[str, Any]] = []
+        self.socket = stack.enter_context(client.websocket_connect("/bus", headers={"origin": "http://testserver"}))
+        self.send(k="hello", token=token, protocol=1)
+
+    def send(self, **fields: Any) -> None:
+        self.socket.send_bytes(msgpack.packb(fields))
+
+    def take(self, wanted: Any) -> dict[str, Any]:
+        """Return the next frame for which `wanted` is true."""
+        while True:
+            data = self.socket.receive_bytes()
+            self.traffic += data
+            frame: dict[str, Any] = msgpack.unpackb(data)
+            self.frames.append(frame)
+            if wanted(frame):
+                return frame
+
+    def answer(self, **fields: Any) -> dict[str, Any]:
+        self.send(id="a-1", **fields)
+        return self.take(lambda frame: frame["k"] == "answer")
+
+    def assert_blind(self) -> None:
+        """Look for the condition in the bytes: words, and numbers in every form in which they are sent."""
+        for word in WORDS:
+            assert word.encode() not in self.traffic
+        for number in (DELAY_S, PICTURE_S, 1e3 * DELAY_S, 1e3 * PICTURE_S):
+            for form in ("<f", ">f", "<d", ">d"):
+                assert struct.pack(form, number) not in self.traffic
+            assert f"{number:.4g}".encode() not in self.traffic
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as opened:
+        yield opened
+
+
+def stage(name: str) -> Any:
+    return lambda frame: frame.get("state", {}).get("experiment/cue", {}).get("stage") == name
+
+
+def test_nothing_of_the_condition_is_in_the_traffic(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page, operator = Page(stack, client), Page(stack, client, ACCESS.operator_token)
+    page.take(lambda frame: frame["k"] == "snapshot")
+    rig.trial(PICTURE_S)
+    for topic in sorted({*TOPICS_SHOWN} - {"experiment/cue", "experiment/trial", "afm/scanline"}):
+        for case in ("ordinary", "nil"):
+            for src in ("controller@master", "controller@slave"):
+                fields = marked(told(examples(TOPICS[topic])[case]))
+                rig.tell(topic, fields, src)
+    rig.cue()
+    page.take(stage("trial"))
+    # what it asks for and may not have, and what it says: the answers are in words of their own
+    refused = page.answer(k="command", command="set", target="controller", parameters={"law": "wave"})
+    assert (refused["ok"], refused["text"]) == (False, "not carried out: tell the experimenter")
+    for asked in ({"k": "document"}, {"k": "part", "from_s": 0.0, "to_s": 1.0, "spans": 0}):
+        assert page.answer(**asked)["ok"] is False
+    assert page.answer(k="estop")["ok"] is True
+    assert page.answer(k="experiment", cue="c-1", values={"felt": "now"}, shown_s=1.5)["ok"] is True
+    rig.cue(stage="end")
+    page.take(stage("end"))
+    page.assert_blind()
+    # a page that comes later begins with a snapshot
+    later = Page(stack, client)
+    later.take(lambda frame: frame["k"] == "snapshot")
+    later.assert_blind()
+    # the search finds what is there: the operator's page is told of all that
+    operator.take(stage("end"))
+    for word in WORDS[:3]:
+        assert word.encode() in operator.traffic
+
+
+def test_only_columns_on_the_list_pass(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page = Page(stack, client)
+    snapshot = page.take(lambda frame: frame["k"] == "snapshot")
+    names = {stream["name"]: [column["name"] for column in stream["columns"]] for stream in snapshot["streams"]}
+    assert set(names) == {"hand", "command", "tip"}
+    assert "loop_age" not in names["hand"]
+    assert (snapshot["role"], snapshot["commands"], snapshot["nodes"], snapshot["events"]) == (
+        "participant",
+        False,
+        {},
+        [],
+    )
+    rig.tip(3e-9)
+    frame = page.take(lambda frame: "tip" in frame.get("streams", {}))
+    rows = np.frombuffer(frame["streams"]["tip"]["data"], "<f4").reshape(-1, frame["streams"]["tip"]["n"])
+    assert len(rows) == len(names["tip"]) + 1
+    assert rows[names["tip"].index("force") + 1, 0] == np.float32(3e-9)
+
+
+def test_the_hand_is_held_and_answers_are_the_participants(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page, experimenter = Page(stack, client), Page(stack, client, ACCESS.operator_token)
+    page.send(k="hand", force_n=1.25, held=True)
+    rig.cue()
+    page.take(stage("trial"))
+    assert 1.25 in rig.pushed
+    assert page.answer(k="experiment", cue="c-1", values={"felt": "now"}, shown_s=2.0)["ok"]
+    assert experimenter.answer(k="experiment", cue="c-1", values={"action": "pause", "reason": ""}, shown_s=0.0)["ok"]
+    kept = [{key: answer[key] for key in ("role", "values", "shown_s", "given_ns")} for answer in rig.answers]
+    assert {"role": "participant", "values": {"felt": "now"}, "shown_s": 2.0, "given_ns": 1_000} in kept
+    assert [answer["role"] for answer in kept] == ["participant", "experimenter"]
+
+
+def test_an_answer_is_sent_until_it_is_taken(rig: Rig, client: TestClient, stack: ExitStack) -> None:
+    page, rig.takes = Page(stack, client), False
+    page.send(id="a-7", k="experiment", cue="c-1", values={"felt": "now"}, shown_s=0.0)
+    end = time.monotonic() + 10.0
+    while len(rig.answers) < 3 and time.monotonic() < end:
+        time.sleep(0.01)
+    assert {answer["id"] for answer in rig.answers} == {"a-7"}
+    rig.cue(answered=("a-7",))
+    assert page.take(lambda frame: frame["k"] == "answer")["ok"] is True
+
+
+def test_who_answers_no_experiment_is_told_so(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hubs, "_ANSWER_DEADLINE_S", 0.05)
+    rig.takes = False
+    operator, observer = (Page(stack, client, token) for token in (ACCESS.operator_token, ACCESS.observer_token))
+    given = {"k": "experiment", "cue": "c-1", "values": {"action": "skip"}, "shown_s": 0.0}
+    assert operator.answer(**given)["text"] == "no experiment takes the answer: does one run?"
+    assert "token of an observer" in observer.answer(**given)["text"]
+
+
+def streams(at: float) -> dict[str, Any]:
+    """Return a sample of all streams at a time."""
+    made = {}
+    for stream in described():
+        rows = np.full((len(stream["columns"]) + 1, 1), at, "<f4")
+        rows[0] = 0.0
+        made[stream["name"]] = {"n": 1, "t0": at, "data": rows.tobytes()}
+    return {"streams": made}
+
+
+def state_of(delay_s: float) -> dict[str, Any]:
+    return {"state": {"experiment/trial": {"picture_delay_s": delay_s}}}
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4])
+def test_the_picture_is_late_and_the_hand_is_not(delay_s: float) -> None:
+    picture, period_s = ParticipantPicture(), 1.0 / 30.0
+    picture.take(state_of(delay_s), 0.0)
+    late: list[float] = []
+    for n in range(1, 60):
+        now_s = n * period_s
+        shown = [
+            (name, found) for each in picture.take(streams(now_s), now_s) for name, found in each["streams"].items()
+        ]
+        assert [found["t0"] for name, found in shown if name in ("hand", "command")] == pytest.approx([now_s] * 2)
+        for name, found in shown:
+            if name == "tip":
+                sampled_s = float(np.frombuffer(found["data"], "<f4")[1])
+                late.append(now_s - sampled_s)
+                # its time is that at which it is shown, or the two streams would tell the delay
+                assert found["t0"] == pytest.approx(now_s, abs=1e-5)
+    assert late
+    assert min(late) >= delay_s - 1e-5
+    assert max(late) <= delay_s + period_s + 1e-5
+
+
+def test_a_shorter_delay_shows_what_was_held_and_in_order() -> None:
+    picture = ParticipantPicture()
+    picture.take(state_of(1.0), 0.0)
+    for n in range(1, 4):
+        assert not [each for each in picture.take(streams(0.1 * n), 0.1 * n) if "tip" in each["streams"]]
+    shown = [each["streams"]["tip"] for each in picture.take(state_of(0.0), 0.4) if "tip" in each.get("streams", {})]
+    assert [float(np.frombuffer(found["data"], "<f4")[1]) for found in shown] == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_a_participant_has_a_token_of_its_own() -> None:
+    from proto.errors import ConfigError
+    from services.viz_node.access import Role
+
+    access = Access.made(participant="q" * 20)
+    assert access.role_of("q" * 20) is Role.PARTICIPANT
+    assert access.role_of("") is None
+    assert Access("o" * 20, "p" * 20).role_of("") is None
+    with pytest.raises(ConfigError, match="are the same"):
+        Access.made(operator="q" * 20, participant="q" * 20)
