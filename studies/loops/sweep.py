@@ -41,13 +41,15 @@ def _none(cell: Any) -> str:
 class Kind(NamedTuple):
     """A kind of cells: what checks one before anything starts, what runs it, and what reads its result from plain data.
 
-    A cell has a `key`; a result has its `cell`, and `as_dict` for the journal. `doubts` is what to warn of at a cell.
+    A cell has a `key`; a result has its `cell`, and `as_dict` for the journal. `doubts` is what to warn of at a cell;
+    `batch`, how many cells that follow one another are handed over together.
     """
 
     check: Callable[[Any], object]
     run: Callable[[Any], Any]
     result: Callable[[dict[str, Any]], Any]
     doubts: Callable[[Any], str] = _none
+    batch: int = _BATCH
 
 
 def _check(cell: Cell) -> None:
@@ -138,7 +140,7 @@ class Sweep:
         for cell in cells:
             # The check comes before anything is started: a cell that cannot be run is the caller's mistake.
             kind.check(cell)
-        batches = [cells[i : i + _BATCH] for i in range(0, len(cells), _BATCH)]
+        batches = [cells[i : i + kind.batch] for i in range(0, len(cells), kind.batch)]
         if self.scheduler is not None:
             yield from _on_cluster(self.scheduler, batches, kind)
         elif self.workers == 1 or len(batches) < 2:

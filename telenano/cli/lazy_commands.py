@@ -61,6 +61,9 @@ LAZY_COMMANDS = {
     "experiment": LazyCommand(
         "telenano.cli.commands.experiment", "app", "Run trials of people or simulated operators over conditions."
     ),
+    "benchmark": LazyCommand(
+        "telenano.cli.commands.benchmark", "benchmark", "Run the benchmark of laws: which law for which network."
+    ),
     "scenario": LazyCommand("telenano.cli.commands.scenario", "app", "List, show, check and make scenarios."),
     "param": LazyCommand("telenano.cli.commands.param", "app", "List the keys of a scenario, and get their values."),
     "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
@@ -106,6 +109,7 @@ GROUPS = {
     "Study": (
         "experiment",
         "study",
+        "benchmark",
         "law",
         "curve",
         "scan",

@@ -78,7 +78,9 @@ def test_a_network_has_about_the_statistics_of_its_file(name, way):
 @pytest.mark.endurance
 @pytest.mark.parametrize(("name", "way"), MEASURED)
 def test_a_network_has_the_statistics_of_its_file_over_seeds(name, way):
-    check(name, way, 20_000, 3, widest=0.12)
+    # what wanders within a second takes longer to show its spread
+    slow = name == "leo_satellite"
+    check(name, way, 100_000 if slow else 20_000, 3, widest=0.2 if slow else 0.12)
 
 
 def test_a_profile_that_is_not_there_is_refused_with_those_that_are():

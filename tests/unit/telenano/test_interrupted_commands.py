@@ -49,6 +49,7 @@ RECIPES = {
     "study promises": Recipe("study promises --law passivity --seeds 1 --workers 2 --out {out}"),
     "study push": Recipe("study push --law passivity --delay 50 --loss 0 --seeds 2 --workers 2 --out {out}"),
     "study gallery": Recipe("study gallery --out {out}"),
+    "benchmark": Recipe("benchmark --quick --law wave --workers 2 --out {out}"),
     "assemble": Recipe(
         "assemble --pattern line --count 1 --afm sample.particles.places=[[2e-7,0.0]] --afm sample.size_m=2.5e-6"
         " --out {out}"

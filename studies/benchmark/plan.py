@@ -1,0 +1,183 @@
+"""What the benchmark runs: tasks, networks, laws and hands, fixed for each version.
+
+A change of anything here that alters a result counts VERSION up: figures of two versions are not compared.
+"""
+
+import functools
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from proto.errors import ConfigError, known_names
+from services.controller.config import LAWS
+from services.delay_node.config import LinkSettings, parse_settings
+from services.delay_node.profiles import PROFILES
+from services.numerics.compiled import source_digest
+from services.runtime.settings.config import Settings
+from studies.loops.cells import Cell, Environment
+
+VERSION = 1
+
+TaskName = Literal["touch", "hold", "track"]
+HandName = Literal["force", "soft", "stiff", "reacting"]
+HANDS: dict[HandName, str] = {
+    "force": "a constant force whatever the device does",
+    "soft": "an arm of 50 N/m on its way along a path",
+    "stiff": "an arm of 1000 N/m on its way along a path",
+    "reacting": "an operator who moves, waits until the arm stands, and corrects after 0.25 s and the round trip",
+}
+# of the reacting operator: scatter of a move, as a share of it
+REACTION_S, SCATTER = 0.25, 0.1
+NETWORKS = (
+    *("clean", "lan", "wifi", "4g", "5g", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),
+    "netfi_delay_1",
+)
+QUICK_NETWORKS = ("clean", "wifi", "leo_satellite", "lossy_bursts")
+SEEDS, QUICK_SEEDS = 8, 2
+# the swing that is followed: so many newtons about the force of the hold, this often, so many periods before and in the
+# measurement
+SWING_N, SWING_HZ, SWINGS_BEFORE, SWINGS = 0.3, 0.5, 2, 2
+_POINTS_PER_PERIOD = 200
+
+
+class Task(NamedTuple):
+    """A task: what the tip meets, K of it [N/m], the force to hold [N], and whether a swing is followed afterwards."""
+
+    about: str
+    environment: Environment
+    stiffness_n_per_m: float
+    force_n: float
+    follows: bool = False
+
+
+TASKS: dict[TaskName, Task] = {
+    "touch": Task("meet a surface of 38 N/m at 3 nm, press with 1 N and hold", "wall", 38.0, 1.0),
+    "hold": Task("press a cantilever of 40 N/m on mica with 1 N, then 2 N, and hold (Fig. 12)", "contact", 40.0, 2.0),
+    "track": Task("press a spring of 20 N/m with 1 N, hold, then follow 0.3 N at 0.5 Hz", "spring", 20.0, 1.0, True),
+}
+QUICK_TASKS: tuple[TaskName, ...] = ("touch", "track")
+QUICK_HANDS: tuple[HandName, ...] = ("force", "stiff")
+
+
+class Run(Settings):
+    """One run of the benchmark."""
+
+    task: TaskName
+    network: str
+    law: str
+    hand: HandName
+    seed: int = Field(ge=0)
+    settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+
+    @property
+    def key(self) -> str:
+        """A digest of the run and of every source that its outcome depends on."""
+        text = self.model_dump_json() + _link_text(self.network) + _sources()
+        return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+    @property
+    def cell(self) -> Cell:
+        """What the loop is told: the round trip sets the times of the programme, and the link itself is the network's.
+
+        A long mean of a heavy tail would make them no longer than they have to be.
+        """
+        task = TASKS[self.task]
+        return Cell(
+            environment=task.environment,
+            stiffness_n_per_m=task.stiffness_n_per_m,
+            law=self.law,
+            hand="force" if self.hand == "reacting" else self.hand,
+            round_trip_ms=round(PROFILES[self.network].round_trip_ms, 1),
+            loss=0.0,
+            jitter_ms=0.0,
+            settings=self.settings,
+        )
+
+    def operator(self, points: Sequence[tuple[float, float]]) -> dict[str, Any]:
+        """Return the section `haptic_node.operator` of a programme: corners (time [s], force [N])."""
+        if self.hand != "reacting":
+            return self.cell.operator(points)
+        return {
+            "kind": "reacting",
+            "points": [{"time_s": time, "force_n": force} for time, force in points],
+            "reaction_time_s": REACTION_S,
+            "answer_s": self.cell.round_trip_s,
+            "noise": SCATTER,
+            "seed": self.seed,
+        }
+
+    @property
+    def link(self) -> LinkSettings:
+        """The settings of the network with the run's seed."""
+        return parse_settings({"profile": self.network, "seed": self.seed}, f"network {self.network}")
+
+    @property
+    def sort_key(self) -> tuple[Any, ...]:
+        """The place in the result."""
+        return (self.network, self.task, self.law, self.hand, self.seed, self.settings)
+
+    def programme(self) -> tuple[list[tuple[float, float]], float, float, float]:
+        """Return the hand's corners (time [s], force [N]), and when hold, settling of the swing, and run end [s]."""
+        task, cell = TASKS[self.task], self.cell
+        points, held_s = list(cell.hand_points()), cell.hold_s()[1]
+        if not task.follows:
+            return points, held_s, held_s, held_s
+        before_s, each_s = SWINGS_BEFORE / SWING_HZ, 1.0 / (SWING_HZ * _POINTS_PER_PERIOD)
+        for n in range((SWINGS_BEFORE + SWINGS) * _POINTS_PER_PERIOD + 1):
+            phase = 2.0 * math.pi * n / _POINTS_PER_PERIOD
+            points.append((held_s + n * each_s, task.force_n + SWING_N * math.sin(phase)))
+        return points, held_s, held_s + before_s, held_s + before_s + SWINGS / SWING_HZ
+
+
+class Plan(NamedTuple):
+    """What is run: names of networks, tasks, laws and hands, seeds of a random network, and settings of the laws."""
+
+    networks: tuple[str, ...]
+    tasks: tuple[TaskName, ...]
+    laws: tuple[str, ...]
+    hands: tuple[HandName, ...]
+    seeds: int
+    settings: tuple[tuple[str, float | int | str | bool], ...] = ()
+
+    def runs(self) -> list[Run]:
+        """Return the runs, those over one draw of a link together: to draw it takes longer than to run over it."""
+        return [
+            Run(task=task, network=network, law=law, hand=hand, seed=seed, settings=self.settings)
+            for network in self.networks
+            for seed in range(self.seeds if is_random(network) else 1)
+            for task in self.tasks
+            for law in self.laws
+            for hand in self.hands
+        ]
+
+
+def plan_of(laws: Sequence[str], *, quick: bool, settings: tuple[tuple[str, Any], ...] = ()) -> Plan:
+    """Return the whole set, or the quick one, for some laws; ConfigError names a law that is not known."""
+    for law in laws:
+        if law not in LAWS:
+            raise ConfigError(f"--law: unknown law {law!r}, {known_names(law, LAWS)}")
+    if quick:
+        return Plan(QUICK_NETWORKS, QUICK_TASKS, tuple(laws), QUICK_HANDS, QUICK_SEEDS, settings)
+    return Plan(NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)
+
+
+@functools.cache
+def is_random(network: str) -> bool:
+    """Return whether another seed gives other delays or losses."""
+    return any((way.deviation_ms or 0.0) > 0.0 or way.lost > 0.0 for way in PROFILES[network].statistics.values())
+
+
+@functools.cache
+def _link_text(network: str) -> str:
+    return json.dumps(PROFILES[network].model_dump(mode="json"), sort_keys=True)
+
+
+@functools.cache
+def _sources() -> str:
+    own = sorted(Path(__file__).parent.glob("*.py"))
+    return source_digest() + hashlib.sha256(b"".join(path.read_bytes() for path in own)).hexdigest()

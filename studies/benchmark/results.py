@@ -1,0 +1,137 @@
+"""The result of the benchmark: its runs as a text of the same bits everywhere, a row a network and law, and the choice.
+
+The digest is that of `runs.csv`: two people have the same result when `sha256sum runs.csv` says so. No file says when
+or where it was made, and none has a figure of more digits than DIGITS.
+"""
+
+import csv
+import hashlib
+import io
+import math
+import statistics
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from services.delay_node.profiles import PROFILES
+from studies.benchmark.plan import TASKS, VERSION, Plan
+from studies.benchmark.run import MEASURES, Outcome, rounded
+from studies.intervals import wilson
+
+# A run is held when its verdict is one of these.
+HELD = ("stable",)
+# energy below this was made by the loop and not left by rounding [mJ]
+LEAST_MJ = -1e-3
+
+
+class Spread(NamedTuple):
+    """Median, least and greatest of the runs that have a measure."""
+
+    median: float
+    least: float
+    most: float
+
+
+class Row(NamedTuple):
+    """A law over a network: runs, those held with the interval of their share, those that made energy, and measures."""
+
+    network: str
+    law: str
+    runs: int
+    held: int
+    low: float
+    high: float
+    made_energy: int
+    verdicts: dict[str, int]
+    measures: dict[str, Spread | None]
+
+    @property
+    def share(self) -> float:
+        """The share of the runs that were held."""
+        return self.held / self.runs
+
+    def price(self) -> tuple[float, float]:
+        """Return what puts one law before another: most runs held, and of equal ones the nearest tracking."""
+        spread = self.measures["tracking_error"]
+        return -self.share, math.inf if spread is None else spread.median
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the row as plain data."""
+        spreads = {name: None if spread is None else spread._asdict() for name, spread in self.measures.items()}
+        interval = {"low": rounded(self.low), "high": rounded(self.high)}
+        return {**self._asdict(), **interval, "share": rounded(self.share), "measures": spreads}
+
+
+def rows_of(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return a row for each network and law, in the order of the runs."""
+    grouped: dict[tuple[str, str], list[Outcome]] = {}
+    for outcome in outcomes:
+        grouped.setdefault((outcome.cell.network, outcome.cell.law), []).append(outcome)
+    return [_row(network, law, some) for (network, law), some in grouped.items()]
+
+
+def _row(network: str, law: str, some: Sequence[Outcome]) -> Row:
+    verdicts: dict[str, int] = {}
+    for outcome in some:
+        verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
+    held = [outcome for outcome in some if outcome.verdict in HELD]
+    low, high = wilson(len(held), len(some))
+    made = sum((outcome.measures["least_energy_mj"] or 0.0) < LEAST_MJ for outcome in some)
+    # What is not held has no place that its force or position could be compared at.
+    measures = {name: spread_of(held, name) for name in MEASURES}
+    return Row(network, law, len(some), len(held), low, high, made, dict(sorted(verdicts.items())), measures)
+
+
+def spread_of(some: Sequence[Outcome], measure: str) -> Spread | None:
+    """Return the spread of a measure; None where no run has it."""
+    known = [value for outcome in some if (value := outcome.measures[measure]) is not None]
+    return Spread(statistics.median(known), min(known), max(known)) if known else None
+
+
+def choices(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the laws over each network, the one to take first."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row.network, []).append(row)
+    return {network: sorted(some, key=lambda row: (row.price(), row.law)) for network, some in found.items()}
+
+
+def runs_text(outcomes: Sequence[Outcome]) -> str:
+    """Return the runs as CSV, in one order: a line a run, with its verdict and measures."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(("benchmark", "network", "task", "law", "hand", "seed", "settings", "verdict", *MEASURES))
+    for outcome in sorted(outcomes, key=lambda outcome: outcome.cell.sort_key):
+        cell = outcome.cell
+        changed = " ".join(f"{key}={value}" for key, value in cell.settings)
+        figures = ["" if value is None else repr(value) for value in outcome.measures.values()]
+        out.writerow(
+            (VERSION, cell.network, cell.task, cell.law, cell.hand, cell.seed, changed, outcome.verdict, *figures)
+        )
+    return text.getvalue()
+
+
+def digest_of(text: str) -> str:
+    """Return the SHA-256 of a text, as `sha256sum` prints it."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def summary_of(plan: Plan, outcomes: Sequence[Outcome], rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the object that `benchmark.json` holds and --json prints."""
+    return {
+        "study": "benchmark",
+        "version": VERSION,
+        "digest": digest_of(runs_text(outcomes)),
+        "runs": len(outcomes),
+        "laws": list(plan.laws),
+        "settings": {key: value for key, value in plan.settings},
+        "hands": list(plan.hands),
+        "seeds": plan.seeds,
+        "tasks": {name: TASKS[name].about for name in plan.tasks},
+        "networks": {
+            name: {"about": PROFILES[name].about, "round_trip_ms": rounded(PROFILES[name].round_trip_ms)}
+            for name in plan.networks
+        },
+        "measures": {name: measure._asdict() for name, measure in MEASURES.items()},
+        "take": {network: some[0].law if some[0].held else None for network, some in choices(rows).items()},
+        "rows": [row.as_dict() for row in rows],
+    }

@@ -1,0 +1,72 @@
+"""`telenano benchmark`: which law for which network, by fixed tasks, networks and hands; the same bits everywhere."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.viz_node.figure_style import figure_options, styled
+from studies import option_values
+from telenano.cli.commands.study_options import SchedulerOption, WorkersOption
+from telenano.cli.commands.study_results import INTERRUPTED, print_result, sweep_in, write_study
+from telenano.cli.completion import law_names
+from telenano.cli.options import FormatOption, JsonOption, StyleOption
+from telenano.cli.output import report_errors
+from telenano.cli.sample_options import results_in
+
+
+def benchmark(
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="DIR", help="Folder for page, tables and journal; resumes a journal."),
+    ] = Path("benchmark"),
+    law: Annotated[
+        str,
+        typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to run, also of packages.", autocompletion=law_names),
+    ] = "all",
+    quick: Annotated[bool, typer.Option("--quick", help="Four networks, two tasks, two hands and two seeds.")] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="LAW.KEY=VALUE", help="Change a parameter of a law (SI units); may be repeated."),
+    ] = None,
+    recordings: Annotated[
+        bool, typer.Option("--recordings", help="Write the reference set of recordings as well, with its checksums.")
+    ] = False,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
+    as_json: JsonOption = False,
+) -> None:
+    """Run the benchmark of laws: fixed tasks, networks and hands in lockstep; one page, and a digest of the runs."""
+    with report_errors(as_json, INTERRUPTED):
+        from studies.benchmark.plan import plan_of
+        from studies.benchmark.recordings import write_recordings
+        from studies.benchmark.results import rows_of, runs_text, summary_of
+        from studies.benchmark.run import RUNS
+        from studies.pages.benchmark_page import CHOICE_HEAD, benchmark_figure, benchmark_page, choice_rows
+        from studies.pages.page import write_images
+
+        plan = plan_of(option_values.laws(law), quick=quick, settings=option_values.settings(settings or ()))
+        options, command = figure_options(formats, style), _command(law, quick=quick, settings=settings or ())
+        with sweep_in(out, workers, scheduler, shown=not as_json, kind=RUNS) as sweep:
+            outcomes = sweep.run(plan.runs())
+        rows = rows_of(outcomes)
+        summary = summary_of(plan, outcomes, rows)
+        with results_in(out) as folder:
+            (folder / "runs.csv").write_text(runs_text(outcomes), encoding="utf-8", newline="")
+            with styled(options):
+                images = write_images(folder, {"benchmark": benchmark_figure(rows)}, command, options)
+            write_study(folder, benchmark_page(plan, summary, rows, images["benchmark.png"], command), summary)
+        if recordings:
+            with results_in(out / "recordings") as folder:
+                write_recordings(plan, folder)
+        print_result(summary, CHOICE_HEAD, choice_rows(rows), out, as_json=as_json)
+        if not as_json:
+            typer.echo(f"digest: {summary['digest']}")
+
+
+def _command(law: str, *, quick: bool, settings: list[str] | tuple[()]) -> str:
+    """Return the command that makes this result, without where it is put."""
+    words = ["telenano benchmark", *(["--quick"] if quick else []), *([f"--law {law}"] if law != "all" else [])]
+    return " ".join([*words, *(f"--set {setting}" for setting in settings)])

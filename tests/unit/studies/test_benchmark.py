@@ -1,0 +1,248 @@
+"""The benchmark of laws: its measures agree with closed forms, its result with itself on any processor."""
+
+import csv
+import io
+import json
+import math
+import os
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from proto.errors import ConfigError
+from services.controller.config import OWN_LAWS
+from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
+from services.controller.laws.wave import WaveConfig
+from services.delay_node.profiles import PROFILES
+from studies.benchmark import plan as plan_module
+from studies.benchmark.etvo import LAG_WEIGHT, etvo
+from studies.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
+from studies.benchmark.recordings import course_text, write_recordings
+from studies.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
+from studies.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
+from studies.loops.link import schedule_of
+from studies.loops.sweep import Journal, Sweep
+from telenano.cli.root import app
+
+STEP_S = 0.005
+PAPER = "virtual_impedance"
+
+
+def run_of(law="position_force", task="track", network="clean", hand="force", seed=0):
+    return Run(task=task, network=network, law=law, hand=hand, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    return {law: run(run_of(law)) for law in ("position_force", PAPER, "wave")}
+
+
+def sine(count, late=0.0, size=1.0):
+    return size * np.sin(2.0 * math.pi * 0.5 * (STEP_S * np.arange(count) - late))
+
+
+def test_a_signal_that_is_late_has_that_time_offset_and_no_value_offset():
+    sent = sine(1000)
+    found = etvo(sent, sent[200 - 30 : 1000 - 30], STEP_S, 200)
+    assert found.time_s == pytest.approx(30 * STEP_S, rel=0.02)
+    assert found.value < 0.01
+
+
+def test_a_signal_of_another_size_is_an_offset_in_value_and_not_in_time():
+    found = etvo(sine(1000), sine(1000, size=0.4)[200:], STEP_S, 200)
+    assert found.time_s < 0.01
+    assert found.value == pytest.approx(0.6 * math.sqrt(0.5), rel=0.02)
+    # a lasting offset is a measure of its own
+    assert etvo(sine(1000), sine(1000)[200:] + 5.0, STEP_S, 200).value < 1e-12
+
+
+def test_a_lag_that_changes_is_followed_where_it_lasts_and_a_flicker_is_not():
+    sent = sine(1000)
+    late = np.where(np.arange(800) < 400, 20, 60)
+    found = etvo(sent, sent[200 + np.arange(800) - late], STEP_S, 200)
+    assert found.time_s == pytest.approx(40 * STEP_S, rel=0.05)
+    assert found.value < 0.05
+    flicker = np.where(np.arange(800) % 2 == 0, 20, 22)
+    assert etvo(sent, sent[200 + np.arange(800) - flicker], STEP_S, 200).time_s == pytest.approx(21 * STEP_S, rel=0.06)
+    assert etvo(np.ones(10), np.ones(5), STEP_S, 5) is None
+
+
+def test_the_least_sum_is_the_least_of_all_paths():
+    source = np.random.default_rng(5)
+    sent, received = source.normal(size=7), source.normal(size=4)
+    lags, found = 3, etvo(sent, received, 1.0, 3)
+    x, y = sent - sent[3:].mean(), received - received.mean()
+    swing = sent.max() - sent.min()
+
+    def cost(path):
+        values = sum(abs(y[n] - x[lags + n - lag]) for n, lag in enumerate(path)) / swing
+        return values + LAG_WEIGHT * sum(abs(b - a) for a, b in pairwise(path))
+
+    paths = [(a, b, c, d) for a in range(4) for b in range(4) for c in range(4) for d in range(4)]
+    allowed = [path for path in paths if all(b <= a + 1 for a, b in pairwise(path))]
+    best = min(allowed, key=cost)
+    assert found.time_s == pytest.approx(sum(best) / 4.0)
+
+
+def test_on_the_clean_network_force_and_position_are_those_of_the_closed_forms(outcomes):
+    gain, line = VirtualImpedanceConfig().force_gain, WaveConfig()
+    direct, paper, wave = (outcomes[law].measures for law in ("position_force", PAPER, "wave"))
+    assert {outcome.verdict for outcome in outcomes.values()} == {"stable"}
+    assert direct["force_held_n"] == pytest.approx(1.0, rel=1e-3)
+    # F_m = alpha_f F_s (1 + 1/K_f), equation 17
+    assert paper["force_held_n"] == pytest.approx(1.0 / (1.0 + 1.0 / gain), rel=1e-3)
+    assert paper["stiffness_ratio"] == pytest.approx(1.0 + 1.0 / gain, rel=5e-3)
+    assert direct["stiffness_ratio"] == pytest.approx(1.0, rel=5e-3)
+    assert wave["force_held_n"] == pytest.approx(1.0, rel=5e-3)
+    # the hand is ahead of the tip by F (T + tau_f)/b, T = 0 and a period
+    ahead_mm = 1e3 * line.filter_s / line.impedance_n_s_per_m
+    assert wave["position_error_mm"] == pytest.approx(ahead_mm, rel=0.06)
+    assert abs(direct["position_error_mm"]) < 0.01
+    for found in (direct, paper, wave):
+        assert found["least_energy_mj"] > -1e-3
+        assert 0.0 < found["tip_work_mj"] < found["hand_work_mj"]
+    assert direct["eto_forward_ms"] < 5.0
+    # the servo of the device, whose friction leaves some um, stands between its reference and the hand
+    assert direct["evo_forward_mm"] < 5e-3
+
+
+def test_the_verdicts_are_those_of_the_document_of_the_laws():
+    """K = 38 N/m bears 22.44 ms with the paper's law; New York to Paris and back takes 78."""
+    assert run(run_of(PAPER, "touch", "transatlantic")).verdict in ("limit_cycle", "diverged")
+    assert run(run_of("wave", "touch", "transatlantic")).verdict == "stable"
+
+
+def test_a_longer_draw_of_a_link_begins_with_the_shorter_one():
+    link = run_of(network="leo_satellite").link
+    longer, shorter = schedule_of(link, 900, 1e-3), schedule_of(link, 400, 1e-3)
+    count = int(np.searchsorted(shorter.forward_ns, 400_000_000))
+    assert longer.forward_ns[:count].tolist() == shorter.forward_ns[:count].tolist()
+    assert longer.forward_of[:count].tolist() == shorter.forward_of[:count].tolist()
+
+
+def test_the_result_is_the_same_text_in_any_order_and_after_a_journal(outcomes, tmp_path):
+    some = [*outcomes.values(), run(run_of("wave", "touch"))]
+    text = runs_text(some)
+    assert text == runs_text(some[::-1])
+    assert [outcome_from(json.loads(json.dumps(outcome.as_dict()))) for outcome in some] == some
+    first = next(csv.DictReader(io.StringIO(text)))
+    assert first["network"] == "clean"
+    assert float(first["force_held_n"]) == outcomes["position_force"].measures["force_held_n"] or first["law"] == "wave"
+    sweep = Sweep(Journal(tmp_path / "journal.jsonl", RUNS), 1)
+    sweep.run([outcome.cell for outcome in some[:2]])
+    again = Sweep(Journal(tmp_path / "journal.jsonl", RUNS), 1)
+    assert again.run([outcome.cell for outcome in some]) == some
+    assert (sweep.computed, again.computed) == (2, 2)
+
+
+def made(network, law, verdict, tracking, energy=0.0):
+    measures = {**dict.fromkeys(MEASURES), "tracking_error": tracking, "least_energy_mj": energy}
+    return Outcome(run_of(law, network=network), verdict, "", measures)
+
+
+def test_the_law_to_take_held_most_and_followed_nearest():
+    rows = rows_of([
+        made("lan", "wave", "stable", 0.5), made("lan", "wave", "limit_cycle", None),
+        made("lan", "smith", "stable", 0.3), made("lan", "smith", "stable", 0.2, -0.5),
+        made("lan", PAPER, "stable", 0.4), made("lan", PAPER, "stable", 0.4),
+        made("satellite", "wave", "diverged", None),
+    ])  # fmt: skip
+    found = choices(rows)
+    assert [row.law for row in found["lan"]] == ["smith", PAPER, "wave"]
+    smith = found["lan"][0]
+    assert (smith.held, smith.runs, smith.made_energy) == (2, 2, 1)
+    assert smith.measures["tracking_error"] == (0.25, 0.2, 0.3)
+    assert found["lan"][2].verdicts == {"limit_cycle": 1, "stable": 1}
+    summary = summary_of(plan_of(["wave"], quick=True), [made("lan", "wave", "stable", 0.5)], rows)
+    assert summary["take"] == {"lan": "smith", "satellite": None}
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+
+
+def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
+    whole, quick = plan_of(["wave"], quick=False), plan_of(["wave"], quick=True)
+    assert set(quick.runs()) < set(whole.runs())
+    assert len(set(whole.runs())) == len(whole.runs())
+    assert set(NETWORKS) <= set(PROFILES)
+    assert (whole.tasks, whole.hands) == (tuple(TASKS), tuple(HANDS))
+    assert not is_random("clean")
+    assert is_random("wifi")
+    with pytest.raises(ConfigError, match="--law: unknown law 'wavy'"):
+        plan_of(["wavy"], quick=True)
+
+
+def test_another_file_of_a_network_is_another_run(monkeypatch):
+    before = run_of(network="wifi").key
+    monkeypatch.setattr(plan_module, "_link_text", lambda network: "another")
+    assert run_of(network="wifi").key != before
+
+
+def small(laws, *, quick, settings=()):
+    return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings)
+
+
+def test_the_command_writes_page_figure_runs_and_recordings_with_checksums(tmp_path, monkeypatch):
+    monkeypatch.setattr(plan_module, "plan_of", small)
+    command = ["benchmark", "--law", "wave", "--workers", "1", "--out", str(tmp_path / "out"), "--recordings"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "out" / "runs.csv").read_text()
+    assert f"digest: {digest_of(text)}" in done.stdout
+    page = (tmp_path / "out" / "benchmark.html").read_text()
+    assert digest_of(text) in page
+    assert "meet a surface of 38 N/m" in page
+    folder = tmp_path / "out" / "recordings"
+    for line in (folder / "SHA256SUMS").read_text().splitlines():
+        digest, name = line.split()
+        assert digest == digest_of((folder / name).read_text())
+    assert len((folder / "clean-touch-wave.csv").read_text().splitlines()) > 100
+    changed = CliRunner().invoke(app, [*command[:-1], "--set", "wave.impedance_n_s_per_m=200", "--json"])
+    assert json.loads(changed.stdout)["digest"] != digest_of(text)
+
+
+SUBSET = """
+import sys
+from studies.benchmark.plan import Run
+from studies.benchmark.results import digest_of, runs_text
+from studies.benchmark.run import run
+runs = [
+    Run(task=task, network=network, law=law, hand=hand, seed=0)
+    for law, task, network, hand in (
+        ("wave", "touch", "5g", "force"), ("virtual_impedance", "touch", "lossy_bursts", "stiff"),
+        ("passivity", "track", "clean", "force"), ("model_mediated", "touch", "wifi", "reacting"),
+    )
+]
+sys.stdout.write(digest_of(runs_text([run(one) for one in runs])))
+"""
+ELSEWHERE = {
+    "here": {},
+    "haswell_and_numpy_baseline": {
+        "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"
+    },
+    "c_library_without_fma": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2,-FMA_Usable,-FMA4_Usable"},
+    "plain_python": {"NUMBA_DISABLE_JIT": "1"},
+}  # fmt: skip
+
+
+@pytest.mark.endurance
+@pytest.mark.timeout(1200)
+def test_the_result_has_the_same_bits_on_other_processors_and_in_plain_python():
+    found = {}
+    for name, more in ELSEWHERE.items():
+        environment = {**os.environ, **more}
+        done = subprocess.run([sys.executable, "-c", SUBSET], env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        found[name] = done.stdout
+    assert len(set(found.values())) == 1, found
+
+
+@pytest.mark.endurance
+def test_the_reference_set_of_recordings_is_small(tmp_path):
+    plan = plan_of(["wave", "passivity"], quick=True)
+    write_recordings(plan, tmp_path)
+    each = sum(path.stat().st_size for path in tmp_path.glob("*.csv")) / len(list(tmp_path.glob("*.csv")))
+    assert each * len(NETWORKS) * len(TASKS) * len(OWN_LAWS) < 20e6
+    assert course_text(run_of("wave", "touch")) == (tmp_path / "clean-touch-wave.csv").read_text()
