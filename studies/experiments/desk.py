@@ -156,6 +156,7 @@ class PersonDesk(BusDesk):
             task.instruction(parameters),
             remaining_s=task.intervals(parameters, trial.seed)[0].duration_s,
             course=task.target(parameters, trial.seed),
+            questions=task.questions_during(parameters),
             band=task.band(parameters),
             **shown,
         )

@@ -445,7 +445,15 @@ class Plan:
     def document(self, settings: Mapping[str, Any], origin: str) -> dict[str, Any]:
         """Return the scenario with dotted keys changed, not yet checked."""
         keys = {key: value for key, value in settings.items() if key != PICTURE_DELAY}
-        return merge(self.scenario, nested(keys, origin))
+        document = merge(self.scenario, nested(keys, origin))
+        hand = document.get("haptic_node", {})
+        if self.experiment.operator.kind == "person" and hand.get("driver", "simulated").startswith("simulated"):
+            # The hand of a simulated device is the person at the page.
+            interactive = {"kind": "interactive"}
+            given = hand.get("operator", {})
+            operator = given if given.get("kind") == "interactive" else interactive
+            document["haptic_node"] = {**hand, "operator": operator}
+        return document
 
     def balance(self) -> Balance:
         """Count places and neighbours of the conditions in the blocks of all participants."""

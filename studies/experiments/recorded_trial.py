@@ -18,7 +18,8 @@ from studies.experiments.disturbances import Evidence, Hold, Passage
 from studies.experiments.types import TrialData
 
 _TABLES = ("afm/state", "haptic/state", "law/status")
-_WANTED = (*_TABLES, "link/fates", "session/event", "node/health")
+_PARTICLES = "afm/particles"
+_WANTED = (*_TABLES, "link/fates", "session/event", "node/health", _PARTICLES)
 _SAMPLES = {"forward": "teleop/forward", "backward": "teleop/backward"}
 _MASTER = "controller@master"
 # a second before the trial, and as much after it, for what led to it and what reports it
@@ -57,7 +58,7 @@ class RecordedTrial:
         """Return the tables of the trial, from its beginning to its end, or for the longest time that counts [s]."""
         until_s = min(most_s, self.duration_s)
         afm, haptic, status = (self._table(topic, until_s) for topic in _TABLES)
-        return TrialData(afm, haptic, status, tuple(answers))
+        return TrialData(afm, haptic, status, tuple(answers), self._particles(until_s))
 
     def evidence(self, duration_s: float, quiet_s: float = 0.0) -> Evidence:
         """Return what tells whether the trial was disturbed.
@@ -88,6 +89,24 @@ class RecordedTrial:
             missing=self._missing(),
             quiet_s=quiet_s,
         )
+
+    def _particles(self, until_s: float) -> ColumnTable | None:
+        """Return where the first particle really was, from the last report before the trial on; None without any."""
+        rows: list[tuple[float, float, float]] = []
+        for message in self._of(_PARTICLES):
+            report: Any = message.decode()
+            places, time_s = np.asarray(report.places_m.to_numpy(), dtype=np.float64), self._time_s(message)
+            if places.size and time_s <= until_s:
+                rows.append((time_s, float(places[0, 0]), float(places[0, 1])))
+        if not rows:
+            return None
+        columns = dict(zip(("time_s", "x_m", "y_m"), np.array(rows).T, strict=True))
+        texts = {
+            "time_s": "Time since the trial began",
+            "x_m": "Centre of the particle",
+            "y_m": "Centre of the particle",
+        }
+        return ColumnTable(_PARTICLES, columns, {"time_s": "s", "x_m": "m", "y_m": "m"}, texts)
 
     def _of(self, topic: str) -> list[RecordedMessage]:
         return self._messages[topic]

@@ -43,12 +43,14 @@ class TrialData(NamedTuple):
         haptic: The messages of haptic/state.
         status: The messages of law/status, with the energies at the ports.
         answers: What the participant answered: name, value and time_s, the time since the trial began [s].
+        particles: Where the first particle of a simulation really is: time_s, x_m, y_m; None without particles.
     """
 
     afm: ColumnTable
     haptic: ColumnTable
     status: ColumnTable
     answers: tuple[Mapping[str, Any], ...] = ()
+    particles: ColumnTable | None = None
 
 
 class TrialOutcome(NamedTuple):

@@ -143,3 +143,21 @@ def test_the_experiments_that_come_with_the_project_are_sound(path: Path) -> Non
     plan = load_plan(path)
     assert plan.experiment.name == path.stem
     assert summary_of(plan)["trials"] > 0
+
+
+def test_a_person_at_the_page_is_the_hand_of_a_simulated_device(tmp_path: Path) -> None:
+    person = plan_of(tmp_path, operator={"kind": "person"})
+    assert person.document({}, "")["haptic_node"]["operator"] == {"kind": "interactive"}
+    assert "operator" not in person.document({"haptic_node.driver": "haply"}, "")["haptic_node"] or (
+        person.document({"haptic_node.driver": "haply"}, "")["haptic_node"]["operator"]["kind"] != "interactive"
+    )
+    simulated = plan_of(tmp_path)
+    assert simulated.document({}, "")["haptic_node"]["operator"]["kind"] == "force_profile"
+
+
+def test_the_delay_of_the_picture_is_no_key_of_the_scenario(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, factors={"picture.delay_s": [0.0, 0.2], "round_trip_ms": [0, 40]})
+    trial = next(t for t in plan.trials("P01") if t.condition["picture.delay_s"] == 0.2)
+    assert trial.settings["picture.delay_s"] == 0.2
+    assert "picture" not in plan.document(trial.settings, "")
+    assert plan.restarting == ()
