@@ -22,7 +22,12 @@ from services.afm_node.programs.lateral import Place, moved
 from services.afm_node.programs.program import FinishedLine, Inputs
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import RunnerState
-from services.afm_node.programs.settings import InstrumentRequest, changed_disturbances, requested
+from services.afm_node.programs.settings import (
+    InstrumentRequest,
+    changed_disturbances,
+    changed_stiffness,
+    requested,
+)
 from services.afm_node.programs.table import CHANGES
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.bus import Received
@@ -33,6 +38,8 @@ from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
+# The stiffness of environment spring, which experiments change from one trial to the next.
+_STIFFNESS = "spring.stiffness_n_per_m"
 _PROGRAM_PERIOD_NS = 100_000_000
 # The truth about particles is looked at so often, and published then while one moves, else every so many looks.
 _LOOK_PERIOD_NS, _RESTING_LOOKS = 50_000_000, 20
@@ -120,6 +127,7 @@ class AfmNode(Node):
         about = getattr(driver, "about", "")
         self._sample = about if self._reach is None else _sample_text(config, self._reach)
         self._places_m = config.places_m
+        self._other_spring = False
         self._edge = None if config.map_span is None else MapEdge(config.places_m)
         self._feel = None if config.feel is None else (config.feel.channel, config.feel.to_params())
         self._left = False
@@ -156,6 +164,8 @@ class AfmNode(Node):
     def capture(self) -> AfmNodeState | None:
         if not self._simulated:
             return None
+        if self._other_spring:
+            raise ValueError("the stiffness of the sample was changed by a command: a re-run has to begin before that")
         parts = self.freshness.capture(), self._programs.capture(), part(self._driver.state)
         return AfmNodeState(self._memory, *parts)
 
@@ -222,9 +232,18 @@ class AfmNode(Node):
 
     def _set(self, control: SessionControl) -> str:
         """Begin or change a program, or move the tip over the sample."""
+        springs = {key: value for key, value in control.parameters.items() if key == _STIFFNESS}
         changes = {key: value for key, value in control.parameters.items() if key.startswith("disturbances.")}
-        request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
+        others = {**springs, **changes}
+        request = requested({key: value for key, value in control.parameters.items() if key not in others}, others)
         sentences = []
+        if springs:
+            stiffness_n_per_m = changed_stiffness(springs[_STIFFNESS])
+            take = getattr(self._driver, "take_spring", lambda stiffness: False)
+            if not take(stiffness_n_per_m):
+                raise RefusedError(f"{_STIFFNESS}: only the simulated environment spring has one")
+            self._other_spring = True
+            sentences.append(f"the sample has {stiffness_n_per_m:g} N/m")
         if changes:
             simulation = self._driver.simulation
             if simulation is None:

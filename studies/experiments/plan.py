@@ -45,7 +45,7 @@ _RUNNING: Mapping[str, tuple[str, ...]] = {
     "controller": ("",),
     "delay_node": ("",),
     "haptic_node": ("operator.", "disturbances."),
-    "afm_node": ("disturbances.",),
+    "afm_node": ("disturbances.", "spring.stiffness_n_per_m"),
 }
 _PERIOD = "controller.period_s"
 _MOST_TRIALS = 100_000

@@ -45,7 +45,7 @@ def _taken(kind: str) -> Collection[str]:
 
 
 def new_package(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a package with a law, device, instrument, operator, sample, program or task, and a test of it; return its files.
+    """Write a package with one of the kinds, such as a law or a device, and a test of it; return its files.
 
     Raises:
         ConfigError: The name cannot be that of a package, or the folder exists.

@@ -42,6 +42,7 @@ def settable(node: str) -> list[str]:
         return [
             *flatten(InstrumentRequest().model_dump()),
             *flatten({"disturbances": DisturbanceConfig().model_dump()}),
+            "spring.stiffness_n_per_m",
         ]
     if node == "haptic_node":
         return ["operator", *flatten({"disturbances": HandDisturbanceConfig().model_dump()})]

@@ -27,6 +27,7 @@ from services.afm_node.physics.part import (
     part_step,
 )
 from services.afm_node.physics.sample.surface import Surface
+from services.afm_node.physics.spring import SpringParams, spring_params
 from services.afm_node.physics.step import AfmParams
 
 _AT_REST = Oscillation(0.0, 0.0)
@@ -161,6 +162,15 @@ class SimulatedInstrument:
             state = state._replace(piezo=None, elapsed_s=0.0)
         inputs = _thermal(state.inputs, config, moves=self._motion is not None)
         self.state = state._replace(disturbances=config, inputs=inputs)
+
+    def take_spring(self, stiffness_n_per_m: float) -> bool:
+        """Take another stiffness of the environment [N/m]; return whether it is a spring."""
+        plant = self._params.plant
+        if not isinstance(plant, SpringParams):
+            return False
+        changed = spring_params(stiffness_n_per_m, plant.rest_distance_m, plant.bilateral)
+        self._params = self._params._replace(plant=changed)
+        return True
 
     def elapse(self, dt: float) -> None:
         """Note the time [s] of the next exchange."""

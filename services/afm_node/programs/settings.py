@@ -12,6 +12,8 @@ from services.afm_node.programs.program_settings import Position
 from services.afm_node.programs.table import CHANGES, PROGRAMS, refuse_unusable
 from services.runtime.settings.config import Settings, merge, nested, validate
 
+_STIFFEST_N_PER_M = 1e9
+
 
 class LateralTarget(Settings):
     """Where the tip is to be over the sample while no program runs; what a hand commands is added."""
@@ -84,3 +86,10 @@ def changed_disturbances(config: DisturbanceConfig, parameters: Mapping[str, Sca
         return validate(DisturbanceConfig, section, "session/control", "afm_node.disturbances")
     except ConfigError as error:
         raise RefusedError(str(error)) from error
+
+
+def changed_stiffness(value: Scalar) -> float:
+    """Return a stiffness of the environment [N/m]; RefusedError where it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= _STIFFEST_N_PER_M:
+        raise RefusedError(f"spring.stiffness_n_per_m: {value} must be a number of N/m, above 0, up to 1e9")
+    return float(value)

@@ -18,6 +18,7 @@ from proto.errors import RecordingError, RigError
 from proto.messages import HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
 from proto.nodes import HAND, LINK, RECORDER, TIP
 from recording.reader import Recording
+from services.afm_node.config import AfmConfig
 from services.console.command_client import send_control
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, flattened
@@ -390,8 +391,15 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
         link={key: value for key, value in link.items()},
         operator="" if is_person else json.dumps(operator or _NO_HAND),
         hand={key: value for key, value in flat["haptic_node"].items() if _is_scalar(value)},
-        tip={key: value for key, value in flat["afm_node"].items() if _is_scalar(value)},
+        tip={**{key: value for key, value in flat["afm_node"].items() if _is_scalar(value)}, **_spring(document)},
     )
+
+
+def _spring(document: Mapping[str, Any]) -> dict[str, Scalar]:
+    """Return the stiffness of a spring in the place of a sample, which a running rig takes."""
+    afm = _section(document, "afm_node", AfmConfig)
+    is_spring = afm.driver == "simulated" and afm.environment == "spring"
+    return {"spring.stiffness_n_per_m": afm.spring.stiffness_n_per_m} if is_spring else {}
 
 
 def _is_scalar(value: Any) -> bool:

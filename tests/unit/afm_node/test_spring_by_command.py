@@ -1,0 +1,51 @@
+"""Another stiffness of the simulated environment by `set`, as an experiment asks between two intervals of a trial."""
+
+from typing import Any
+
+import pytest
+from test_afm_programs import SOFT, Imager, command
+
+from proto.errors import RefusedError
+
+SPRING = {"environment": "spring", "spring": {"stiffness_n_per_m": 2.0, "rest_position_m": -1e-8, "bilateral": False}}
+KEY = "spring.stiffness_n_per_m"
+
+
+def force_n(afm: Imager) -> float:
+    """Return the force on the tip where the command of the bench wants the base: 10 nm within the spring."""
+    for _ in range(300):
+        afm.bench.clock.advance_ns(1_000_000)
+        afm.node.on_message(command(afm))
+    return float(afm.bench.take("afm/state")[-1].tip_force_n[2])
+
+
+@pytest.fixture
+def spring(bench_of: Any) -> Imager:
+    afm = Imager(bench_of("afm_node@slave"), SPRING)
+    afm.node.on_message(command(afm))
+    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {}}
+    afm.node.on_control(afm.bench.make("session/control", "console@master", **fields))
+    return afm
+
+
+def test_the_sample_is_stiffer_from_then_on(spring: Imager) -> None:
+    soft_n = force_n(spring)
+    assert soft_n > 0.0
+    assert spring.set(**{KEY: 5.0}) == "the sample has 5 N/m"
+    assert force_n(spring) == pytest.approx(2.5 * soft_n, rel=1e-9, abs=0.0)
+    with pytest.raises(ValueError, match="a re-run has to begin before that"):
+        spring.node.capture()
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 2e9, True, "stiff"])
+def test_what_is_no_stiffness_changes_nothing(spring: Imager, value: Any) -> None:
+    before_n = force_n(spring)
+    with pytest.raises(RefusedError, match=r"spring.stiffness_n_per_m: .* must be a number of N/m"):
+        spring.set(**{KEY: value})
+    assert force_n(spring) == before_n
+    assert spring.node.capture() is not None
+
+
+def test_a_real_sample_has_its_own(bench_of: Any) -> None:
+    with pytest.raises(RefusedError, match="only the simulated environment spring has one"):
+        Imager(bench_of("afm_node@slave"), SOFT).set(**{KEY: 5.0})
