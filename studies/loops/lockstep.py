@@ -178,7 +178,9 @@ class Trajectory:
     withdrawn_s: Series
 
 
-def simulate(rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None = None) -> Trajectory:
+def simulate(
+    rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None = None, across: Series | None = None
+) -> Trajectory:
     """Run the rig over a link.
 
     Args:
@@ -187,6 +189,8 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None 
         session_tick: The tick at which the operator's programme starts. The instrument is armed and comes to its
             reference before it.
         hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
+        across: The speed of the tip over the sample at each tick [m/s], shape (ticks, 2), once the instrument is armed;
+            without a hand.
 
     Raises:
         ValueError: No tick is left for the session.
@@ -195,7 +199,9 @@ def simulate(rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None 
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((schedule.ticks, len(COLUMNS)))
     start = rig.haptic_start, rig.instrument_start
-    done = compiled_form(_run)(rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand)
+    done = compiled_form(_run)(
+        rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, across
+    )
     rows = rows[:done]
     columns: dict[str, Any] = dict(zip(COLUMNS, np.ascontiguousarray(rows[session_tick:].T), strict=True))
     for name in ("in_contact", "hand_following"):
@@ -575,6 +581,7 @@ def _run(
     session_tick: int,
     rows: Series,
     steers: Hand | None,
+    across: Series | None,
 ) -> int:
     """Fill `rows` (ticks, columns) with the closed loop, and return how many; the module's text gives the order."""
     # The fields are taken out of the tuple once, because every access costs a count of references to its arrays.
@@ -603,6 +610,8 @@ def _run(
             if steers.state[PHASE] == DONE:
                 return n
             steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, n - session_tick)
+        if across is not None:
+            i = _driven(i, across[n], now_ns)
         end_ns = now_ns + period_ns
         while True:
             arrives_ns, returns_ns = _at(forward_ns, f), _at(backward_ns, b)

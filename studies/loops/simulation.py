@@ -93,6 +93,8 @@ class SimulatedSession(ColumnTable):
         self.conditions = conditions
         self.force_scale = force_scale
         self._safety = safety
+        # where the tip is over the sample [m], shape (n, 2); None where it stays
+        self.places_m: Any = None
         self._course = course
         values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
@@ -125,6 +127,14 @@ class SimulatedSession(ColumnTable):
         texts = {
             name: self.descriptions[source].replace(", towards the sample", "") for name, (source, _) in found.items()
         }
+        if channel == "afm/state" and self.places_m is not None:
+            for axis in (0, 1):
+                name = f"base_position_m.{axis}"
+                columns[name], units[name], texts[name] = (
+                    self.places_m[:, axis],
+                    "m",
+                    "Place of the tip over the sample",
+                )
         return ColumnTable(channel, columns, units, texts)
 
     def df(self, channel: str) -> Any:
@@ -235,7 +245,9 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
     rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
-    course = simulate(rig, schedule_of(link, ticks, period_s), settle)
+    places = _places(haptic, controller, link, period_s * (np.arange(ticks) - settle))
+    across = None if places is None else np.diff(places, axis=0, append=places[-1:]) / period_s
+    course = simulate(rig, schedule_of(link, ticks, period_s), settle, None, across)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
@@ -246,7 +258,23 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
         link_profile=link.profile,
         link_seed=link.seed,
     )
-    return SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
+    session = SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
+    session.places_m = None if places is None else places[settle:]
+    return session
+
+
+def _places(haptic: HapticConfig, controller: ControllerConfig, link: LinkSettings, time_s: Any) -> Any:
+    """Return where the tip goes over the sample [m], shape (n, 2), from 0, 0 on; None where no hand moves it by place.
+
+    The hand across the sample is where its path is, and the tip follows the delay there later.
+    """
+    hand, lateral = haptic.lateral, controller.lateral
+    if hand is None or not hand.path or lateral is None or lateral.mode != "position":
+        return None
+    times, at_s = [point.time_s for point in hand.path], time_s - link.forward.delay_s
+    ways = [np.interp(at_s, times, [getattr(point, name) for point in hand.path]) for name in ("x_m", "y_m")]
+    places = lateral.position_scale * np.column_stack(ways)
+    return places - places[0]
 
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:

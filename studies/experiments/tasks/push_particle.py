@@ -67,10 +67,21 @@ class _Task(Plain):
         return p.tolerance_m
 
     def settings(self, p: PushParticle, seed: int) -> Mapping[str, Any]:
-        """Return a sample with one particle, and a hand across it; the instrument is that of scenario assembly."""
+        """Return a sample with one particle, an instrument that pushes it, and a hand across it."""
         particles = {"preset": p.preset, "places": [[0.0, 0.0]]}
         return {
             "afm_node.sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": particles},
+            # in dry air: a meniscus holds the tip of so soft a cantilever
+            "afm_node.cantilever.stiffness_n_per_m": 10.0,
+            "afm_node.meniscus": False,
+            # a retracted tip is clear of the particle
+            "afm_node.safety": {
+                "base_min_m": -1.2e-6,
+                "retract_position_m": -0.7e-6,
+                "base_max_m": 0.3e-6,
+                "base_speed_m_per_s": 20.0e-6,
+                "retract_speed_m_per_s": 20.0e-6,
+            },
             "controller.lateral.mode": "rate",
             "haptic_node.lateral.mass_kg": 0.1,
         }

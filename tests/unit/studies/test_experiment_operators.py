@@ -112,3 +112,21 @@ def test_contact_is_felt_later_by_the_delay_back_and_a_target_is_followed_later_
         found = [simulated(name, parameters, "wave", each, **SPRING)[measure] for each in (0.0, 50.0, 100.0)]
         grows = np.diff(found) / 0.05
         assert (grows > 0.8).all()
+
+
+@pytest.mark.endurance
+def test_a_hand_that_keeps_its_force_follows_the_heights_of_a_grating() -> None:
+    instrument = {"afm_node.cantilever.stiffness_n_per_m": 1.0, "afm_node.meniscus": False}
+    task, p = task_named("follow_profile", {}, "made")
+    found = simulated("follow_profile", {}, "virtual_impedance", 0.0, **instrument, **nested_flat(task.settings(p, 2)))
+    assert found["height_range_m"] == pytest.approx(p.height_m, rel=0.1, abs=0.0)  # type: ignore[attr-defined]
+    assert found["way_m"] == pytest.approx(p.way_m, rel=0.01, abs=0.0)  # type: ignore[attr-defined]
+    assert found["success"] is True
+
+
+def nested_flat(settings: Any) -> dict[str, Any]:
+    """Return settings whose sections are maps as dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        flat |= {f"{key}.{name}": each for name, each in value.items()} if isinstance(value, dict) else {key: value}
+    return flat

@@ -6,8 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from presets import find_scenario
 from proto.errors import ConfigError
 from recording.column_table import ColumnTable
+from services.afm_node.config import AfmConfig
+from services.controller.config import ControllerConfig
+from services.haptic_node.config import HapticConfig
+from services.runtime.settings.config import merge, nested, read_yaml, validate
+from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.experiments.tasks import TASKS, checked, task_named
 from studies.experiments.tasks.base import Plain, Series, held_from, joined
 from studies.experiments.tasks.discriminate_stiffness import ANSWER, comparison_is_first
@@ -64,6 +70,21 @@ def test_a_target_is_a_function_of_the_seed_and_ends_with_the_trial(name: str) -
         assert course.times_s[-1] == pytest.approx(task.duration_s(p))
         assert course.unit == ("N" if course.quantity == "force" else "m")
     assert sum(interval.duration_s for interval in task.intervals(p, 1)) == pytest.approx(task.duration_s(p))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_what_a_task_sets_is_a_scenario(name: str) -> None:
+    task, p = task_named(name, {}, "made")
+    touch = read_yaml(find_scenario("touch"))
+    for interval in task.intervals(p, 1):
+        document = merge(touch, nested({**task.settings(p, 1), **interval.settings}, "made"))
+        loaded = LoadedScenario(validate(Scenario, document, "made"), "made", dict(document))
+        for section, model in (
+            ("afm_node", AfmConfig),
+            ("controller", ControllerConfig),
+            ("haptic_node", HapticConfig),
+        ):
+            loaded.section(section, model)
 
 
 def test_a_force_that_settles_is_measured() -> None:
