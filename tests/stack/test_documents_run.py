@@ -14,12 +14,14 @@ from pathlib import Path
 
 import msgpack
 import pytest
+from experiment_tables import demo
 from stack_rig import Rig
 from websockets.sync.client import connect
 
 from recording.reader import Recording
 from services.viz_node.requests import PROTOCOL
 from services.viz_node.serve import missing_for_view
+from studies.experiments.table import tidy, write_tables
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -47,6 +49,8 @@ def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPath
     for name, law in (("fig12", "virtual_impedance"), ("delay/0", "virtual_impedance"), ("delay/40", "wave")):
         (folder / "out" / name).mkdir(parents=True)
         shutil.copy(recording_of(f"fig12_{law}"), folder / "out" / name / "session.mcap")
+    (folder / "out" / "experiment" / "analysis").mkdir(parents=True)
+    write_tables(tidy(demo(1)), folder / "out" / "experiment" / "analysis")
     return folder
 
 
@@ -63,7 +67,7 @@ def run(command: list[str], place: Path, environment: dict[str, str] | None = No
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_from_its_first_cell_to_its_last(path: Path, place: Path) -> None:
-    assert len(NOTEBOOKS) == 3
+    assert len(NOTEBOOKS) == 4
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     assert all(not cell.get("outputs") for cell in cells), "outputs are made by running it"

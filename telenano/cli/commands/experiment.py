@@ -13,6 +13,7 @@ from presets import EXPERIMENT_DIRECTORY, find_experiment
 from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
+from telenano.cli.commands.experiment_analyse import analyse
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import fail, print_document, print_json, print_rows, report_errors
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 app = command_group()
 people = command_group()
+app.command()(analyse)
 app.add_typer(people, name="people", help="Note what is known of participants: consent, handedness, exclusion.")
 
 _FILE = "experiment.yaml"

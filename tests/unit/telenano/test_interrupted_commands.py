@@ -75,6 +75,7 @@ VARIANTS = (
 ELSEWHERE = {
     "up": "a session ends with its recording, figure and summary: tests/stack/test_fig12.py",
     "experiment run": "each trial is in the journal when it is over: tests/unit/studies/test_experiment_runner.py",
+    "experiment analyse": "reads a journal, and writes all at once at the end by `results_in`",
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",

@@ -1,0 +1,483 @@
+"""Tests and effect sizes of one measure: a mixed-effects model, or a repeated-measures analysis of variance.
+
+The mixed model has the factors and their two-way interactions as fixed effects. A numeric factor is a slope, others are
+sum-coded, so each term is an average over the others. Random effects are chosen by a rule, from the first model that
+converges: (1) an intercept and an effect of each factor for each participant, uncorrelated (D. J. Barr and others, J.
+Mem. Lang. 68 (2013) 255); (2) an intercept alone; (3) none: the analysis of variance of participants' means.
+
+Tests of the mixed model are F tests. Their denominator has the degrees of freedom of the participants where each
+participant has an effect of that factor of their own, and those of the residuals where not (J. C. Pinheiro and D. M.
+Bates, Mixed-Effects Models in S and S-PLUS (2000), section 2.4.2).
+"""
+
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Test = Literal["mixed", "anova"]
+CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
+Matrix = npt.NDArray[np.float64]
+# no statistic of a real experiment has its centre this far off
+_FARTHEST = 2.0**24
+
+
+class Factor(NamedTuple):
+    """A factor of the analysis.
+
+    Args:
+        name: Its name in the experiment's file.
+        column: Its column in the table.
+        unit: Its unit, empty where it has none.
+        levels: Its levels, in ascending order.
+        is_numeric: Whether it is a slope in the mixed model.
+        is_within: Whether each participant has more than one of its levels.
+    """
+
+    name: str
+    column: str
+    unit: str
+    levels: tuple[Any, ...]
+    is_numeric: bool
+    is_within: bool
+
+
+class Term(NamedTuple):
+    """A factor or an interaction, tested as a whole, with partial η² and its interval."""
+
+    term: str
+    test: str
+    f: float
+    df1: float
+    df2: float
+    p: float
+    partial_eta2: float
+    partial_eta2_low: float
+    partial_eta2_high: float
+    epsilon: float | None = None
+    p_corrected: float | None = None
+
+
+class Slope(NamedTuple):
+    """The change of the measure for each unit of a numeric factor, with its interval."""
+
+    factor: str
+    slope: float
+    low: float
+    high: float
+    df: float
+    p: float
+
+
+class Pair(NamedTuple):
+    """The difference of two levels over participants' means, and Hedges' g with its interval."""
+
+    factor: str
+    level: Any
+    against: Any
+    difference: float
+    low: float
+    high: float
+    df: float
+    p: float
+    g: float
+    g_low: float
+    g_high: float
+    p_corrected: float | None = None
+
+
+class Effects(NamedTuple):
+    """What the tests of one measure say, and how they were made.
+
+    Args:
+        model: The model in words.
+        remarks: Where the rule went on to a simpler model, and what was left out.
+        terms: Factors and interactions.
+        slopes: Numeric factors.
+        pairs: Levels against one another.
+    """
+
+    model: str
+    remarks: tuple[str, ...]
+    terms: tuple[Term, ...] = ()
+    slopes: tuple[Slope, ...] = ()
+    pairs: tuple[Pair, ...] = ()
+
+
+def effects(
+    frame: Any,
+    measure: str,
+    factors: Sequence[Factor],
+    test: Test = "mixed",
+    correction: str = "holm",
+    confidence: float = 0.95,
+) -> Effects:
+    """Test the effects of factors on a measure.
+
+    Args:
+        frame: A pandas DataFrame with a row a trial: `participant`, the measure, the columns of the factors.
+        measure: The column of the measure; booleans are 0 and 1.
+        factors: The factors, each with two levels or more.
+        test: The test to begin with.
+        correction: The correction of the comparisons of levels, one of CORRECTIONS.
+        confidence: The confidence of all intervals.
+    """
+    data = frame[["participant", measure, *(factor.column for factor in factors)]].dropna()
+    people = data["participant"].nunique()
+    if people < 2 or not factors:
+        why = "one participant: nothing is tested" if people < 2 else "no factor with two levels: nothing is tested"
+        return Effects("none", (why,))
+    values = data[measure].to_numpy(float)
+    if float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max(initial=0.0)):
+        return Effects("none", ("every trial has the same value: nothing is tested",))
+    remarks: list[str] = []
+    fitted = _mixed(data, values, factors, remarks) if test == "mixed" else None
+    if fitted is not None:
+        terms, slopes = _terms_of(fitted, confidence), _slopes_of(fitted, confidence)
+        model = fitted.words
+    else:
+        terms, slopes = _anova(data, measure, factors, remarks, confidence), ()
+        model = "repeated-measures analysis of variance of participants' means, Greenhouse–Geisser"
+    pairs = _pairs(data, measure, factors, correction, confidence)
+    return Effects(model, tuple(remarks), terms, slopes, pairs)
+
+
+def corrected(ps: Sequence[float], correction: str) -> list[float]:
+    """Return p values corrected for multiple comparisons, in their order.
+
+    Bonferroni; S. Holm, Scand. J. Stat. 6 (1979) 65; Y. Benjamini and Y. Hochberg, J. R. Stat. Soc. B 57 (1995) 289.
+    """
+    count = len(ps)
+    if correction == "none" or not count:
+        return list(ps)
+    if correction == "bonferroni":
+        return [min(1.0, count * p) for p in ps]
+    given = np.asarray(ps, dtype=float)
+    order = np.argsort(given)
+    ranks = np.arange(1, count + 1)
+    if correction == "holm":
+        ascending = np.maximum.accumulate((count + 1 - ranks) * given[order])
+    else:
+        ascending = np.minimum.accumulate((count / ranks * given[order])[::-1])[::-1]
+    result = np.empty(count)
+    result[order] = np.minimum(ascending, 1.0)
+    return [float(p) for p in result]
+
+
+def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, float, float]:
+    """Return the mean of participants' values with its interval by Student's t; the ends are nan of one value."""
+    from scipy import stats
+
+    mean, count = float(np.mean(values)), len(values)
+    if count < 2:
+        return mean, math.nan, math.nan
+    half = float(stats.t.ppf(0.5 + 0.5 * confidence, count - 1) * np.std(values, ddof=1) / math.sqrt(count))
+    return mean, mean - half, mean + half
+
+
+class _Column(NamedTuple):
+    """A factor as columns of the design: sum-coded contrasts, or the number itself in standard deviations."""
+
+    factor: Factor
+    fixed: Matrix
+    random: Matrix
+    scale: float
+
+
+class _Fitted(NamedTuple):
+    words: str
+    terms: tuple[tuple[tuple[_Column, ...], slice], ...]
+    estimate: Matrix
+    covariance: Matrix
+    scale: float
+    own_effects: bool
+    people: int
+    residual_df: int
+
+
+def _mixed(data: Any, values: Matrix, factors: Sequence[Factor], remarks: list[str]) -> _Fitted | None:
+    """Fit the first model of the rule that converges; None where none does."""
+    columns = [_column(data[factor.column], factor) for factor in factors]
+    terms = [(column,) for column in columns] + list(itertools.combinations(columns, 2))
+    blocks, slices, start = [np.ones((len(data), 1))], [], 1
+    for term in terms:
+        blocks.append(_products([column.fixed for column in term]))
+        slices.append(slice(start, start := start + blocks[-1].shape[1]))
+    design = np.hstack(blocks)
+    if np.linalg.matrix_rank(design) < design.shape[1]:
+        remarks.append("the conditions do not tell all effects apart, so the mixed model was not fitted")
+        return None
+    scale = float(values.std())
+    groups = data["participant"].to_numpy()
+    shared = len(np.unique(groups)), len(data) - design.shape[1] - len(np.unique(groups)) + 1
+    within = [column for column in columns if column.factor.is_within]
+    standard = (values - values.mean()) / scale
+    for own in (True, False) if within else (False,):
+        words = "random intercept" + (f" and effects of {_names(within)}" if own else "") + " for each participant"
+        result, why = _fit_mixed(standard, design, groups, within if own else [])
+        if result is not None:
+            fixed = design.shape[1]
+            covariance = np.asarray(result.cov_params())[:fixed, :fixed]
+            pairs = tuple(zip(terms, slices, strict=True))
+            estimate = np.asarray(result.fe_params, dtype=float)
+            return _Fitted(
+                f"linear mixed-effects model (REML), {words}", pairs, estimate, covariance, scale, own, *shared
+            )
+        remarks.append(f"the mixed model with {words} did not converge ({why})")
+    return None
+
+
+def _fit_mixed(values: Matrix, design: Matrix, groups: Any, own: Sequence[_Column]) -> tuple[Any, str]:
+    """Return the fitted model, or None and why it cannot be used."""
+    from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec
+
+    labels = sorted(set(groups))
+    parts = [[column.random[groups == label] for label in labels] for column in own]
+    names = [[[f"{j}" for j in range(part.shape[1])] for part in of_factor] for of_factor in parts]
+    spec = VCSpec([column.factor.name for column in own], names, parts) if own else None
+    with warnings.catch_warnings():
+        # what matters of them is judged below, and named
+        warnings.simplefilter("ignore")
+        try:
+            intercept = np.ones((len(values), 1))
+            model = MixedLM(values, design, groups, exog_re=intercept, exog_vc=spec)
+            result = model.fit(reml=True, method=["bfgs", "lbfgs", "powell"])
+            errors = np.asarray(result.bse_fe, dtype=float)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            return None, str(error)
+    if not result.converged:
+        return None, "the search for the greatest likelihood did not end"
+    if not np.all(np.isfinite(errors)) or np.any(errors <= 0.0):
+        return None, "standard errors are not finite"
+    return result, ""
+
+
+def _terms_of(fitted: _Fitted, confidence: float) -> tuple[Term, ...]:
+    from scipy import stats
+
+    found = []
+    for columns, part in fitted.terms:
+        estimate, covariance = fitted.estimate[part], fitted.covariance[part, part]
+        df1, df2 = len(estimate), _denominator(fitted, columns)
+        f = float(estimate @ np.linalg.solve(covariance, estimate)) / df1
+        eta = partial_eta2(f, df1, df2, confidence)
+        name = _names([column for column in columns], " × ")
+        found.append(Term(name, "F test of the mixed model", f, df1, df2, float(stats.f.sf(f, df1, df2)), *eta))
+    return tuple(found)
+
+
+def _slopes_of(fitted: _Fitted, confidence: float) -> tuple[Slope, ...]:
+    from scipy import stats
+
+    found = []
+    for columns, part in fitted.terms:
+        if len(columns) > 1 or not columns[0].factor.is_numeric:
+            continue
+        ratio = fitted.scale / columns[0].scale
+        slope = float(fitted.estimate[part][0]) * ratio
+        error = math.sqrt(float(fitted.covariance[part, part][0, 0])) * ratio
+        df = _denominator(fitted, columns)
+        half = float(stats.t.ppf(0.5 + 0.5 * confidence, df)) * error
+        p = 2.0 * float(stats.t.sf(abs(slope) / error, df))
+        found.append(Slope(columns[0].factor.name, slope, slope - half, slope + half, df, p))
+    return tuple(found)
+
+
+def _denominator(fitted: _Fitted, columns: Sequence[_Column]) -> float:
+    """Return the degrees of freedom of the denominator: of participants, or of residuals."""
+    between = [column for column in columns if not column.factor.is_within]
+    if between and len(between) == len(columns):
+        groups = math.prod(len(column.factor.levels) for column in between)
+        return float(max(fitted.people - groups, 1))
+    if fitted.own_effects and len(columns) == 1:
+        contrasts = 1 if columns[0].factor.is_numeric else len(columns[0].factor.levels) - 1
+        return float(contrasts * (fitted.people - 1))
+    return float(max(fitted.residual_df, 1))
+
+
+def _column(values: Any, factor: Factor) -> _Column:
+    if factor.is_numeric:
+        numbers = values.to_numpy(float)
+        scale = float(numbers.std())
+        standard = ((numbers - numbers.mean()) / scale)[:, None]
+        return _Column(factor, standard, standard, scale)
+    dummies = np.stack([(values == level).to_numpy(float) for level in factor.levels], axis=1)
+    return _Column(factor, dummies[:, :-1] - dummies[:, -1:], dummies, 1.0)
+
+
+def _products(parts: Sequence[Matrix]) -> Matrix:
+    """Return the products of every column of one part with every column of the next."""
+    result = parts[0]
+    for part in parts[1:]:
+        result = (result[:, :, None] * part[:, None, :]).reshape(len(result), -1)
+    return result
+
+
+def _names(columns: Sequence[_Column], between: str = ", ") -> str:
+    return between.join(column.factor.name for column in columns)
+
+
+def _anova(
+    data: Any, measure: str, factors: Sequence[Factor], remarks: list[str], confidence: float
+) -> tuple[Term, ...]:
+    """Return the terms of the repeated-measures analysis of variance, of participants who have every condition."""
+    from scipy import stats
+    from statsmodels.stats.anova import AnovaRM
+
+    within = [factor for factor in factors if factor.is_within]
+    if len(within) < len(factors):
+        left = ", ".join(factor.name for factor in factors if not factor.is_within)
+        remarks.append(f"{left}: differs between participants and is not in the analysis of variance")
+    if not within:
+        return ()
+    names = {factor.column: f"f{number}" for number, factor in enumerate(within)}
+    renamed = data.rename(columns={measure: "y", **names}).assign(y=lambda found: found["y"].astype(float))
+    cells = renamed.pivot_table(index="participant", columns=list(names.values()), values="y", aggfunc="mean")
+    whole = cells.dropna()
+    if whole.shape[1] < math.prod(len(factor.levels) for factor in within) or len(whole) < 2:
+        remarks.append("fewer than two participants have every condition: no analysis of variance")
+        return ()
+    if len(whole) < len(cells):
+        remarks.append(f"{len(cells) - len(whole)} participants without every condition are not in it")
+    long = whole.stack(list(names.values()), future_stack=True).rename("y").reset_index()
+    rows = AnovaRM(long, "y", "participant", within=list(names.values())).fit().anova_table
+    found = []
+    for label, row in rows.iterrows():
+        parts = str(label).split(":")
+        f, df1, df2 = (float(row[key]) for key in ("F Value", "Num DF", "Den DF"))
+        sizes = [(len(factor.levels), names[factor.column] in parts) for factor in within]
+        epsilon = sphericity(whole.to_numpy(float), sizes)
+        title = " × ".join(factor.name for factor in within if names[factor.column] in parts)
+        p = float(stats.f.sf(f, epsilon * df1, epsilon * df2))
+        eta = partial_eta2(f, df1, df2, confidence)
+        found.append(Term(title, "repeated measures, Greenhouse–Geisser", f, df1, df2, p, *eta, epsilon))
+    return tuple(found)
+
+
+def sphericity(cells: Matrix, factors: Sequence[tuple[int, bool]]) -> float:
+    """Return the Greenhouse–Geisser ε of a term (Psychometrika 24 (1959) 95).
+
+    Args:
+        cells: The values of participants (rows) in all conditions, the last factor changing fastest.
+        factors: The number of levels of each factor, and whether it is in the term.
+    """
+    contrast = np.ones((1, 1))
+    for levels, is_in_term in factors:
+        centred = np.eye(levels) - 1.0 / levels
+        # orthonormal contrasts: what is left of all differences when the mean is taken away
+        own = np.linalg.svd(centred)[0][:, : levels - 1].T if is_in_term else np.full((1, levels), levels**-0.5)
+        contrast = np.kron(contrast, own)
+    scores = cells @ contrast.T
+    covariance = np.atleast_2d(np.cov(scores, rowvar=False))
+    squares = float((covariance**2).sum())
+    return float(np.trace(covariance)) ** 2 / (len(contrast) * squares) if squares > 0.0 else 1.0
+
+
+def _pairs(data: Any, measure: str, factors: Sequence[Factor], correction: str, confidence: float) -> tuple[Pair, ...]:
+    found = []
+    for factor in factors:
+        means = data.assign(_y=data[measure].astype(float)).pivot_table(
+            index="participant", columns=factor.column, values="_y", aggfunc="mean"
+        )
+        for against, level in itertools.combinations(factor.levels, 2):
+            left, right = means[level].dropna().to_numpy(float), means[against].dropna().to_numpy(float)
+            both = means[[level, against]].dropna()
+            paired = both[level].to_numpy(float) - both[against].to_numpy(float) if factor.is_within else None
+            pair = _pair(left, right, paired, confidence)
+            if pair is not None:
+                found.append(Pair(factor.name, level, against, *pair))
+    ps = corrected([pair.p for pair in found], correction)
+    return tuple(pair._replace(p_corrected=p) for pair, p in zip(found, ps, strict=True))
+
+
+def _pair(left: Matrix, right: Matrix, paired: Matrix | None, confidence: float) -> tuple[float, ...] | None:
+    """Return difference, low, high, df, p, g, low and high; None where there are too few participants."""
+    from scipy import stats
+
+    if paired is not None:
+        count = len(paired)
+        if count < 2:
+            return None
+        deviation, df, size = float(paired.std(ddof=1)), float(count - 1), float(count)
+        difference, error = float(paired.mean()), deviation / math.sqrt(count)
+    else:
+        if min(len(left), len(right)) < 2:
+            return None
+        spreads = left.var(ddof=1) / len(left), right.var(ddof=1) / len(right)
+        difference, error = float(left.mean() - right.mean()), math.sqrt(float(sum(spreads)))
+        # Welch's degrees of freedom; g has the pooled deviation
+        df = float(sum(spreads) ** 2 / (spreads[0] ** 2 / (len(left) - 1) + spreads[1] ** 2 / (len(right) - 1) or 1.0))
+        size = len(left) * len(right) / (len(left) + len(right))
+        pooled = (left.var(ddof=1) * (len(left) - 1) + right.var(ddof=1) * (len(right) - 1)) / (
+            len(left) + len(right) - 2
+        )
+        deviation = math.sqrt(float(pooled))
+    if error <= 0.0 or deviation <= 0.0:
+        return None
+    half = float(stats.t.ppf(0.5 + 0.5 * confidence, df)) * error
+    p = 2.0 * float(stats.t.sf(abs(difference) / error, df))
+    # L. V. Hedges, J. Educ. Stat. 6 (1981) 107: the deviation of few values is too small on average
+    small = 1.0 - 3.0 / (4.0 * df - 1.0)
+    t = difference / deviation * math.sqrt(size)
+    low, high = _noncentral(lambda centre: float(stats.nct.cdf(t, df, centre)), -math.inf, t, confidence)
+    scale = small / math.sqrt(size)
+    return difference, difference - half, difference + half, df, p, t * scale, low * scale, high * scale
+
+
+def partial_eta2(f: float, df1: float, df2: float, confidence: float = 0.95) -> tuple[float, float, float]:
+    """Return partial η² of an F test with its interval, by the noncentral F distribution.
+
+    M. J. Smithson, Educ. Psychol. Meas. 61 (2001) 605.
+    """
+    from scipy import stats
+
+    low, high = _noncentral(lambda centre: float(stats.ncf.cdf(f, df1, df2, centre)), 0.0, df1 * f, confidence)
+    shares = [centre / (centre + df1 + df2 + 1.0) for centre in (low, high)]
+    return df1 * f / (df1 * f + df2), shares[0], shares[1]
+
+
+def _noncentral(
+    chance_below: Callable[[float], float], floor: float, start: float, confidence: float
+) -> tuple[float, float]:
+    """Return the centres of which the statistic is the upper and the lower quantile: the ends of an interval.
+
+    Args:
+        chance_below: Returns the chance of a lesser statistic; it falls as the centre, its argument, grows.
+        floor: The least centre there is.
+        start: Where the search begins.
+        confidence: The confidence of the interval.
+    """
+    from scipy.optimize import brentq
+
+    def chance(centre: float) -> float:
+        found = chance_below(centre)
+        # far from the statistic the library's series does not end; there the chance is 1 or 0
+        return (1.0 if centre < start else 0.0) if math.isnan(found) else found
+
+    def centre_of(quantile: float) -> float:
+        low = high = start
+        step = 1.0
+        while low > floor and chance(low) < quantile and step < _FARTHEST:
+            low, step = max(low - step, floor), 2.0 * step
+        if chance(low) < quantile:
+            return low
+        step = 1.0
+        while chance(high) > quantile and step < _FARTHEST:
+            high, step = high + step, 2.0 * step
+        return float(brentq(lambda centre: chance(centre) - quantile, low, high)) if step < _FARTHEST else high
+
+    tail = 0.5 - 0.5 * confidence
+    return centre_of(1.0 - tail), centre_of(tail)
+
+
+def as_rows(found: Mapping[tuple[str, str], Effects], part: str) -> list[dict[str, Any]]:
+    """Return the terms, slopes or pairs of several measures as rows, each with task and measure."""
+    return [
+        {"task": task, "measure": measure, **row._asdict()}
+        for (task, measure), effect in found.items()
+        for row in getattr(effect, part)
+    ]

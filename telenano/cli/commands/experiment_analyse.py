@@ -1,0 +1,96 @@
+"""`telenano experiment analyse`: the table of an experiment, its tests, effect sizes and figures, on one page."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from proto.errors import ConfigError
+from telenano.cli.options import FormatOption, JsonOption, StyleOption
+from telenano.cli.output import console, print_json, report_errors
+from telenano.cli.sample_options import results_in
+from telenano.cli.tables import rows_table
+
+FOLDER = "analysis"
+
+
+def analyse(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the experiment, with its journal.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for tables, figures and page; default: FOLDER/analysis."),
+    ] = None,
+    measure: Annotated[
+        list[str] | None,
+        typer.Option("--measure", metavar="NAME", help="Measure to analyse (repeatable); default: all."),
+    ] = None,
+    category: Annotated[
+        list[str] | None,
+        typer.Option("--category", metavar="FACTOR", help="Numeric factor that is not to be a slope (repeatable)."),
+    ] = None,
+    test: Annotated[
+        str,
+        typer.Option(
+            "--test", metavar="mixed|anova", help="Mixed-effects model, or repeated-measures analysis of variance."
+        ),
+    ] = "mixed",
+    correction: Annotated[
+        str,
+        typer.Option(
+            "--correction", metavar="holm|bonferroni|fdr_bh|none", help="Correction for multiple comparisons."
+        ),
+    ] = "holm",
+    confidence: Annotated[
+        float, typer.Option("--confidence", min=0.5, max=0.999, metavar="P", help="Confidence of all intervals.")
+    ] = 0.95,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
+    as_json: JsonOption = False,
+) -> None:
+    """Make the tidy table of an experiment and analyse it: descriptions, tests, effect sizes, thresholds, figures.
+
+    The trials that count are those of the main phase that were done, of participants who are not excluded. The command
+    may be given while an experiment goes on, and as often as one likes: everything is made from the journal anew.
+    """
+    with report_errors(as_json):
+        from services.viz_node.figure_style import figure_options
+        from studies.experiments.analyse import Choice, analyse, require_packages
+        from studies.experiments.analysis_page import NAME, write_analysis
+        from studies.experiments.folder_tables import about_experiment, adaptive_factors, tables_of
+
+        require_packages()
+        if test not in ("mixed", "anova"):
+            raise ConfigError(f"--test {test}: must be mixed or anova")
+        options = figure_options(formats, style)
+        tables = tables_of(folder)
+        choice = Choice(tuple(measure or ()), test, correction, confidence, tuple(category or ()))  # type: ignore[arg-type]
+        analysis = analyse(tables, choice, adaptive_factors(folder))
+        target = out or folder / FOLDER
+        command = " ".join(["telenano", *sys.argv[1:]])
+        with results_in(target) as part:
+            document = write_analysis(part, analysis, tables, about_experiment(folder), command, options)
+        if as_json:
+            print_json(document)
+        else:
+            _print(document, target / f"{NAME}.html")
+
+
+def _print(document: dict[str, Any], page: Path) -> None:
+    from studies.pages.page import text
+
+    out = console()
+    columns = {
+        "terms": ("measure", "term", "f", "df1", "df2", "p_corrected", "partial_eta2"),
+        "slopes": ("measure", "factor", "slope", "low", "high", "p"),
+        "thresholds": ("participant", "factor", "threshold", "low", "high", "trials"),
+    }
+    for part, names in columns.items():
+        if rows := document[part]:
+            shown = [{name.replace("_", " "): text(row[name]) for name in names} for row in rows]
+            out.print(rows_table(shown, title=part))
+    for row in document["models"]:
+        for remark in row["remarks"]:
+            typer.echo(f"telenano: {row['task']}, {row['measure']}: {remark}", err=True)
+    typer.echo(document["methods"])
+    typer.echo(f"page: {page}")

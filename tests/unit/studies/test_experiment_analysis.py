@@ -1,0 +1,229 @@
+"""The analysis finds the effect that a made-up experiment has, with the right size and interval."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from experiment_tables import DELAYS_MS, LAWS, SLOPE, demo, trial
+
+from proto.errors import ConfigError
+from services.viz_node.figure_style import figure_options
+from studies.experiments import analyse as analyse_module
+from studies.experiments.analyse import Choice, analyse
+from studies.experiments.effects import Effects, corrected, partial_eta2, sphericity
+from studies.experiments.psychophysics.function import Psychometric
+from studies.experiments.psychophysics.observer import Observer
+from studies.experiments.table import tidy
+
+pytest.importorskip("pandas")
+pytest.importorskip("statsmodels")
+TIME = Choice(measures=("time_s",))
+ANOVA = TIME._replace(test="anova")
+
+
+def of_time(records: list[dict[str, Any]], choice: Choice = TIME) -> Effects:
+    return analyse(tidy(records), choice).effects["touch_and_hold", "time_s"]
+
+
+def test_the_mixed_model_finds_time_growing_with_delay() -> None:
+    found = of_time(demo(2))
+    assert "effects of law, delay_ms for each participant" in found.model and not found.remarks
+    (slope,) = found.slopes
+    assert slope.factor == "delay_ms" and slope.low < SLOPE < slope.high
+    assert abs(slope.slope / SLOPE - 1.0) < 0.25 and slope.p < 0.01
+    terms = {term.term: term for term in found.terms}
+    assert list(terms) == ["law", "delay_ms", "law × delay_ms"]
+    assert terms["delay_ms"].p_corrected is not None and terms["delay_ms"].p_corrected < 0.01
+    assert terms["law × delay_ms"].p > 0.05
+    # of a balanced experiment the two levels of a factor are tested as by Student's t of participants' differences
+    law = next(pair for pair in found.pairs if pair.factor == "law")
+    assert terms["law"].p == pytest.approx(law.p, rel=0.01)
+
+
+def coverage(seeds: range, participants: int = 4) -> float:
+    slopes = [of_time(demo(seed, participants)).slopes for seed in seeds]
+    return sum(slope.low <= SLOPE <= slope.high for (slope,) in slopes) / len(seeds)
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("participants", [4, 12])
+def test_95_percent_intervals_of_the_slope_have_it_in_93_percent_or_more(participants: int) -> None:
+    # of few participants more have it, because a variance that is estimated as less than nothing counts as nothing
+    assert coverage(range(300), participants) >= 0.93
+
+
+def test_the_analysis_of_variance_agrees_with_the_mixed_model_and_corrects_for_sphericity() -> None:
+    mixed, anova = of_time(demo(1)), of_time(demo(1), ANOVA)
+    assert not anova.slopes
+    terms = {term.term: term for term in anova.terms}
+    assert terms["delay_ms"].p < 0.001 and terms["law × delay_ms"].p > 0.05
+    epsilon = terms["delay_ms"].epsilon
+    assert epsilon is not None and 0.5 <= epsilon <= 1.0
+    # two levels have no sphericity to violate
+    assert terms["law"].epsilon == pytest.approx(1.0)
+    assert terms["law"].f == pytest.approx(next(term.f for term in mixed.terms if term.term == "law"), rel=1e-3)
+
+
+def test_where_no_mixed_model_converges_the_rule_goes_on_to_the_analysis_of_variance(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from studies.experiments import effects
+
+    monkeypatch.setattr(effects, "_fit_mixed", lambda *given: (None, "the search did not end"))
+    found = of_time(demo(1))
+    assert found.model.startswith("repeated-measures analysis of variance")
+    assert len(found.remarks) == 2 and all(
+        "did not converge (the search did not end)" in text for text in found.remarks
+    )
+    assert {term.term for term in found.terms} == {"law", "delay_ms", "law × delay_ms"}
+
+
+def test_epsilon_is_one_of_a_spherical_covariance_and_least_of_one_contrast() -> None:
+    source = np.random.default_rng(1)
+    cells = source.normal(size=(4000, 3))
+    assert sphericity(cells, [(3, True)]) == pytest.approx(1.0, abs=0.01)
+    # all differences between participants lie along one contrast
+    one = source.normal(size=(50, 1)) * np.array([[1.0, 0.0, -1.0]]) + 1e-9 * source.normal(size=(50, 3))
+    assert sphericity(one, [(3, True)]) == pytest.approx(0.5, abs=1e-6)
+
+
+def test_partial_eta2_has_the_interval_of_the_noncentral_f_distribution() -> None:
+    from scipy import stats
+
+    eta, low, high = partial_eta2(6.0, 2.0, 30.0)
+    assert eta == pytest.approx(12.0 / 42.0)
+    for share, chance in ((low, 0.975), (high, 0.025)):
+        centre = share * 33.0 / (1.0 - share)
+        assert stats.ncf.cdf(6.0, 2.0, 30.0, centre) == pytest.approx(chance, abs=1e-6)
+    assert partial_eta2(0.5, 2.0, 30.0)[1] == 0.0
+
+
+def test_p_values_are_corrected_by_the_method_that_is_asked_for() -> None:
+    ps = [0.01, 0.02, 0.5]
+    assert corrected(ps, "holm") == pytest.approx([0.03, 0.04, 0.5])
+    assert corrected(ps, "bonferroni") == pytest.approx([0.03, 0.06, 1.0])
+    assert corrected(ps, "none") == ps and corrected([], "holm") == []
+    from statsmodels.stats.multitest import multipletests
+
+    drawn = np.random.default_rng(3).uniform(size=9) ** 2
+    for name in ("holm", "bonferroni", "fdr_bh"):
+        assert corrected(drawn.tolist(), name) == pytest.approx(multipletests(drawn, method=name)[1], rel=1e-12)
+    found = of_time(demo(1), TIME._replace(correction="bonferroni", test="anova"))
+    assert all(pair.p_corrected == pytest.approx(min(1.0, 4.0 * pair.p)) for pair in found.pairs)
+
+
+def test_a_factor_between_participants_is_tested_between_them() -> None:
+    records = demo(3, participants=6)
+    for record in records:
+        group = "trained" if int(record["participant"][1:]) % 2 else "new"
+        record["condition"] = {"delay_ms": record["condition"]["delay_ms"], "group": group}
+    found = of_time(records)
+    group = next(term for term in found.terms if term.term == "group")
+    assert group.df2 == 4.0
+    (pair,) = [pair for pair in found.pairs if pair.factor == "group"]
+    assert (pair.level, pair.against) == ("trained", "new") and pair.df <= 4.0 + 1e-9
+
+
+def test_trials_that_do_not_count_change_nothing() -> None:
+    records = demo(1)
+    plain = analyse(tidy(records), ANOVA)
+    other = [dict(record) for record in records[:6]]
+    for place, changes in enumerate(({"phase": "practice"}, {"status": "disturbed"}, {"status": "aborted"})):
+        other[place] |= {**changes, "measures": {"time_s": 99.0}, "attempt": 1}
+    out = [{**record, "participant": "P09", "measures": {"time_s": 99.0}} for record in records[:18]]
+    more = analyse(
+        tidy([*records, *other[:3], *out, {"record": "excluded", "participant": "P09", "reason": "left"}]), ANOVA
+    )
+    assert more.effects == plain.effects and more.cells == plain.cells
+    assert more.counts == {
+        "participants": 4, "excluded": 1, "trials": 72, "disturbed": 1, "aborted": 1, "practice": 1,
+    }  # fmt: skip
+
+
+def test_the_cells_describe_every_condition() -> None:
+    found = analyse(tidy(demo(1)), Choice(test="anova"))
+    cells = [cell for cell in found.cells if cell["measure"] == "time_s"]
+    assert [(cell["law"], cell["delay_ms"]) for cell in cells] == [(law, delay) for law in LAWS for delay in DELAYS_MS]
+    assert all(cell["participants"] == 4 and cell["trials"] == 12 for cell in cells)
+    assert all(cell["least"] <= cell["quarter"] <= cell["median"] <= cell["greatest"] for cell in cells)
+    assert all(cell["low"] < cell["mean"] < cell["high"] for cell in cells)
+    shares = [cell for cell in found.cells if cell["measure"] == "success"]
+    assert all(0.0 <= cell["low"] <= cell["high"] <= 1.0 for cell in shares)
+
+
+def test_one_participant_is_described_and_not_tested() -> None:
+    found = of_time(demo(1, participants=1))
+    assert not found.terms and found.remarks == ("one participant: nothing is tested",)
+
+
+def test_a_measure_that_never_changes_is_not_tested() -> None:
+    records = [trial(f"P{n}", n, {"delay_ms": float(10 * (n % 2))}, time_s=2.0) for n in range(8)]
+    assert of_time(records).remarks == ("every trial has the same value: nothing is tested",)
+
+
+def test_thresholds_are_fitted_for_each_participant_and_condition() -> None:
+    model = Psychometric()
+    settings = {"method": "constant", "levels": [0.02, 0.04, 0.06, 0.08, 0.1, 0.12], "repetitions": 30}
+    records, truth = [], {"P01": 0.05, "P02": 0.08}
+    for participant, threshold in truth.items():
+        for law in LAWS:
+            observer = Observer(model, threshold, 0.06, 0.0, 7)
+            for index in range(180):
+                level = settings["levels"][index % 6]  # type: ignore[index]
+                condition = {"law": law, "delay_s": level}
+                records.append(trial(participant, index, condition, correct=observer.answer(level)))
+    found = analyse(tidy(records), adaptive={"delay_s": settings})
+    assert [(row["participant"], row["law"]) for row in found.thresholds] == [(p, law) for p in truth for law in LAWS]
+    assert all(row["low"] < truth[row["participant"]] < row["high"] for row in found.thresholds)
+    assert [factor.name for factor in found.factors["touch_and_hold"]] == ["law"]
+
+
+def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match="no trial counts"):
+        analyse(tidy([]))
+    with pytest.raises(ConfigError, match=r"measure tine_s: known are .*did you mean time_s"):
+        analyse(tidy(demo(1)), Choice(measures=("tine_s",)))
+    with pytest.raises(ConfigError, match="correction holms: known are holm"):
+        analyse(tidy(demo(1)), Choice(correction="holms"))
+    with pytest.raises(ConfigError, match="thresholds need a measure or an answer named `correct`"):
+        analyse(tidy(demo(1)), adaptive={"delay_ms": {}})
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(
+        ConfigError, match=r"the analysis needs pandas, scipy, statsmodels: pip install .*\[experiments\]"
+    ):
+        analyse_module.require_packages()
+
+
+def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> None:
+    from studies.experiments.analysis_page import write_analysis
+
+    tables = tidy(demo(1), lambda task: {"time_s": ("s", "Completion time")})
+    found = analyse(tables, ANOVA)
+    about = {"title": "Time and delay", "seed": 3, "order": "latin square", "apparatus": "lockstep", "digest": "ab12"}
+    document = write_analysis(
+        tmp_path, found, tables, about, "telenano experiment analyse x", figure_options("png,svg")
+    )
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {
+        "trials.parquet",
+        "trials.csv",
+        "dictionary.md",
+        "experiment.json",
+        "experiment.html",
+        "methods.md",
+    } <= names
+    assert {"touch_and_hold_time_s.png", "touch_and_hold_time_s.svg", "effect_sizes.png"} <= names
+    methods = (tmp_path / "methods.md").read_text()
+    for words in (
+        "4 participants completed 72 trials",
+        "0, 40, 80 ms",
+        "latin square, from seed 3",
+        "statsmodels",
+        "ab12",
+    ):
+        assert words in methods, words
+    assert json.loads((tmp_path / "experiment.json").read_text()) == json.loads(json.dumps(document))
+    terms = {row["term"]: row["f"] for row in document["terms"]}
+    assert terms == {term.term: term.f for term in found.effects["touch_and_hold", "time_s"].terms}
