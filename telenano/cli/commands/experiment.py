@@ -168,6 +168,24 @@ def status(folder: FolderArgument, as_json: JsonOption = False) -> None:
 
 
 @app.command()
+def publish(
+    folder: FolderArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR|FILE.zip", help="Folder or archive to make.")],
+    recordings: Annotated[
+        bool, typer.Option("--recordings", help="Copy the recordings too, and not only their checksums.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a folder or archive for others: plan, tables, dictionary, checksums and versions, nothing personal."""
+    with report_errors(as_json):
+        from studies.experiments.publish import publish as made
+        from studies.experiments.runner import folder_plan
+
+        found = made(_load(folder_plan(folder)), folder, out, with_recordings=recordings)
+    print_document(found, str(out), as_json=as_json)
+
+
+@app.command()
 def erase(
     folder: FolderArgument,
     pseudonym: PseudonymArgument,
@@ -190,7 +208,7 @@ def erase(
     counts = ", ".join(f"{count} of {kind}" for kind, count in proof["counts"].items())
     typer.echo(f"erased: {counts or 'nothing'}; proof: {path}")
     if proof["published_before"]:
-        typer.echo(f"note: the results were published {proof['published_before']} times before; recall those copies")
+        typer.echo(f"note: copies that were published before: {proof['published_before']}; recall them")
 
 
 @people.command("add")

@@ -74,6 +74,7 @@ VARIANTS = (
 # why a command with --out is not in the table
 ELSEWHERE = {
     "up": "a session ends with its recording, figure and summary: tests/stack/test_fig12.py",
+    "experiment publish": "renames a folder when it is whole: tests/unit/studies/test_experiment_publish.py",
     "experiment run": "each trial is in the journal when it is over: tests/unit/studies/test_experiment_runner.py",
     "experiment analyse": "reads a journal, and writes all at once at the end by `results_in`",
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
