@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -150,12 +151,17 @@ def node_table() -> str:
         if row.part == "visitor" and name_of(row.key) == "estop":
             # It connects to the nodes, and has no endpoint.
             continue
-        own = [topic.name for topic in TOPICS.values() if {row.key, name_of(row.key)} & set(topic.publishers)]
+        own = [topic.name for topic in TOPICS.values() if _publishes(row.key, topic)]
         towards = ("forward", "both") if site_of(row.key) == "slave" else ("backward", "both")
         crossing = [topic.name for topic in TOPICS.values() if topic.bridged in towards]
         cells = (own, crossing if name_of(row.key) == LINK else [])
         rows.append(f"| `{row.key}` | {' | '.join(', '.join(f'`{name}`' for name in cell) or '–' for cell in cells)} |")
     return "\n".join([*rows, "", f"Every node sends {' and '.join(f'`{name}`' for name in every)} as well."])
+
+
+def _publishes(node: str, topic: Topic) -> bool:
+    names = [name for name in topic.publishers if name != "*"]
+    return any(fnmatchcase(node, name) or fnmatchcase(name_of(node), name) for name in names)
 
 
 def range_table() -> str:

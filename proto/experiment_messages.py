@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from proto.messages import Array, Count, Facts, Message, Record
-from proto.ranges import DurationS
+from proto.ranges import DurationS, ScaleValue
 
 MOST_QUESTIONS = 16
 _NAME = r"^[a-z][a-z0-9_]{0,31}$"
@@ -24,9 +24,9 @@ class Question(Record):
     text: Label = Field(description="The question in words")
     low: Label = Field(description="What the lower end of a scale means")
     high: Label = Field(description="What the upper end of a scale means")
-    least: float = Field(description="Lowest value of a scale")
-    most: float = Field(description="Highest value of a scale; not above the lowest for a choice")
-    step: float = Field(ge=0.0, description="Distance of the values of a scale; 0 for a choice")
+    least: ScaleValue = Field(description="Lowest value of a scale")
+    most: ScaleValue = Field(description="Highest value of a scale; not above the lowest for a choice")
+    step: ScaleValue = Field(description="Distance of the values of a scale; 0 for a choice")
     options: Annotated[tuple[Label, ...], Field(max_length=MOST_QUESTIONS)] = Field(
         description="What can be chosen; empty for a scale"
     )
@@ -53,7 +53,7 @@ class ExperimentCue(Message):
     quantity: Literal["none", "force", "position", "place"] = Field(
         description="What is to follow the target: nothing; force on the tip; base, along the axis; place across it"
     )
-    band: float = Field(ge=0.0, description="Half the width of the band about the target, in N or m; 0 without")
+    band: ScaleValue = Field(description="Half the width of the band about the target, in N or m; 0 without")
     times_s: Array = Field(description="f8: times of the corners of the target since the stage began [s], shape (n,)")
     target: Array = Field(
         description="f8: the target at these times, in N or m, shape (n,); x and y of the place, shape (n, 2)"

@@ -44,6 +44,7 @@ NODES = (
     NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("console@master", "visitor", required=False, no_rerun=_BY_HAND),
+    NodeRow("console_experiment@master", "visitor", required=False, no_rerun=_BY_HAND),
     NodeRow(
         "player@master",
         "visitor",

@@ -68,6 +68,7 @@ QUATERNION = Range("component of a unit quaternion", -1.0, 1.0, "", "that of a r
 CHANNEL = Range(
     "measured channel", -1e9, 1e9, "its SI unit", "the greatest rate, as of a frequency shift; others are less"
 )
+SCALE = Range("value of a scale", -1e9, 1e9, "", "the answer to a question for a number, such as an amount of money")
 
 RANGES = (
     POSITION,
@@ -85,6 +86,7 @@ RANGES = (
     VOLTAGE,
     QUATERNION,
     CHANNEL,
+    SCALE,
 )
 
 PositionM = Annotated[float, POSITION]
@@ -101,6 +103,7 @@ Percent = Annotated[float, PERCENTAGE]
 VoltageV = Annotated[float, VOLTAGE]
 QuaternionPart = Annotated[float, QUATERNION]
 ChannelValue = Annotated[float, CHANNEL]
+ScaleValue = Annotated[float, SCALE]
 
 PositionVector = tuple[PositionM, PositionM, PositionM]
 WayVector = tuple[WayM, WayM, WayM]

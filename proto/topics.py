@@ -8,7 +8,7 @@ from proto import messages as m
 from proto import network_messages as network
 from proto.instrument import AfmParticles, AfmProgram
 from proto.journal_messages import NodeJournal
-from proto.nodes import NODES, name_of, site_of
+from proto.nodes import EXPERIMENT, NODES, name_of, site_of
 
 Delivery = Literal["latest", "lossless"]
 
@@ -33,8 +33,8 @@ class Topic:
     recorded: bool = True
 
 
-_CONSOLES = ("console", "console_*")
-_COMMANDERS = ("launcher", *_CONSOLES, "estop")
+_COMMANDERS = ("launcher", "console", "console_*", "estop")
+_EXPERIMENT = (name_of(EXPERIMENT),)
 _ROWS = (
     Topic("haptic/state", m.HapticState, ("haptic_node",), "latest", 1000.0, 0.05, None),
     # A page sends this at its frame rate while a person pushes. No node waits for it, and none is at fault when it
@@ -61,9 +61,9 @@ _ROWS = (
     Topic("session/control", m.SessionControl, _COMMANDERS, "lossless", None, None, "forward"),
     Topic("session/event", m.SessionEvent, ("*",), "lossless", None, None, "backward"),
     # A participant's page is told of the first alone; the second is what it answers.
-    Topic("experiment/cue", experiment.ExperimentCue, _CONSOLES, "lossless", None, None, None),
+    Topic("experiment/cue", experiment.ExperimentCue, _EXPERIMENT, "lossless", None, None, None),
     Topic("experiment/answer", experiment.ExperimentAnswer, ("view",), "lossless", None, None, None),
-    Topic("experiment/trial", experiment.ExperimentTrial, _CONSOLES, "lossless", None, None, None),
+    Topic("experiment/trial", experiment.ExperimentTrial, _EXPERIMENT, "lossless", None, None, None),
     Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
     Topic("recording/piece", network.RecordingPiece, ("launcher@slave",), "lossless", None, None, None, recorded=False),
     Topic(

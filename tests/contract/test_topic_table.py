@@ -11,7 +11,7 @@ from annotated_types import Ge
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from proto import TOPICS, Topic, instrument, journal_messages, messages, network_messages
+from proto import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
 from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
 from proto.contract import FOLDER, range_table, schema_of, topic_table
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
@@ -59,10 +59,22 @@ UNITLESS = {
     "gaps": "gaps",
     "restarts": "restarts",
     "overruns": "deadlines",
+    "least": "value of a scale",
+    "most": "value of a scale",
+    "step": "value of a scale",
+    "band": "SI unit of the target",
+    "done": "trials",
+    "total": "trials",
+    "trials": "trials",
+    "index": "number of a trial",
+    "session": "number of a session",
+    "block": "number of a block",
+    "attempt": "number of an attempt",
+    "seed": "seed",
 }
 
 ROWS = list(TOPICS.values())
-_DECLARED = (messages, instrument, network_messages, journal_messages)
+_DECLARED = (messages, instrument, network_messages, journal_messages, experiment_messages)
 _MODULES = tuple(module.__name__ for module in _DECLARED)
 SPEC = (FOLDER / "SPEC.md").read_text(encoding="utf-8")
 
@@ -131,11 +143,8 @@ def test_no_topic_is_the_beginning_of_another() -> None:
 @pytest.mark.parametrize(("record", "name", "field"), _fields(), ids=lambda part: part if isinstance(part, str) else "")
 def test_every_field_is_described_required_and_named_with_its_unit(record: str, name: str, field: FieldInfo) -> None:
     assert field.description, f"{record}.{name} has no description"
-    added = getattr(
-        {**vars(messages), **vars(instrument), **vars(network_messages), **vars(journal_messages)}[record],
-        "additions",
-        {},
-    )
+    declared = {name: value for module in _DECLARED for name, value in vars(module).items()}
+    added = getattr(declared[record], "additions", {})
     optional = f"{record}.{name} has a default: a key may be absent only if it was added later"
     assert field.is_required() != (name in added), optional
     if _is_numeric(field.annotation):

@@ -7,7 +7,11 @@ sent, what was recorded and what the runner was answered are compared.
 import asyncio
 import contextlib
 import os
+import subprocess
+import sys
+import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +25,8 @@ from stack_rig import Rig
 from presets import DEFAULT_SITE_FILE
 from studies.experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX, choice
 from studies.experiments.bus import Answer, ExperimentBus
+from studies.experiments.journal import read as read_journal
+from studies.experiments.recorded_trial import RecordedTrial
 from studies.experiments.tasks import TASKS
 from studies.experiments.types import Trial
 
@@ -292,3 +298,97 @@ def compare(rig: Rig, runner: Runner) -> None:
     # the hand of the page pressed, in the trials
     force_n = np.array([row.decode().force_n[2] for row in rig.recording().messages("operator/force")])
     assert force_n.min() < -0.5
+
+
+PLAN = """
+name: at_the_page
+scenario: touch
+settings: {haptic_node.operator.force_deadline_s: 1.0}
+apparatus: live
+participants: 1
+operator: {kind: person}
+tasks:
+  - name: touch_and_hold
+    parameters: {limit_s: 4.0, hold_s: 0.5}
+factors:
+  law: [virtual_impedance, wave]
+repetitions: 3
+order: shuffle
+practice: {trials: 1}
+# a machine with a browser holds processes up: here that is no reason to repeat a trial
+disturbed: {stall_s: 5.0}
+ask:
+  - {instrument: nasa_tlx, after: block}
+"""
+
+
+def test_a_person_does_a_planned_experiment(tmp_path: Path) -> None:
+    plan, folder = tmp_path / "at_the_page.yaml", tmp_path / "out"
+    plan.write_text(PLAN)
+    with tempfile.TemporaryDirectory(prefix="tnp-") as sockets:
+        environment = {**os.environ, "TELENANO_RUNTIME_DIR": sockets}
+        command = [sys.executable, "-m", "telenano", "experiment", "run", str(plan), "--out", str(folder)]
+        log = (tmp_path / "run.log").open("wb")
+        process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+        try:
+            addresses = until(
+                lambda: [path.read_text() for path in Path(sockets).glob("**/view-*.addresses")], "a page"
+            )
+            lines = addresses[0].splitlines()
+            address = next(line.split()[1] for line in lines if line.startswith("participant:"))
+            with browser() as chromium:
+                person = Person(chromium.new_context(viewport={"width": 1366, "height": 768}).new_page())
+                person.page.goto(address, wait_until="commit")
+                trials = session(person)
+            assert process.wait(PATIENCE_S) == 0, (tmp_path / "run.log").read_text()[-2000:]
+        finally:
+            if process.poll() is None:
+                process.terminate()
+                process.wait(PATIENCE_S)
+            log.close()
+    journal = read_journal(folder / "journal.jsonl")
+    rows = [record for record in journal if record["record"] == "trial"]
+    assert [(row["phase"], row["status"]) for row in rows] == [("practice", "done")] + [("main", "done")] * TRIALS
+    assert trials == len(rows)
+    assert sorted(row["condition"]["law"] for row in rows[1:]) == sorted(LAWS * 3)
+    load = next(record for record in journal if record.get("instrument") == "nasa_tlx")
+    assert load["items"] == pytest.approx({each.name: 75.0 for each in NASA_TLX})
+    task = TASKS["touch_and_hold"]
+    p = task.parameters.model_validate({"limit_s": 4.0, "hold_s": 0.5})
+    for row in rows:
+        data = RecordedTrial(folder / row["recording"]).data(4.0, ())
+        assert task.judge(data, p, row["seed"]) == pytest.approx(row["measures"], nan_ok=True)
+        assert row["measures"]["effort_n_s"] > 0.1
+
+
+def session(person: Person) -> int:
+    """Go through a session as it comes, and return how many trials there were."""
+    page, trials = person.page, 0
+    end = time.monotonic() + 4.0 * PATIENCE_S
+    before = ""
+    while (stage := page.evaluate("document.body.dataset.stage")) != "end":
+        assert time.monotonic() < end, f"the session does not end: {stage}, {person.faults}"
+        if stage == "trial" and before != "trial":
+            trials += 1
+            person.press()
+        elif stage != "trial" and before == "trial":
+            page.mouse.up()
+        if stage in ("consent", "question", "instruction"):
+            answer(page)
+        before = stage
+        page.wait_for_timeout(50.0)
+    return trials
+
+
+def answer(page: Any) -> None:
+    """Answer what is on the sheet, if anything is."""
+    if page.locator("#go-on:not(:disabled)").count():
+        page.locator("#go-on").dispatch_event("click")
+    if page.get_by_label("yes").count():
+        page.get_by_label("yes").check()
+    for scale in page.locator("input.untouched").all():
+        scale.focus()
+        for _ in range(5):
+            scale.press("ArrowRight")
+    if page.locator("#submit:not(:disabled)").count():
+        page.locator("#submit").dispatch_event("click")
