@@ -152,6 +152,23 @@ def test_every_package_passes_the_test_that_it_comes_with_as_it_is(tmp_path: Pat
     assert re.search(r"\b([8-9]|1[0-9]) passed", done.stdout), done.stdout
 
 
+@pytest.mark.endurance
+@pytest.mark.timeout(1200)
+def test_a_law_of_a_package_enters_the_benchmark_by_one_command(tmp_path: Path) -> None:
+    new_package("law", "filtered", tmp_path / "filtered")
+    put_on_path(tmp_path / "filtered", tmp_path)
+    folders = [tmp_path, tmp_path / "filtered", ROOT]
+    paths = {"PYTHONPATH": os.pathsep.join(map(str, folders)), "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-m", "telenano", "benchmark", "--quick", "--law", "filtered,position_force", "--json"]
+    command += ["--workers", "2", "--out", str(tmp_path / "entry")]
+    done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **paths}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["laws"] == ["filtered", "position_force"]
+    held = {row["law"]: row["held"] for row in found["rows"] if row["network"] == "clean"}
+    assert held == {"filtered": 4, "position_force": 4}
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_new_package_compiles_and_names_its_entry(kind: str, tmp_path: Path) -> None:
     written = new_package(kind, "my_thing", tmp_path / "p")
