@@ -76,12 +76,17 @@ def disturbances(evidence: Evidence, stall_s: float) -> list[str]:
         evidence: What the recording tells.
         stall_s: The longest standstill of a process that does not count.
     """
-    return [
-        *(f"{node} was in emergency stop at {time_s:.2f} s" for node, time_s in evidence.estops),
+    stalls = [
         *_stalls("the hand's device", evidence.hand_s, stall_s),
         *_stalls("the instrument", evidence.tip_s, stall_s),
         *_silences(evidence, stall_s),
-        *_unexplained(evidence),
+    ]
+    return [
+        *(f"{node} was in emergency stop at {time_s:.2f} s" for node, time_s in evidence.estops),
+        *stalls,
+        # A hold after a stall is its consequence, and needs no sentence of its own.
+        *(() if stalls else _unexplained(evidence)),
+        *(f"{hold.node} lost its device at {hold.time_s:.2f} s" for hold in _during(evidence, LOST)),
         *(f"{node} was started again or fell silent" for node in evidence.restarted),
         *evidence.faults,
         *(f"the recording is not whole: {text}" for text in evidence.missing),
@@ -118,16 +123,19 @@ def _silences(evidence: Evidence, stall_s: float) -> Iterable[str]:
         yield f"nothing of the tip reached the link for {1e3 * gap_s:.0f} ms at {begin_s:.2f} s"
 
 
+def _during(evidence: Evidence, words: Sequence[str]) -> list[Hold]:
+    """Return the holds of a trial whose reason has one of some words."""
+    return [
+        hold
+        for hold in evidence.holds
+        if 0.0 <= hold.time_s <= evidence.duration_s and any(word in hold.reason for word in words)
+    ]
+
+
 def _unexplained(evidence: Evidence) -> Iterable[str]:
     """Yield holds for want of commands although the link had delivered."""
     least_s = _SHARE * min(deadline_of("afm/command"), deadline_of("haptic/command"))
-    for hold in evidence.holds:
-        if not 0.0 <= hold.time_s <= evidence.duration_s:
-            continue
-        if any(word in hold.reason for word in LOST):
-            yield f"{hold.node} lost its device at {hold.time_s:.2f} s"
-        if not any(word in hold.reason for word in STALE):
-            continue
+    for hold in _during(evidence, STALE):
         begin_s = hold.time_s - least_s / _SHARE - _LOOK_BACK_S
         ways = (evidence.forward, evidence.backward)
         if not any(_link_was_silent(way, begin_s, hold.time_s, least_s) for way in ways):
