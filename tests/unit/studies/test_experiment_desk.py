@@ -1,0 +1,140 @@
+"""How a person is led through a session: what is shown and asked, in order, and that none of it is the condition."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from experiment_bench import Bench, plan_of
+from test_experiment_runner import run, trials_in
+
+from studies.experiments.bus import Answer
+from studies.experiments.desk import PersonDesk
+from studies.experiments.journal import Journal
+from studies.experiments.people import People
+
+
+class Bus:
+    """A page that answers at once, and an experimenter who presses a button at a stage."""
+
+    def __init__(self, press: dict[str, str] | None = None, consent: str = "yes") -> None:
+        self.cues: list[dict[str, Any]] = []
+        self.trials: list[dict[str, Any]] = []
+        self.press, self.consent = press or {}, consent
+        self.during: list[Answer] = []
+
+    def cue(self, stage: str, title: str = "", text: str = "", **shown: Any) -> str:
+        self.cues.append({"stage": stage, "title": title, "text": text, **shown})
+        return f"c{len(self.cues)}"
+
+    def trial(self, trial: Any, **facts: Any) -> None:
+        self.trials.append({"condition": dict(trial.condition), **facts})
+
+    def answers(self) -> list[Answer]:
+        found, self.during = self.during, []
+        return [*found, *self._pressed("trial")]
+
+    def wait(
+        self, cue: str, timeout_s: float | None = None, idle: Callable[..., Any] = lambda a: None
+    ) -> Answer | None:
+        shown = self.cues[-1]
+        if idle(self._pressed(shown["stage"])):
+            return None
+        if shown["stage"] == "pause":
+            # the experimenter goes on after a while
+            assert idle([Answer("r", cue, "experimenter", {"action": "resume", "reason": ""}, 0, 1.0)])
+            return None
+        values = {q.name: q.options[0] if q.options else q.most for q in shown.get("questions", ())}
+        if shown["stage"] == "consent":
+            values = {"consent": self.consent}
+        return None if timeout_s is not None else Answer("a", cue, "participant", values, 0, 1.5)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _pressed(self, stage: str) -> list[Answer]:
+        action = self.press.pop(stage, "")
+        return [Answer("e", "", "experimenter", {"action": action, "reason": "a remark"}, 0, 0.0)] if action else []
+
+
+class Page(Bench):
+    """An apparatus that shows its trials."""
+
+    def take(self, course: Any) -> Any:
+        self.desk.begin(course.trial, course.attempt, first=course.interval == 0)
+        self.desk.during(0.1)
+        return super().take(course)
+
+
+def session(tmp_path: Path, bus: Bus, **changes: Any) -> tuple[str, Any]:
+    fields = {"participants": 1, "factors": {"law": ["wave", "passivity"]}, "operator": {"kind": "person"}}
+    plan = plan_of(tmp_path, **{**fields, **changes})
+    desk = PersonDesk(plan)
+    desk.bus = bus  # type: ignore[assignment]
+    return run(plan, Page(plan, desk)), plan
+
+
+def test_a_session_from_consent_to_thanks(tmp_path: Path) -> None:
+    bus = Bus()
+    ask = [{"instrument": "nasa_tlx", "after": "block"}]
+    assert session(tmp_path, bus, practice={"trials": 1}, ask=ask, breaks={"between_blocks_s": 0.1})[0] == ""
+    stages = [cue["stage"] for cue in bus.cues]
+    trial = ["countdown", "trial"]
+    assert stages == ["consent", "instruction", *trial, "question", "rest", *trial, *trial, "question", "end"]
+    assert [cue["practice"] for cue in bus.cues if cue["stage"] == "trial"] == [True, False, False]
+    assert [(cue["done"], cue["total"]) for cue in bus.cues if cue["stage"] == "trial"] == [(0, 3), (1, 3), (2, 3)]
+    assert People(tmp_path).known["P01"].consent
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        assert [len(record["items"]) for record in journal.of("asked")] == [6, 6]
+
+
+def test_nothing_that_is_shown_tells_of_the_condition(tmp_path: Path) -> None:
+    bus = Bus()
+    factors = {"law": ["wave", "passivity"], "delay_ms": [12.5, 77.25]}
+    session(tmp_path, bus, factors=factors)
+    shown = json.dumps([{key: str(value) for key, value in cue.items()} for cue in bus.cues])
+    assert not [word for word in ("wave", "passivity", "12.5", "77.25", "0.0125", "delay", "law") if word in shown]
+    assert {trial["condition"]["law"] for trial in bus.trials} == {"wave", "passivity"}
+    assert [trial["state"] for trial in bus.trials] == ["running", "done"] * 4
+
+
+def test_the_delay_of_the_picture_goes_with_the_trial(tmp_path: Path) -> None:
+    bus = Bus()
+    session(tmp_path, bus, factors={"picture.delay_s": [0.0, 0.25]}, order="factorial")
+    assert [trial["picture_delay_s"] for trial in bus.trials] == [0.0, 0.0, 0.25, 0.25]
+
+
+def test_who_does_not_agree_is_asked_nothing_more(tmp_path: Path) -> None:
+    bus = Bus(consent="no")
+    assert session(tmp_path, bus)[0] == "P01 did not agree to take part"
+    assert [cue["stage"] for cue in bus.cues] == ["consent"]
+    assert trials_in(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("press", "rows", "reason"),
+    [
+        ({"trial": "disturbed"}, [("disturbed", False), ("done", True), ("done", True)], ""),
+        ({"trial": "skip"}, [("aborted", True), ("done", True)], ""),
+        ({"trial": "pause"}, [("done", True), ("done", True)], ""),
+        ({"trial": "stop"}, [("aborted", False)], "a remark"),
+        ({"trial": "exclude"}, [("aborted", False)], "P01 was excluded"),
+    ],
+)
+def test_the_buttons_of_the_experimenter(
+    tmp_path: Path, press: dict[str, str], rows: list[tuple[str, bool]], reason: str
+) -> None:
+    bus = Bus(dict(press))
+    found, _ = session(tmp_path, bus, disturbed={"again": "at_once"})
+    assert found == reason
+    assert [(row["status"], row["final"]) for row in trials_in(tmp_path)] == rows
+    assert ("pause" in [cue["stage"] for cue in bus.cues]) == (press == {"trial": "pause"})
+
+
+def test_a_button_during_a_trial_is_an_answer_with_its_time(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, operator={"kind": "person"}, participants=1)
+    desk, bus = PersonDesk(plan), Bus()
+    desk.bus = bus  # type: ignore[assignment]
+    bus.during = [Answer("a", "c1", "participant", {"contact": True}, 12_345, 0.4)]
+    assert desk.during(0.1) == [{"name": "contact", "value": True, "given_ns": 12_345}]
