@@ -44,7 +44,7 @@ NODES = (
     NodeRow("launcher@master", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("launcher@slave", "launcher", required=False, no_rerun=_SUPERVISES),
     NodeRow("console@master", "visitor", required=False, no_rerun=_BY_HAND),
-    NodeRow("console_experiment@master", "visitor", required=False, no_rerun=_BY_HAND),
+    NodeRow("experiment@master", "visitor", required=False, no_rerun=_BY_HAND),
     NodeRow(
         "player@master",
         "visitor",
@@ -65,8 +65,8 @@ PLAYER = "player@master"
 # the process that serves the page, and the force of an operator at it
 PAGE = "viz_node@master"
 VIEW = "view@master"
-# the console at which an experiment tells its cues and trials, so that pages have the other one for their commands
-EXPERIMENT = "console_experiment@master"
+# an experiment, which tells its cues and trials
+EXPERIMENT = "experiment@master"
 RECORDER, FAR_RECORDER = "recorder@master", "recorder@slave"
 # the name of the process between the sites, and its endpoint at either one
 LINK = "delay_node"

@@ -50,10 +50,10 @@ class ExperimentBus:
     """The endpoint of an experiment on a rig; one at a time has it."""
 
     def __init__(self, site_file: Path) -> None:
-        """Bind the console of the experiment.
+        """Bind the endpoint of the experiment.
 
         Raises:
-            ConfigError: The site file has no such console; the message gives the line that is missing.
+            ConfigError: The site file has no such endpoint; the message gives the line that is missing.
             EndpointError: Another experiment runs on this rig.
         """
         book = load_site(site_file)

@@ -386,9 +386,9 @@ def answer(page: Any) -> None:
         page.locator("#go-on").dispatch_event("click")
     if page.get_by_label("yes").count():
         page.get_by_label("yes").check()
-    for scale in page.locator("input.untouched").all():
-        scale.focus()
+    for name in page.evaluate("[...document.querySelectorAll('input.untouched')].map((scale) => scale.id)"):
+        page.locator(f"#{name}").focus()
         for _ in range(5):
-            scale.press("ArrowRight")
+            page.keyboard.press("ArrowRight")
     if page.locator("#submit:not(:disabled)").count():
         page.locator("#submit").dispatch_event("click")

@@ -133,6 +133,6 @@ def test_one_experiment_at_a_time_runs_on_a_rig(bus: ExperimentBus, tmp_path: An
         ExperimentBus(DEFAULT_SITE_FILE)
     lines = DEFAULT_SITE_FILE.read_text().splitlines()
     old = tmp_path / "site.yaml"
-    old.write_text("\n".join(line for line in lines if "console_experiment" not in line))
-    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.console_experiment@master is missing.*add `console_exp"):
+    old.write_text("\n".join(line for line in lines if "experiment@master" not in line))
+    with pytest.raises(ConfigError, match=r"site\.yaml: nodes\.experiment@master is missing.*add `exp"):
         ExperimentBus(old)
