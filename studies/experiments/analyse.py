@@ -29,6 +29,7 @@ class Choice(NamedTuple):
         correction: The correction for multiple comparisons, one of `CORRECTIONS`.
         confidence: The confidence of all intervals.
         categories: Numeric factors that are not to be slopes.
+        within: The factor within whose levels those of the others are compared; empty compares over all of them.
     """
 
     measures: tuple[str, ...] = ()
@@ -36,6 +37,7 @@ class Choice(NamedTuple):
     correction: str = "holm"
     confidence: float = 0.95
     categories: tuple[str, ...] = ()
+    within: str = ""
 
 
 class Analysis(NamedTuple):
@@ -111,7 +113,7 @@ def analyse(
         adaptive: The settings of each adaptive factor, by its name: their thresholds are fitted.
 
     Raises:
-        ConfigError: A measure or correction is not known, no trial counts, or a package is not installed.
+        ConfigError: A measure, factor or correction is not known, no trial counts, or a package is not installed.
     """
     require_packages()
     import pandas as pd
@@ -126,6 +128,10 @@ def analyse(
     for name in choice.measures:
         if name not in known:
             raise ConfigError(f"measure {name}: {known_names(name, known)}")
+    columns = [name.removeprefix(CONDITION) for name in frame.columns if name.startswith(CONDITION)]
+    for name in (*choice.categories, *([choice.within] if choice.within else ())):
+        if name not in columns:
+            raise ConfigError(f"factor {name}: {known_names(name, columns)}")
     fitted = dict(adaptive or {})
     factors, measures, cells, tested = {}, {}, [], {}
     for task, of_task in frame.groupby("task", sort=True):
@@ -134,8 +140,8 @@ def analyse(
         factors[str(task)], measures[str(task)] = found, chosen
         for name in chosen:
             cells += _cells(of_task, str(task), name, found, choice.confidence)
-            result = effects(of_task, name, found, choice.test, choice.correction, choice.confidence)
-            if _is_yes_or_no(of_task[name].dropna()):
+            result = effects(of_task, name, found, choice.test, choice.correction, choice.confidence, choice.within)
+            if result.terms and _is_yes_or_no(of_task[name].dropna()):
                 remark = "yes and no are taken as 1 and 0, so that differences are of shares"
                 result = result._replace(remarks=(*result.remarks, remark))
             tested[str(task), name] = result

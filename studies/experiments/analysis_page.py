@@ -132,12 +132,12 @@ def _listed(names: Sequence[str]) -> str:
 def _measure(axes: "Axes", analysis: Analysis, tables: Tables, task: str, measure: str, unit: str) -> None:
     """Draw the means over participants with their intervals, and each participant's own."""
     factors = analysis.factors[task]
-    # the factor of most levels is the abscissa, a slope before others
-    across = max(factors, key=lambda factor: (factor.is_numeric, len(factor.levels)))
+    # the factor of most levels is the abscissa, numbers before words
+    across = max(factors, key=lambda factor: (_are_numbers(factor.levels), len(factor.levels)))
     others = [factor for factor in factors if factor is not across]
     cells = [row for row in analysis.cells if (row["task"], row["measure"]) == (task, measure)]
     series = list(dict.fromkeys(tuple(row[factor.name] for factor in others) for row in cells))
-    places = list(across.levels) if across.is_numeric else list(range(len(across.levels)))
+    places = list(across.levels) if _are_numbers(across.levels) else list(range(len(across.levels)))
     apart = 0.012 * (max(places) - min(places))
     for number, key in enumerate(series):
         colour, style = LINES[number % len(LINES)]
@@ -154,11 +154,15 @@ def _measure(axes: "Axes", analysis: Analysis, tables: Tables, task: str, measur
         label = ", ".join(str(level) for level in key) or None
         bars = np.abs(ends - means)
         axes.errorbar(xs, means, bars, color=colour, ls=style, lw=1.2, capsize=2.5, marker="s", ms=3.5, label=label)
-    if not across.is_numeric:
+    if not _are_numbers(across.levels):
         axes.set_xticks(places, [str(level) for level in across.levels])
     axes.set(xlabel=_label(across.name, across.unit), ylabel=_label(measure, unit))
     if len(series) > 1:
         axes.legend(title=", ".join(factor.name for factor in others), frameon=False, fontsize="small")
+
+
+def _are_numbers(levels: Sequence[Any]) -> bool:
+    return all(isinstance(level, int | float) and not isinstance(level, bool) for level in levels)
 
 
 def _people(

@@ -62,6 +62,10 @@ class Term(NamedTuple):
     p_corrected: float | None = None
 
 
+# difference, its ends, degrees of freedom, p, Hedges' g and its ends
+_Compared = tuple[float, float, float, float, float, float, float, float]
+
+
 class Slope(NamedTuple):
     """The change of the measure for each unit of a numeric factor, with its interval."""
 
@@ -74,7 +78,10 @@ class Slope(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """The difference of two levels over participants' means, and Hedges' g with its interval."""
+    """The difference of two levels over participants' means, and Hedges' g with its interval.
+
+    `at` is the level of another factor that the comparison is within, empty for one over all of them.
+    """
 
     factor: str
     level: Any
@@ -87,6 +94,7 @@ class Pair(NamedTuple):
     g: float
     g_low: float
     g_high: float
+    at: str = ""
     p_corrected: float | None = None
 
 
@@ -115,6 +123,7 @@ def effects(
     test: Test = "mixed",
     correction: str = "holm",
     confidence: float = 0.95,
+    within: str = "",
 ) -> Effects:
     """Test the effects of factors on a measure.
 
@@ -125,6 +134,7 @@ def effects(
         test: The test to begin with.
         correction: The correction of the comparisons of levels, one of CORRECTIONS.
         confidence: The confidence of all intervals.
+        within: The factor within whose levels those of the others are compared; empty compares over all of them.
     """
     data = frame[["participant", measure, *(factor.column for factor in factors)]].dropna()
     people = data["participant"].nunique()
@@ -142,7 +152,9 @@ def effects(
     else:
         terms, slopes = _anova(data, measure, factors, remarks, confidence), ()
         model = "repeated-measures analysis of variance of participants' means, Greenhouse–Geisser"
-    pairs = _pairs(data, measure, factors, correction, confidence)
+    pairs = _pairs(data, measure, factors, confidence, within)
+    ps = corrected([pair.p for pair in pairs], correction)
+    pairs = tuple(pair._replace(p_corrected=p) for pair, p in zip(pairs, ps, strict=True))
     return Effects(model, tuple(remarks), terms, slopes, pairs)
 
 
@@ -377,7 +389,16 @@ def sphericity(cells: Matrix, factors: Sequence[tuple[int, bool]]) -> float:
     return float(np.trace(covariance)) ** 2 / (len(contrast) * squares) if squares > 0.0 else 1.0
 
 
-def _pairs(data: Any, measure: str, factors: Sequence[Factor], correction: str, confidence: float) -> tuple[Pair, ...]:
+def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float, within: str) -> tuple[Pair, ...]:
+    """Compare the levels of each factor, where `within` is one of them those of the others at each of its levels."""
+    held = next((factor for factor in factors if factor.name == within), None)
+    if held is not None:
+        others = [factor for factor in factors if factor is not held]
+        return tuple(
+            pair._replace(at=f"{held.name} = {level}")
+            for level in held.levels
+            for pair in _pairs(data[data[held.column] == level], measure, others, confidence, "")
+        )
     found = []
     for factor in factors:
         means = data.assign(_y=data[measure].astype(float)).pivot_table(
@@ -390,11 +411,10 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], correction: str, 
             pair = _pair(left, right, paired, confidence)
             if pair is not None:
                 found.append(Pair(factor.name, level, against, *pair))
-    ps = corrected([pair.p for pair in found], correction)
-    return tuple(pair._replace(p_corrected=p) for pair, p in zip(found, ps, strict=True))
+    return tuple(found)
 
 
-def _pair(left: Matrix, right: Matrix, paired: Matrix | None, confidence: float) -> tuple[float, ...] | None:
+def _pair(left: Matrix, right: Matrix, paired: Matrix | None, confidence: float) -> _Compared | None:
     """Return difference, low, high, df, p, g, low and high; None where there are too few participants."""
     from scipy import stats
 

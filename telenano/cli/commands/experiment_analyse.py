@@ -13,6 +13,8 @@ from telenano.cli.sample_options import results_in
 from telenano.cli.tables import rows_table
 
 FOLDER = "analysis"
+# Longer tables are not printed.
+_MOST_ROWS = 40
 
 
 def analyse(
@@ -29,6 +31,9 @@ def analyse(
         list[str] | None,
         typer.Option("--category", metavar="FACTOR", help="Numeric factor that is not to be a slope (repeatable)."),
     ] = None,
+    within: Annotated[
+        str, typer.Option("--within", metavar="FACTOR", help="Compare levels of the others at each level of this one.")
+    ] = "",
     test: Annotated[
         str,
         typer.Option(
@@ -64,7 +69,7 @@ def analyse(
             raise ConfigError(f"--test {test}: must be mixed or anova")
         options = figure_options(formats, style)
         tables = tables_of(folder)
-        choice = Choice(tuple(measure or ()), test, correction, confidence, tuple(category or ()))  # type: ignore[arg-type]
+        choice = Choice(tuple(measure or ()), test, correction, confidence, tuple(category or ()), within)  # type: ignore[arg-type]
         analysis = analyse(tables, choice, adaptive_factors(folder))
         target = out or folder / FOLDER
         command = " ".join(["telenano", *sys.argv[1:]])
@@ -83,10 +88,14 @@ def _print(document: dict[str, Any], page: Path) -> None:
     columns = {
         "terms": ("measure", "term", "f", "df1", "df2", "p_corrected", "partial_eta2"),
         "slopes": ("measure", "factor", "slope", "low", "high", "p"),
+        "pairs": ("measure", "at", "factor", "level", "against", "difference", "low", "high", "p_corrected", "g"),
         "thresholds": ("participant", "factor", "threshold", "low", "high", "trials"),
     }
     for part, names in columns.items():
-        if rows := document[part]:
+        rows = document[part]
+        if len(rows) > _MOST_ROWS:
+            typer.echo(f"{part}: {len(rows)} rows, which are on the page")
+        elif rows:
             shown = [{name.replace("_", " "): text(row[name]) for name in names} for row in rows]
             out.print(rows_table(shown, title=part))
     for row in document["models"]:

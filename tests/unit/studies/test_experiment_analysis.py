@@ -114,6 +114,18 @@ def test_p_values_are_corrected_by_the_method_that_is_asked_for() -> None:
     assert all(pair.p_corrected == pytest.approx(min(1.0, 4.0 * pair.p)) for pair in found.pairs)
 
 
+def test_levels_can_be_compared_at_each_level_of_another_factor() -> None:
+    found = of_time(demo(1), ANOVA._replace(within="law"))
+    assert [(pair.at, pair.factor) for pair in found.pairs] == [
+        (f"law = {law}", "delay_ms") for law in LAWS for _ in range(3)
+    ]
+    at_wave = [record for record in demo(1) if record["condition"]["law"] == "wave"]
+    alone = of_time(at_wave, ANOVA)
+    assert [pair.difference for pair in found.pairs[3:]] == [pair.difference for pair in alone.pairs]
+    with pytest.raises(ConfigError, match="factor laws: known are law, delay_ms; did you mean law"):
+        of_time(demo(1), ANOVA._replace(within="laws"))
+
+
 def test_a_factor_between_participants_is_tested_between_them() -> None:
     records = demo(3, participants=6)
     for record in records:
