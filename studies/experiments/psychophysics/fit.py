@@ -22,7 +22,7 @@ from studies.experiments.psychophysics.function import Psychometric
 
 Answer = tuple[float, bool]
 METHOD = "maximum likelihood, interval by profile likelihood"
-POSTERIOR = "mean of the posterior, credible interval"
+POSTERIOR = "median of the posterior, credible interval"
 
 # points of the grid: thresholds, widths, lapse rates
 _GRID = 41, 21, 5
@@ -108,7 +108,7 @@ def posterior(
     proportion: float | None = None,
     confidence: float = 0.95,
 ) -> Estimate:
-    """Return the mean of the posterior of the threshold, on its axis, with its credible interval.
+    """Return the median of the posterior of the threshold with its credible interval.
 
     Args:
         answers: The level of each trial, and whether its answer was correct (or yes).
@@ -136,9 +136,8 @@ def posterior(
     # the distribution function by trapezoids, at the points of the grid
     steps = np.concatenate(([0.0], np.cumsum(0.5 * (share[1:] + share[:-1]))))
     tail = 0.5 - 0.5 * confidence
-    ends = [float(np.interp(part * steps[-1], steps, found)) for part in (tail, 1.0 - tail)]
-    mean = float((share * found).sum() / share.sum())
-    level, low, high = (float(level) for level in model.from_axis([mean, *ends]))
+    parts = [float(np.interp(part * steps[-1], steps, found)) for part in (0.5, tail, 1.0 - tail)]
+    level, low, high = (float(level) for level in model.from_axis(parts))
     width = float((density.sum(axis=(0, 2)) * widths).sum() / density.sum())
     lapse = float((density.sum(axis=(0, 1)) * grid.lapses).sum() / density.sum())
     is_bounded = [part < _CUT_OFF * float(share.max()) for part in (share[0], share[-1])]

@@ -290,7 +290,7 @@ class QuestPlus(_Base):
         self._logarithm = self._logarithm + log(share) - log(sum_of_all)
 
     def estimate(self) -> Estimate:
-        """Return the mean of the posterior, with its credible interval."""
+        """Return the median of the posterior, with its credible interval."""
         settings = self.settings
         return posterior(self.answers, settings.function, *self._prior, settings.proportion, settings.confidence)
 
