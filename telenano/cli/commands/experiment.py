@@ -1,7 +1,7 @@
 """`telenano experiment`: trials of people or simulated operators over conditions, from plan to publication."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -99,17 +99,8 @@ def check(file: FileArgument, as_json: JsonOption = False) -> None:
     if len(blocks) > 1:
         typer.echo("\nblocks of a session")
         print_rows(blocks)
-    names = [", ".join(f"{key} = {level}" for key, level in row.items()) or "all" for row in plan.within_block]
     typer.echo("\nhow often each condition comes at each place of a sequence, and right after each other one")
-    places = range(len(names))
-    print_rows(
-        [
-            {"condition": f"{number}: {name}"}
-            | {f"at {place + 1}": balance.places[number][place] for place in places}
-            | {f"after {other}": balance.followed[other][number] for other in places}
-            for number, name in enumerate(names)
-        ]
-    )
+    print_rows(_balance_rows(plan))
     for doubt in doubts:
         typer.echo(f"note: {doubt}", err=True)
 
@@ -259,6 +250,28 @@ def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
         print_rows(rows)
 
 
+def _balance_rows(plan: "Plan") -> list[dict[str, Any]]:
+    """Return a row for each condition: its counts, or least and most of them where there are many."""
+    balance, rows = plan.balance(), []
+    for number, row in enumerate(plan.within_block):
+        name = ", ".join(f"{key} = {level}" for key, level in row.items()) or "all"
+        after = [counts[number] for other, counts in enumerate(balance.followed) if other != number]
+        places = balance.places[number]
+        if len(plan.within_block) > _MOST_COLUMNS:
+            counts = {"at a place": _range(places), "after another": _range(after)}
+        else:
+            at = {f"at {place + 1}": str(count) for place, count in enumerate(places)}
+            counts = at | {f"after {other}": str(found[number]) for other, found in enumerate(balance.followed)}
+        rows.append({"condition": f"{number}: {name}", **counts})
+    return rows
+
+
+def _range(counts: Sequence[int]) -> str:
+    least, most = min(counts, default=0), max(counts, default=0)
+    return str(least) if least == most else f"{least} to {most}"
+
+
+_MOST_COLUMNS = 6
 _INTERRUPTED = "interrupted; `telenano experiment resume` goes on with the trial that was interrupted"
 
 
