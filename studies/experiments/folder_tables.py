@@ -5,8 +5,8 @@ from typing import Any
 
 from proto.errors import ConfigError
 from services.runtime.settings.config import read_yaml, validate
+from studies.experiments.experiment_file import Experiment
 from studies.experiments.journal import NAME, read
-from studies.experiments.plan import Experiment
 from studies.experiments.table import Tables, tidy
 from studies.experiments.tasks import TASKS
 

@@ -4,23 +4,19 @@ import hashlib
 import itertools
 import json
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
-
-from pydantic import BeforeValidator, Field, PlainValidator, model_validator
+from typing import Any
 
 from presets import find_scenario
 from proto.errors import ConfigError, known_names
-from proto.experiment_messages import Question
 from proto.messages import Scalar
 from services.launcher.plan import anchored, check_sections
-from services.runtime.settings.config import Settings, flatten, merge, nested, read_yaml, validate
+from services.runtime.settings.config import flatten, merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.experiments.asked import INSTRUMENTS, choice, scale
+from studies.experiments.experiment_file import DELAYS, Experiment, TaskEntry
 from studies.experiments.orders import (
     MOST_PERMUTED,
     Balance,
@@ -34,9 +30,8 @@ from studies.experiments.tasks import TASKS
 from studies.experiments.tasks.base import Task
 from studies.experiments.types import Trial
 
-# Factors that stand for a key, or for the delay of both directions.
+# Factors that stand for a key.
 SHORT_NAMES = {"law": "controller.law", "network": "delay_node.profile"}
-_DELAYS = {"round_trip_ms": 0.5e-3, "delay_ms": 1e-3}
 _OF_TASK = "task."
 # The delay of what a participant's page shows, apart from that of the force [s]; it is no key of a scenario.
 PICTURE_DELAY = "picture.delay_s"
@@ -57,205 +52,6 @@ def changes_while_running(key: str) -> bool:
     return key == PICTURE_DELAY or (
         key != _PERIOD and any(below.startswith(prefix) for prefix in _RUNNING.get(section, ()))
     )
-
-
-def _levels_alone(value: object) -> object:
-    return {"levels": value} if isinstance(value, list) else value
-
-
-def _levels(value: object) -> object:
-    """Return levels as a tuple of scalars, or as dotted keys by name; ValueError says what they have to be."""
-    if value is None:
-        return None
-    if isinstance(value, list) and all(isinstance(level, bool | int | float | str) for level in value):
-        return tuple(value)
-    if isinstance(value, dict) and all(isinstance(keys, dict) for keys in value.values()):
-        return {str(name): flatten(keys) for name, keys in value.items()}
-    raise ValueError("levels have to be a list of values, or names of levels, each with the keys that it means")
-
-
-def _name_alone(value: object) -> object:
-    return {"name": value} if isinstance(value, str) else value
-
-
-class Factor(Settings):
-    """A factor: levels that are given, or that a psychophysical method chooses from trial to trial."""
-
-    levels: Annotated[Any, PlainValidator(_levels)] = Field(
-        default=None, description="Values of the key; or names of levels, each with the dotted keys that it means"
-    )
-    adaptive: dict[str, Any] | None = Field(
-        default=None, description="Settings of a psychophysical method, which chooses the level of each trial"
-    )
-    measure: str = Field(default="correct", description="The measure of the task that tells the method right or wrong")
-    key: str | None = Field(default=None, description="Dotted key, or task.PARAMETER, where the name is another")
-
-    @model_validator(mode="after")
-    def _levels_or_method(self) -> Self:
-        if (self.levels is None) == (self.adaptive is None):
-            raise ValueError("give either levels or adaptive")
-        if self.levels is not None and not self.levels:
-            raise ValueError("levels: at least one is needed")
-        if isinstance(self.levels, tuple) and len(set(map(str, self.levels))) < len(self.levels):
-            raise ValueError("levels: each may be there once; repetitions say how often it comes")
-        if isinstance(self.levels, dict) and self.key is not None:
-            raise ValueError("key: levels with names have the keys that they mean themselves")
-        return self
-
-    @property
-    def names(self) -> tuple[Scalar, ...]:
-        """The levels as a table shows them; none of an adaptive factor."""
-        return tuple(self.levels or ())
-
-
-class TaskEntry(Settings):
-    """A task with its parameters."""
-
-    name: str = Field(description="Name of the task")
-    parameters: dict[str, Any] = Field(default={}, description="Parameters of the task")
-
-
-class Blocks(Settings):
-    """What is held for a block of trials, and the order of the blocks."""
-
-    factors: tuple[str, ...] = Field(default=(), description="Factors whose level is the same for all of a block")
-    order: OrderKind = Field(default="shuffle", description="Order of the blocks")
-
-
-class Practice(Settings):
-    """Trials that do not count, before the first block of each task in a session."""
-
-    trials: int = Field(default=0, ge=0, le=1000, description="How many, of the conditions of that block in turn")
-
-
-class Breaks(Settings):
-    """Rests."""
-
-    every_trials: int | None = Field(default=None, ge=1, description="A rest after so many trials of a block")
-    duration_s: float = Field(default=60.0, ge=0.0, le=3600.0, description="Length of a rest [s]")
-    between_blocks_s: float = Field(default=0.0, ge=0.0, le=3600.0, description="Length of a rest between blocks [s]")
-
-
-class Disturbed(Settings):
-    """When a trial counts as disturbed, and what becomes of it."""
-
-    stall_s: float = Field(
-        default=0.02, gt=0.0, le=10.0, description="The longest standstill of a process of the loop [s]"
-    )
-    again: Literal["at_once", "end_of_block"] = Field(default="end_of_block", description="When a trial is repeated")
-    most_attempts: int = Field(default=3, ge=1, le=100, description="Attempts at one trial, the first one included")
-
-
-class Stop(Settings):
-    """What ends a run before its plan is done; `resume` goes on."""
-
-    disturbed_in_a_row: int = Field(default=5, ge=1, description="Attempts that were disturbed, one after the other")
-    session_s: float | None = Field(default=None, gt=0.0, description="The longest session of a participant [s]")
-
-
-class Asked(Settings):
-    """An instrument of questions, and when it is asked."""
-
-    instrument: str = Field(description="Name of the instrument, such as nasa_tlx")
-    after: Literal["trial", "block", "session"] = Field(default="block", description="After what it is asked")
-
-
-class Item(Settings):
-    """A question of an instrument of one's own: a scale, or a choice where there are options."""
-
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]{0,31}$", description="Name of the item in the table")
-    text: str = Field(max_length=128, description="The question")
-    low: str = Field(default="", max_length=128, description="What the lower end of the scale means")
-    high: str = Field(default="", max_length=128, description="What its upper end means")
-    least: float = Field(default=1.0, description="Lowest value")
-    most: float = Field(default=7.0, description="Highest value")
-    step: float = Field(default=1.0, gt=0.0, description="Distance of the values")
-    options: tuple[str, ...] = Field(default=(), max_length=16, description="What can be chosen, in place of a scale")
-
-    def question(self) -> Question:
-        """Return the question as it goes to the page."""
-        if self.options:
-            return choice(self.name, self.text, self.options)
-        return scale(self.name, self.text, self.low, self.high, self.least, self.most, self.step)
-
-
-class Operator(Settings):
-    """Who does the trials."""
-
-    kind: Literal["person", "simulated"] = Field(default="simulated", description="A person, or a simulated operator")
-    profile: dict[str, Any] = Field(default={}, description="Settings of the simulated operator")
-
-
-Prefix = Annotated[str, Field(pattern=r"^[A-Za-z]{1,4}[-_]?$")]
-
-
-class Experiment(Settings):
-    """The file of an experiment."""
-
-    name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
-    title: str = Field(default="", max_length=200, description="What it is about")
-    scenario: str = Field(description="Scenario that every trial begins from: a name or a YAML file")
-    settings: dict[str, Any] = Field(default={}, description="Dotted keys of the scenario that hold in every trial")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of every order and of every trial")
-    apparatus: Literal["live", "lockstep"] = Field(default="live", description="A rig of processes, or simulated time")
-    participants: Annotated[int, Field(ge=1, le=999)] | tuple[str, ...] = Field(
-        description="How many, which are then numbered; or their pseudonyms"
-    )
-    pseudonym: Prefix = Field(default="P", description="What a pseudonym begins with; a number follows")
-    sessions: int = Field(default=1, ge=1, le=100, description="Visits of a participant, each with all blocks")
-    operator: Operator = Field(default=Operator(), description="Who does the trials")
-    tasks: tuple[Annotated[TaskEntry, BeforeValidator(_name_alone)], ...] = Field(
-        min_length=1, max_length=50, description="Tasks, each in blocks of its own"
-    )
-    factors: dict[str, Annotated[Factor, BeforeValidator(_levels_alone)]] = Field(
-        default={},
-        description="Factors by name: law, round_trip_ms, delay_ms, network, a dotted key, or task.PARAMETER",
-    )
-    repetitions: int = Field(default=1, ge=1, le=10_000, description="How often a condition comes in a block")
-    order: OrderKind = Field(default="shuffle", description="Order of the conditions of a block")
-    blocks: Blocks = Field(default=Blocks(), description="What is held for a block")
-    practice: Practice = Field(default=Practice(), description="Trials that do not count")
-    breaks: Breaks = Field(default=Breaks(), description="Rests")
-    disturbed: Disturbed = Field(default=Disturbed(), description="Trials that are repeated")
-    stop: Stop = Field(default=Stop(), description="What ends a run early")
-    questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Instruments of one's own, by name")
-    ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions, and when they are asked")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if unknown := sorted(set(self.blocks.factors) - set(self.factors)):
-            raise ValueError(f"blocks.factors: {unknown[0]} is no factor; {known_names(unknown[0], self.factors)}")
-        adaptive = [name for name, factor in self.factors.items() if factor.adaptive is not None]
-        if len(adaptive) > 1:
-            raise ValueError(f"factors: {', '.join(adaptive)} are adaptive; a trial can have one such factor")
-        if len(_DELAYS.keys() & self.factors.keys()) > 1:
-            raise ValueError("factors: round_trip_ms and delay_ms are the same delay: give one of them")
-        for asked in self.ask:
-            if asked.instrument not in self.instruments:
-                raise ValueError(
-                    f"ask: {asked.instrument} is no instrument; {known_names(asked.instrument, self.instruments)}"
-                )
-        if len({task.name for task in self.tasks}) < len(self.tasks):
-            raise ValueError("tasks: each may be there once")
-        for name in self.pseudonyms:
-            if not re.fullmatch(re.escape(self.pseudonym) + r"\d{1,6}", name):
-                raise ValueError(f"participants: {name!r} is no pseudonym: it has to be {self.pseudonym} and a number")
-        if len(set(self.pseudonyms)) < len(self.pseudonyms):
-            raise ValueError("participants: each may be there once")
-        return self
-
-    @property
-    def instruments(self) -> dict[str, tuple[Question, ...]]:
-        """The instruments that can be asked, by name."""
-        own = {name: tuple(item.question() for item in items) for name, items in self.questionnaires.items()}
-        return {**INSTRUMENTS, **own}
-
-    @property
-    def pseudonyms(self) -> tuple[str, ...]:
-        """The participants in the order in which the design counts them."""
-        if isinstance(self.participants, tuple):
-            return self.participants
-        return tuple(f"{self.pseudonym}{number:02d}" for number in range(1, self.participants + 1))
 
 
 Condition = dict[str, Scalar]
@@ -335,8 +131,8 @@ class Plan:
         if isinstance(factor.levels, dict):
             return dict(factor.levels[str(level)])
         key = factor.key or SHORT_NAMES.get(name, name)
-        if key in _DELAYS:
-            one_way_s = float(level) * _DELAYS[key]
+        if key in DELAYS:
+            one_way_s = float(level) * DELAYS[key]
             return {"delay_node.forward.delay_s": one_way_s, "delay_node.backward.delay_s": one_way_s}
         return {} if key.startswith(_OF_TASK) else {key: level}
 
