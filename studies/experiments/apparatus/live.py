@@ -52,6 +52,8 @@ _SIMULATED = ("simulated", "simulated_impedance")
 _NOTHING = TrialData(empty("afm/state"), empty("haptic/state"), empty("law/status"))
 # What is under way when the programme ends still belongs to the trial.
 _AFTER_S = 0.3
+# With the hand at its start the base begins as near as this to where it first began [m].
+_SAME_BASE_M = 2e-9
 
 
 class Wanted(NamedTuple):
@@ -82,7 +84,9 @@ class Live(Apparatus):
         self._kept = ""
         self._set = Wanted({}, {}, "", {}, {})
         self._document: Mapping[str, Any] = {}
-        self._place_m = 0.0
+        # where hand and base were when the trial began [m], and the base in the first trial of the rig
+        self._place_m, self._base_m = 0.0, 0.0
+        self._first_base_m: float | None = None
         self._observer: Observer | None = None
         # the newest report by topic and source, and when it came
         self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
@@ -99,10 +103,8 @@ class Live(Apparatus):
 
     def take(self, course: Course) -> Take:
         trial = course.trial
-        rig = self._rig_of(trial, course.document)
-        self._ready()
         wanted = wanted_of(course.document, trial.seed)
-        self._change(wanted)
+        rig = self._rig_in(trial, course.document, wanted)
         verified = self._verified(wanted)
         place = f"t{trial.index:04d}-{course.attempt}" + (f"-{course.interval}" if course.intervals > 1 else "")
         mark: dict[str, Scalar] = {"trial": trial.index, "attempt": course.attempt, "interval": course.interval}
@@ -166,7 +168,7 @@ class Live(Apparatus):
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
-        self._kept, self._newest = kept, {}
+        self._kept, self._newest, self._first_base_m = kept, {}, None
         self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
         self._observer = Observer(load_site(self._site_file), _REPORTS)
         self._await_running(self._rig)
@@ -185,6 +187,26 @@ class Live(Apparatus):
                     if isinstance(state, HapticState) and state.session_s >= 0.0:
                         return
         raise RigError(f"the rig did not begin its session; see {rig.folder}")
+
+    def _rig_in(self, trial: Trial, document: Mapping[str, Any], wanted: Wanted) -> RigProcess:
+        """Return a rig in a condition, with hand and tip where they were coupled when it came up.
+
+        A law keeps the places at which it was coupled. A silence or a drift of a trial before can have moved them
+        against each other, and a hand that goes home leaves the tip elsewhere. No command couples them anew, so a new
+        rig does.
+        """
+        while True:
+            rig = self._rig_of(trial, document)
+            self._ready()
+            self._change(wanted)
+            self._base_m = -self._states()["afm/state"].base_position_m[2]
+            if self._first_base_m is None:
+                self._first_base_m = self._base_m
+            off_m = self._base_m - self._first_base_m
+            if not wanted.operator or abs(off_m) <= _SAME_BASE_M:
+                return rig
+            self._show(f"the tip is {1e9 * off_m:.1f} nm from where it first began: the rig is started anew")
+            self.close()
 
     def _ready(self) -> None:
         """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""
@@ -286,6 +308,7 @@ class Live(Apparatus):
             **{f"{way}.{key}": value for way, keys in expected.items() for key, value in keys.items()},
             **{f"{way}_delay_ns": self._delay_ns(way) for way in expected},
             "hand_start_m": round(self._place_m, 7),
+            "base_start_m": round(self._base_m, 12),
             "nodes": len(_NODES),
         }
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from recording.channel_filter import Selection
 from recording.rewrite import filter_recording
 from services.controller.config import ControllerConfig, changed_config
 from services.delay_node.config import changed, flattened, parse_settings
-from studies.experiments.apparatus.live import constant_delays_ns, kept_keys, wanted_of
+from studies.experiments.apparatus.live import Live, constant_delays_ns, kept_keys, wanted_of
+from studies.experiments.desk import Desk
 from studies.experiments.disturbances import disturbances
 from studies.experiments.recorded_trial import RecordedTrial
 
@@ -86,3 +88,54 @@ def test_a_recording_without_a_programme_is_no_trial(tmp_path: Path, recording_o
     filter_recording(recording_of("fig12_wave"), out, Selection.of(["node/*"]))
     with pytest.raises(RecordingError, match="no programme of an operator ran in it"):
         RecordedTrial(out)
+
+
+class Moved(Live):
+    """A rig whose tip is where the test says, at each look."""
+
+    def __init__(self, plan: Any, folder: Path, bases_nm: list[float]) -> None:
+        super().__init__(plan, folder, Desk(plan), lambda text: self.told.append(text))
+        self.bases_nm, self.told, self.started = bases_nm, [], 0
+        self._running = False
+
+    def _rig_of(self, trial: Any, document: Any) -> Any:
+        if not self._running:
+            self.started, self._running, self._first_base_m = self.started + 1, True, None
+        return "rig"
+
+    def _ready(self) -> None:
+        """Nothing is in emergency stop."""
+
+    def _change(self, wanted: Any) -> None:
+        """The condition is set."""
+
+    def _states(self) -> dict[str, Any]:
+        return {"afm/state": SimpleNamespace(base_position_m=(0.0, 0.0, -1e-9 * self.bases_nm.pop(0)))}
+
+    def close(self) -> None:
+        self._running = False
+
+
+@pytest.mark.parametrize(
+    ("bases_nm", "started", "is_person"),
+    [
+        ([0.1, 0.3, -0.4, 1.9], 1, False),
+        # a stall had moved the tip by 48.6 nm in a run of 72 trials, and those after it missed the sample
+        ([-0.2, -48.8, 0.1, 0.2, 0.0], 2, False),
+        ([0.0, 65.8, -65.8, 65.8, 0.0], 1, True),
+    ],
+)
+def test_a_coupling_that_has_moved_costs_a_new_rig_and_no_trial(
+    tmp_path: Path, bases_nm: list[float], started: int, is_person: bool
+) -> None:
+    plan = plan_of(tmp_path, operator={"kind": "person" if is_person else "simulated"})
+    live = Moved(plan, tmp_path, list(bases_nm))
+    trial = plan.trials("P01")[0]
+    document = plan.document(trial.settings, "")
+    wanted = wanted_of(document, 1)
+    assert bool(wanted.operator) != is_person
+    for _ in range(4):
+        live._rig_in(trial, document, wanted)
+        assert is_person or abs(live._base_m) <= 2e-9
+    assert live.started == started
+    assert len(live.told) == started - 1
