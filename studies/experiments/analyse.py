@@ -145,10 +145,20 @@ def analyse(
                 remark = "yes and no are taken as 1 and 0, so that differences are of shares"
                 result = result._replace(remarks=(*result.remarks, remark))
             tested[str(task), name] = result
+    thresholds = [row for name, settings in fitted.items() for row in _thresholds(frame, name, settings)]
+    for task, found in factors.items():
+        rows_of_task = [row for row in thresholds if row["task"] == task]
+        if rows_of_task and found:
+            name = f"threshold of {rows_of_task[0]['factor']}"
+            tracks = pd.DataFrame(rows_of_task).rename(columns={factor.name: factor.column for factor in found})
+            cells += _cells(tracks.rename(columns={"threshold": name}), task, name, found, choice.confidence)
+            # One value for each participant and condition leaves no residual beside effects of each participant's own.
+            tested[task, name] = effects(
+                tracks, "threshold", found, "anova", choice.correction, choice.confidence, choice.within
+            )
     return Analysis(
-        _counts(tables, rows), factors, measures, cells, _terms_corrected(tested, choice.correction),
-        [row for name, settings in fitted.items() for row in _thresholds(frame, name, settings)], choice,
-    )  # fmt: skip
+        _counts(tables, rows), factors, measures, cells, _terms_corrected(tested, choice.correction), thresholds, choice
+    )
 
 
 def measures_of(tables: Tables) -> dict[str, str]:

@@ -223,8 +223,13 @@ def _track(axes: "Axes", track: Row) -> None:
             axes.axvspan(track["low"], track["high"], color=LINES[1][0], alpha=0.15, lw=0)
     if model.axis == "log":
         axes.set_xscale("log")
+        axes.minorticks_off()
+    ends = (levels[0], levels[-1])
+    axes.set_xticks(ends, [f"{level:.3g}" for level in ends])
     axes.set_ylim(-0.03, 1.03)
-    axes.annotate(track["participant"], (0.97, 0.05), xycoords="axes fraction", ha="right", fontsize="small")
+    names = list(track)
+    shown = [str(track[name]) for name in names[names.index("participant") : names.index("factor")]]
+    axes.annotate(", ".join(shown), (0.97, 0.05), xycoords="axes fraction", ha="right", fontsize="small")
 
 
 def _label(name: str, unit: str) -> str:

@@ -24,6 +24,8 @@ CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
 Matrix = npt.NDArray[np.float64]
 # no statistic of a real experiment has its centre this far off
 _FARTHEST = 2.0**24
+# F ratios beyond it come of rounding alone
+_NO_SCATTER = 1e20
 
 
 class Factor(NamedTuple):
@@ -364,6 +366,9 @@ def _anova(
         sizes = [(len(factor.levels), names[factor.column] in parts) for factor in within]
         epsilon = sphericity(whole.to_numpy(float), sizes)
         title = " × ".join(factor.name for factor in within if names[factor.column] in parts)
+        if not f < _NO_SCATTER:
+            remarks.append(f"every participant has the same difference: {title} is not tested")
+            continue
         p = float(stats.f.sf(f, epsilon * df1, epsilon * df2))
         eta = partial_eta2(f, df1, df2, confidence)
         found.append(Term(title, "repeated measures, Greenhouse–Geisser", f, df1, df2, p, *eta, epsilon))

@@ -89,17 +89,22 @@ def _print(document: dict[str, Any], page: Path) -> None:
         "terms": ("measure", "term", "f", "df1", "df2", "p_corrected", "partial_eta2"),
         "slopes": ("measure", "factor", "slope", "low", "high", "p"),
         "pairs": ("measure", "at", "factor", "level", "against", "difference", "low", "high", "p_corrected", "g"),
-        "thresholds": ("participant", "factor", "threshold", "low", "high", "trials"),
+        "thresholds": ("participant", *_varied(document), "factor", "threshold", "low", "high", "trials"),
     }
     for part, names in columns.items():
         rows = document[part]
         if len(rows) > _MOST_ROWS:
             typer.echo(f"{part}: {len(rows)} rows, which are on the page")
         elif rows:
-            shown = [{name.replace("_", " "): text(row[name]) for name in names} for row in rows]
+            shown = [{name.replace("_", " "): text(row.get(name)) for name in names} for row in rows]
             out.print(rows_table(shown, title=part))
     for row in document["models"]:
         for remark in row["remarks"]:
             typer.echo(f"telenano: {row['task']}, {row['measure']}: {remark}", err=True)
     typer.echo(document["methods"])
     typer.echo(f"page: {page}")
+
+
+def _varied(document: dict[str, Any]) -> list[str]:
+    """Return the names of the factors beside an adaptive one."""
+    return list(dict.fromkeys(factor["name"] for found in document["factors"].values() for factor in found))

@@ -170,6 +170,15 @@ def test_one_participant_is_described_and_not_tested() -> None:
     assert not found.terms and found.remarks == ("one participant: nothing is tested",)
 
 
+def test_a_difference_without_any_scatter_is_said_and_not_tested() -> None:
+    records = [
+        trial(f"P{n}", k, {"law": law}, time_s=2.0 * k) for n in range(3) for k, law in enumerate(("wave", "passivity"))
+    ]
+    found = of_time(records, ANOVA)
+    assert not found.terms and not found.pairs
+    assert found.remarks == ("every participant has the same difference: law is not tested",)
+
+
 def test_a_measure_that_never_changes_is_not_tested() -> None:
     records = [trial(f"P{n}", n, {"delay_ms": float(10 * (n % 2))}, time_s=2.0) for n in range(8)]
     assert of_time(records).remarks == ("every trial has the same value: nothing is tested",)
@@ -190,6 +199,9 @@ def test_thresholds_are_fitted_for_each_participant_and_condition() -> None:
     assert [(row["participant"], row["law"]) for row in found.thresholds] == [(p, law) for p in truth for law in LAWS]
     assert all(row["low"] < truth[row["participant"]] < row["high"] for row in found.thresholds)
     assert [factor.name for factor in found.factors["touch_and_hold"]] == ["law"]
+    # both laws had the same observer, so their thresholds do not differ
+    tested = found.effects["touch_and_hold", "threshold of delay_s"]
+    assert [(term.term, term.p) for term in tested.terms] == [("law", 1.0)]
 
 
 def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
