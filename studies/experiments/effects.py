@@ -24,6 +24,8 @@ CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
 Matrix = npt.NDArray[np.float64]
 # no statistic of a real experiment has its centre this far off
 _FARTHEST = 2.0**24
+# one after the other, until a search for the greatest likelihood ends
+_SEARCHES = ("bfgs", "lbfgs", "powell")
 # F ratios beyond it come of rounding alone
 _NO_SCATTER = 1e20
 
@@ -253,21 +255,25 @@ def _fit_mixed(values: Matrix, design: Matrix, groups: Any, own: Sequence[_Colum
     parts = [[column.random[groups == label] for label in labels] for column in own]
     names = [[[f"{j}" for j in range(part.shape[1])] for part in of_factor] for of_factor in parts]
     spec = VCSpec([column.factor.name for column in own], names, parts) if own else None
-    with warnings.catch_warnings():
-        # what matters of them is judged below, and named
-        warnings.simplefilter("ignore")
-        try:
-            intercept = np.ones((len(values), 1))
-            model = MixedLM(values, design, groups, exog_re=intercept, exog_vc=spec)
-            result = model.fit(reml=True, method=["bfgs", "lbfgs", "powell"])
-            errors = np.asarray(result.bse_fe, dtype=float)
-        except (np.linalg.LinAlgError, ValueError) as error:
-            return None, str(error)
-    if not result.converged:
-        return None, "the search for the greatest likelihood did not end"
-    if not np.all(np.isfinite(errors)) or np.any(errors <= 0.0):
-        return None, "standard errors are not finite"
-    return result, ""
+    intercept, why = np.ones((len(values), 1)), ""
+    for search in _SEARCHES:
+        with warnings.catch_warnings():
+            # what matters of them is judged below, and named
+            warnings.simplefilter("ignore")
+            try:
+                model = MixedLM(values, design, groups, exog_re=intercept, exog_vc=spec)
+                result = model.fit(reml=True, method=search)
+                errors = np.asarray(result.bse_fe, dtype=float)
+            except (np.linalg.LinAlgError, ValueError) as error:
+                why = str(error)
+                continue
+        if not result.converged:
+            why = "the search for the greatest likelihood did not end"
+        elif not np.all(np.isfinite(errors)) or np.any(errors <= 0.0):
+            why = "standard errors are not finite"
+        else:
+            return result, ""
+    return None, why
 
 
 def _terms_of(fitted: _Fitted, confidence: float) -> tuple[Term, ...]:

@@ -216,6 +216,7 @@ def test_intervals_of_a_few_observers_have_their_thresholds(name: str) -> None:
 
 
 @pytest.mark.endurance
+@pytest.mark.timeout(3000)
 @pytest.mark.parametrize("name", METHODS)
 def test_95_percent_intervals_of_1000_observers_have_the_threshold_in_93_to_97_percent(name: str) -> None:
     share, bias = coverage(METHODS[name], 1000)
