@@ -7,8 +7,7 @@ tip and a sphere that touch). Modes:
 
 - *straight*: along the line from the believed place to the goal. A particle that was found beside it slips off: see
   `longest_straight_m`.
-- *steered*: the direction psi of the particle obeys psi' = -u_t / d, u_t the motion across it. The tip goes at the
-  angle -atan(clip(2 (psi* - psi), +-sqrt 3)) to psi, with psi* the bearing of the goal, so the error dies within d / 2.
+- *steered*: the tip turns the particle towards the goal (`physics.particles.steering`).
 - *sweep*: lines across, each nearer to the goal than the last by a share of d; where the particle begins beside them
   does not matter.
 """
@@ -20,6 +19,7 @@ from pydantic import Field
 
 from proto.errors import RefusedError
 from proto.messages import Scalar
+from services.afm_node.physics.particles.steering import steered
 from services.afm_node.physics.particles.tip_shape import TipShape, tip_shape, touch_distance_m
 from services.afm_node.programs.feedback import gain_fault, integral_share
 from services.afm_node.programs.lateral import Place
@@ -57,7 +57,6 @@ _CONTACT_DEVIATIONS, _CONTACT_STEPS = 3.0, 3
 _QUIET_STEPS, _LEAST_N = 10, 1e-11
 # The lines of a sweep go so many d to either side, so that their ends are clear of the particle.
 _HALF_LINE = 2.5
-_STEEPEST = math.sqrt(3.0)
 # A steered particle that can come no nearer has arrived within this share of its radius.
 _NEAR = 0.2
 
@@ -310,15 +309,14 @@ def _onwards(plan: PushPlan, state: PushState, dt: float) -> tuple[PushState, Pl
     step_m, bearing = plan.speed_m_per_s * dt, math.atan2(s.y1_m - s.y0_m, s.x1_m - s.x0_m)
     if s.mode == "sweep":
         return _swept(plan, state, bearing, step_m)
-    if s.mode == "steered" and state.in_contact:
-        lies = math.atan2(-state.force_y_n, -state.force_x_n)
-        wanted = math.atan2(s.y1_m - state.believed.y_m, s.x1_m - state.believed.x_m)
-        error = math.remainder(wanted - lies, 2.0 * math.pi)
-        bearing = lies - math.atan(min(max(2.0 * error, -_STEEPEST), _STEEPEST))
-        state = state._replace(aside_rad=math.remainder(lies - bearing, 2.0 * math.pi))
-    elif state.in_contact:
-        lies = math.atan2(-state.force_y_n, -state.force_x_n)
-        state = state._replace(aside_rad=math.remainder(lies - bearing, 2.0 * math.pi))
+    if state.in_contact:
+        size_n = math.hypot(state.force_x_n, state.force_y_n)
+        ahead_x, ahead_y = -state.force_x_n / size_n, -state.force_y_n / size_n
+        if s.mode == "steered":
+            heading = steered(ahead_x, ahead_y, s.x1_m - state.believed.x_m, s.y1_m - state.believed.y_m)
+            bearing = math.atan2(heading[1], heading[0])
+        aside_rad = math.remainder(math.atan2(ahead_y, ahead_x) - bearing, 2.0 * math.pi)
+        state = state._replace(aside_rad=aside_rad)
     return state, _beyond(state.place, bearing, step_m)
 
 
