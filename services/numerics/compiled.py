@@ -35,6 +35,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 SOURCES = (
     *("services/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
     *("studies/loops", "studies/instrument", "studies/learning", "analysis/modes.py", "analysis/verdict.py"),
+    "studies/assembly/bench.py",
     # deadlines, which are compiled into the loop
     *("proto/topics.py", "services/runtime/loop/freshness.py"),
 )

@@ -26,6 +26,7 @@ from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import HapticConfig
 from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings, validate
+from studies.assembly.bench import bench
 from studies.intervals import wilson
 from studies.loops import push_hand as h
 from studies.loops.link import Schedule, schedule_of, symmetric_link
@@ -45,19 +46,8 @@ _LONGEST_S, _TOUCHED_S, _SETTLE_S = 40.0, 1.0, 0.3
 _IMAGE_M, _PLACE_M, _FORCE_SHARE, _TREMOR, _HEADING = 10e-9, 5e-9, 0.1, 0.15, 0.05
 _ERRORS = 2048
 
-_INSTRUMENT: dict[str, Any] = {
-    "sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": {"places": [[0.0, 0.0]]}},
-    # at the hand 1500 N/m, for which the paper's loop bears 95 ms
-    "cantilever": {"stiffness_n_per_m": 10.0},
-    "meniscus": False,
-    "safety": {
-        "base_min_m": -1.2e-6,
-        "retract_position_m": -0.7e-6,
-        "base_max_m": 3e-7,
-        "base_speed_m_per_s": 2e-5,
-        "retract_speed_m_per_s": 2e-5,
-    },
-}
+# At the hand this cantilever is 1500 N/m, for which the paper's loop bears 95 ms.
+_STIFFNESS_N_PER_M = 10.0
 
 
 class Trial(Settings):
@@ -121,7 +111,7 @@ def check(trial: Trial) -> None:
 def _rig(law: str) -> Rig:
     points = [{"time_s": 0.2, "force_n": 0.0}, {"time_s": 0.6, "force_n": PRESSES_N}]
     haptic = validate(HapticConfig, {"operator": {"kind": "force_profile", "points": points}}, "the hand")
-    afm = validate(AfmConfig, _INSTRUMENT, "the instrument", "afm_node")
+    afm = validate(AfmConfig, bench({"places": [[0.0, 0.0]]}, _STIFFNESS_N_PER_M), "the instrument", "afm_node")
     controller = validate(ControllerConfig, {"law": law}, "--law", "controller")
     return build_rig(controller, haptic, instrument_params(afm, "the instrument", 0.0))
 

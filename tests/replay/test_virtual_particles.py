@@ -9,29 +9,14 @@ from analysis.rerun import rerun
 from proto.instrument import AfmParticles
 from recording.reader import Recording
 from services.afm_node.physics.particles import layer
+from studies.assembly.bench import bench
 
 SCENARIO = {
     "name": "pushed",
     "description": "The tip pushes one of three particles",
     "duration_s": 1.0,
     "haptic_node": {"operator": {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}},
-    "afm_node": {
-        "sample": {
-            "name": "flat",
-            "size_m": 8e-6,
-            "pixels": 16,
-            "particles": {"places": [[0.0, 0.0], [7e-7, 3e-8], [-2e-6, 2e-6]]},
-        },
-        "cantilever": {"stiffness_n_per_m": 1.0},
-        "meniscus": False,
-        "safety": {
-            "base_min_m": -1.2e-6,
-            "retract_position_m": -0.7e-6,
-            "base_max_m": 3e-7,
-            "base_speed_m_per_s": 2e-5,
-            "retract_speed_m_per_s": 2e-5,
-        },
-    },
+    "afm_node": bench({"places": [[0.0, 0.0], [7e-7, 3e-8], [-2e-6, 2e-6]]}, 1.0),
 }
 PUSH = {
     "program": "push",

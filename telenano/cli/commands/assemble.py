@@ -3,7 +3,7 @@
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -24,23 +24,6 @@ if TYPE_CHECKING:
     from studies.assembly.plan import Point
     from studies.assembly.run import ProgramBench
 
-# A cantilever soft enough to image in contact below what moves a particle, and a base that clears the highest one.
-BENCH: dict[str, Any] = {
-    "sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": {"count": 8}},
-    "cantilever": {"stiffness_n_per_m": 0.1},
-    "meniscus": False,
-    "disturbances": {
-        "drift": {"enabled": True, "speed_m_per_s": 0.0, "x_m_per_s": 4e-11, "y_m_per_s": -3e-11},
-        "readout": {"enabled": True},
-    },
-    "safety": {
-        "base_min_m": -1.2e-6,
-        "retract_position_m": -0.7e-6,
-        "base_max_m": 3e-7,
-        "base_speed_m_per_s": 2e-5,
-        "retract_speed_m_per_s": 2e-5,
-    },
-}
 # A particle has arrived within this share of its diameter.
 _DONE_SHARE = 0.1
 
@@ -174,11 +157,12 @@ def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
 
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":
     from services.afm_node.config import AfmConfig
+    from studies.assembly.bench import DISTURBED, bench
 
-    document = merge(BENCH, {"sample": {"particles": {"seed": seed}}, "disturbances": {"seed": seed}})
     given = flag_overrides(overrides)
-    if "places" in given.get("sample", {}).get("particles", {}):
-        document["sample"]["particles"] = {}
+    has_places = "places" in given.get("sample", {}).get("particles", {})
+    particles = {} if has_places else {"count": 8, "seed": seed}
+    document = bench(particles, disturbances={**DISTURBED, "seed": seed})
     config = validate(AfmConfig, merge(document, given), "--afm")
     if config.sample is None or config.sample.particles is None:
         raise ConfigError("--afm: an assembly needs sample.particles")

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +13,6 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
 from services.afm_node.programs.push import AT_GOAL, PushSettings
 from services.runtime.settings.config import flag_overrides, merge, validate
-from telenano.cli.commands.assemble import BENCH
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
@@ -88,12 +86,12 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     from services.afm_node.config import AfmConfig
     from services.afm_node.programs.settings import requested
     from services.afm_node.virtual import VirtualInstrument
+    from studies.assembly.bench import DISTURBED, bench
 
-    document, given = deepcopy(BENCH), flag_overrides(overrides)
-    document["sample"]["particles"] = {}
-    if not given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}:
-        document["sample"]["particles"] = {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
-    config = validate(AfmConfig, merge(document, given), "--afm")
+    given = flag_overrides(overrides)
+    lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}
+    particles = {} if lie_elsewhere else {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
+    config = validate(AfmConfig, merge(bench(particles, disturbances=DISTURBED), given), "--afm")
     instrument = VirtualInstrument(config)
     columns = (TextColumn("{task.description}"), BarColumn())
     with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
