@@ -20,7 +20,7 @@ from services.afm_node.programs.lateral import Place
 from services.runtime.settings.config import Settings
 
 ChannelName = Literal["frequency_shift", "current", "amplitude", "phase"]
-# what has changed or ended the force of the table, by name
+# These names say what has changed or ended the force of the table.
 SATURATED, BOUNDS, RATE, LEFT = "saturated", "bounds", "rate", "left"
 
 

@@ -32,21 +32,21 @@ from services.numerics.compiled import always_compiled, compiled
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 
-# columns of `fixed`, one row a particle: radius [m], static and kinetic hold [N], pull-off force [N]
+# The columns of `fixed`, with a row for each particle, are radius [m], static and kinetic hold, pull-off force [N].
 RADIUS, STATIC, KINETIC, PULL_OFF = range(4)
-# columns of `moving`, one row a particle: place [m], and for how long it has been at rest [s]
+# The columns of `moving`, with a row for each particle, are its place [m] and for how long it has rested [s].
 X, Y, RESTED = range(3)
 
-# columns of a push: number in the cluster, direction, overlap [m], as `give_way` takes them; then the particle, its
-# distance [m], height of the apex and force against it if it held [m, N], and the height with which it is pushed [m]
+# The first columns of a push are those of `give_way`: number in the cluster, direction, overlap [m]. The others are the
+# particle, its distance [m], height of the apex [m] and force [N] if it held, and the height at which it is pushed [m].
 MEMBER, ALONG_X, ALONG_Y, OVERLAP, PARTICLE, DISTANCE, HELD_APEX, HELD_FORCE, APEX = range(9)
 _COLUMNS = 9
 
 LARGEST_STEP = 0.02
-# particles further apart than so many overlaps do not meet in a step
+# Particles further apart than so many overlaps do not meet in a step.
 _REACH_OF_STEP = 4.0
 _BISECTIONS = 60
-# a tip right over a centre pushes nowhere
+# A tip right over a centre pushes nowhere.
 _TOUCHES_M = 1e-13
 
 
@@ -339,7 +339,7 @@ def push_step(
     for i in range(n):
         reach = touch_distance_m(tip, fixed[i, RADIUS], 0.0)
         stirs = stirs or moving[i, RESTED] < spring.rest_s
-        # one that is pushed may push another into the way, which is at most a few steps further
+        # A pushed particle may push another one into the way, so those a little further away count as well.
         if distance_m(moving[i, X] - middle_x, moving[i, Y] - middle_y) <= reach + 1.5 * length:
             near[count] = i
             count += 1
