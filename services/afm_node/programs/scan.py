@@ -17,7 +17,7 @@ from pydantic import Field
 
 from proto.errors import RefusedError
 from services.afm_node.programs.feedback import carried_out, feedback_step, gain_fault, integral_share
-from services.afm_node.programs.lateral import Place
+from services.afm_node.programs.lateral import LateralParams, Place, moved
 from services.afm_node.programs.program import (
     APPROACH,
     ARRIVED,
@@ -217,7 +217,9 @@ def scan_step(
         return state, held, first, None
     if inputs.is_paused:
         return state, held, place, None
-    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), inputs)
+    if not state.backward and place.y_m != _point(plan, state.line, 0.0).y_m:
+        return state, held, _towards(plan, state.line, place, dt), None
+    state, target, finished = _advance(plan, state._replace(elapsed_s=elapsed), inputs, dt)
     return state, held, target, finished
 
 
@@ -240,7 +242,18 @@ def _point(plan: ScanPlan, line: int, share: float) -> Place:
     return Place(x, s.y_m + ((line + 0.5) / s.lines - 0.5) * plan.depth_m)
 
 
-def _advance(plan: ScanPlan, state: ScanState, inputs: Inputs) -> tuple[ScanState, Place, FinishedLine | None]:
+def _towards(plan: ScanPlan, line: int, place: Place, dt: float) -> Place:
+    """Return where the tip is to be in dt [s] on its way to the begin of a line.
+
+    It goes as fast as along a line, because the feedback could not follow a quicker step up the flank of what stands
+    there: in contact the tip would press on it, and push a particle.
+    """
+    return moved(LateralParams(math.inf, plan.width_m / plan.line_s), place, _point(plan, line, 0.0), dt)[0]
+
+
+def _advance(
+    plan: ScanPlan, state: ScanState, inputs: Inputs, dt: float
+) -> tuple[ScanState, Place, FinishedLine | None]:
     """Count the sample where the tip is, and go on along the line; at its end turn, and after both ways to the next."""
     s = plan.settings
     place, left = inputs.place, s.x_m - 0.5 * plan.width_m
@@ -270,8 +283,7 @@ def _advance(plan: ScanPlan, state: ScanState, inputs: Inputs) -> tuple[ScanStat
     phase = DONE if line == s.lines else LINES
     feedback = state.reference_m, state.proportional_m
     after = ScanState(phase, line, not state.backward, 0.0, *_no_samples(plan), *feedback)
-    target = place if phase == DONE else _point(plan, line, 0.0 if state.backward else 1.0)
-    return after, target, finished
+    return after, place if phase == DONE or not state.backward else _towards(plan, line, place, dt), finished
 
 
 def _no_samples(plan: ScanPlan) -> tuple[Array, Array, Array, Array, Array, Array]:

@@ -11,7 +11,7 @@ from services.afm_node.driver import Oscillation
 from services.afm_node.physics.particles.push import push_step
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
-from services.afm_node.programs import push
+from services.afm_node.programs import push, scan
 from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.program import Inputs, Instrument
 from services.afm_node.programs.push import Push, PushSettings, PushState, longest_straight_m
@@ -164,3 +164,29 @@ def test_a_push_that_cannot_be_is_refused_in_one_sentence_and_nothing_moves(keys
     with pytest.raises(RefusedError, match=words.replace(".", r"\.")):
         pushed(afm, **keys)
     assert truth(afm) == (0.0, 0.0) and afm.time_s == 0.0
+
+
+@pytest.mark.parametrize("left_m", [-1e-7, 0.0])
+def test_a_light_image_whose_edge_lies_on_a_particle_leaves_it_where_it_is(left_m: float) -> None:
+    """From line to line the tip goes as fast as along one; a quicker step would press on the flank and push it."""
+    afm = instrument([[0.0, 0.0]], cantilever={"stiffness_n_per_m": 0.1})
+    keys = {
+        "program": "scan",
+        "scan.setpoint_n": 1.5e-9,
+        "scan.x_m": left_m + 3e-7,
+        "scan.width_m": 6e-7,
+        "scan.depth_m": 1.2e-6,
+        "scan.pixels": 12,
+        "scan.lines": 8,
+        "scan.dwell_s": 25e-3,
+        "scan.approach_m_per_s": 5e-6,
+        "scan.settle_s": 0.05,
+    }
+    before, ways, lines = None, [], 0
+    for step in afm.run(requested(keys)):
+        if before is not None and step.wanted.state.phase == scan.LINES:
+            ways.append(math.dist(step.inputs.place, before))
+        before, lines = step.inputs.place, lines + (step.wanted.line is not None)
+    assert truth(afm) == (0.0, 0.0)
+    assert max(ways) <= 2e-9 * (1.0 + 1e-6)
+    assert lines == 16
