@@ -10,9 +10,9 @@ from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import driver_of
 from services.afm_node.physics.part import PlantInputs, part_step
-from services.afm_node.physics.particles.layer import _step
 from services.afm_node.physics.particles.tip_shape import ride_height_m, tip_shape
 from services.afm_node.physics.sim import SimulatedInstrument
+from services.afm_node.physics.torsion import TorsionParams, _step
 from services.numerics.compiled import compiled_form
 from services.runtime.settings.config import validate
 
@@ -97,17 +97,22 @@ def test_the_state_goes_on_from_where_it_was_kept() -> None:
     assert places(device).tobytes() == places(other).tobytes()
 
 
-def test_the_layer_gives_the_same_bits_compiled_as_plain() -> None:
-    settings = config(TWO)
+def test_layer_and_torsion_channel_give_the_same_bits_compiled_as_plain() -> None:
+    torsion = {"gain_error": 0.3, "crosstalk_x": 0.17, "crosstalk_y": -0.2, "factor_n_per_v": 1e-8, "range_v": 0.9}
+    settings = config(TWO, torsion=torsion, safety={**DEEP, "lateral_limit_n": 8e-9})
     params = opened(settings)._params.plant
+    assert isinstance(params, TorsionParams)
     plain, fast = opened(settings).state.part, opened(settings).state.part
-    compiled = compiled_form(_step)
+    compiled, most = compiled_form(_step), 0.0
     for x in np.linspace(-600e-9, 200e-9, 200).tolist():
         inputs = PlantInputs(30e-9, x, 25e-9, 0.0, 0.0, 0.0, 0.0, 0)
         plain, one = part_step(params, plain, inputs, 1e-3)
         fast, two = compiled(params, fast, inputs, 1e-3)
         assert tuple(one) == tuple(two)
         assert plain.moving.tobytes() == fast.moving.tobytes()
+        most = max(most, abs(one.lateral_x_n))
+    # the channel was at the end of its range as well
+    assert most == params.most_n
 
 
 @pytest.mark.parametrize(

@@ -205,6 +205,41 @@ def test_a_raster_moves_a_particle_across_its_lines(kind: str, apart: float, alo
     assert (moving - before)[0, :2] / d == pytest.approx((along, apart), rel=2e-2)
 
 
+def test_a_start_beside_the_line_grows_as_the_closed_form_says() -> None:
+    """tan(phi / 2) grows by e^(s / d): 5 nm beside the line are 22.370 nm after 500 nm."""
+    d = reach("latex_250")
+    fixed, moving = rows("latex_250", [(math.sqrt(d * d - 25e-18), 5e-9)])
+    rigid = SPRING._replace(lateral_n_per_m=1e6)
+    # 1 nm a tick, as an instrument goes by hand and by script
+    moving, _ = pushed(fixed, moving, line(0.0, 500e-9, step=1e-9), spring=rigid)
+    phi = 2.0 * math.atan(math.tan(0.5 * math.asin(5e-9 / d)) * math.exp(500e-9 / d))
+    assert d * math.sin(phi) * 1e9 == pytest.approx(22.370, rel=1e-4)
+    assert moving[0, push.Y] * 1e9 == pytest.approx(22.370, rel=1e-2)
+
+
+def test_twelve_lines_of_a_raster_move_a_sphere_of_gold_as_stated() -> None:
+    d = reach("gold_50")
+    rigid = SPRING._replace(lateral_n_per_m=1e6)
+    fixed, moving = rows("gold_50", [(0.0, 0.0)])
+    for number in range(12):
+        y = (0.25 * number - 0.9) * d
+        moving, _ = pushed(fixed, moving, line(-3.0 * d, 6.0 * d, y, step=2e-3 * d), spring=rigid)
+    assert moving[0, :2] * 1e9 == pytest.approx([109.58, 207.58], rel=1e-2)
+
+
+def test_half_the_small_steps_change_the_way_to_the_loss_by_less_than_half_a_per_cent() -> None:
+    d, phi = reach("latex_250"), math.radians(5)
+    fixed, moving = rows("latex_250", [(d * math.cos(phi), d * math.sin(phi))])
+    rigid = SPRING._replace(lateral_n_per_m=1e6)
+    lost = []
+    # as it divides a way by itself, and half of that
+    for step in (push.LARGEST_STEP, 0.5 * push.LARGEST_STEP):
+        after, _ = pushed(fixed, moving, line(0.0, 5.0 * d, step=step * d), spring=rigid)
+        # a particle that has slipped off lies d beside the line, where it began to slip along it
+        lost.append(after[0, push.X] + d * math.cos(phi))
+    assert lost[0] == pytest.approx(lost[1], rel=5e-3)
+
+
 def test_the_stage_goes_ahead_before_a_particle_yields_and_jumps_when_it_does() -> None:
     fixed, moving = rows("latex_250", [(0.0, 0.0)])
     d = reach("latex_250")
@@ -215,6 +250,9 @@ def test_the_stage_goes_ahead_before_a_particle_yields_and_jumps_when_it_does() 
     assert (first - touched) * 0.005 == pytest.approx(0.2151, abs=0.011)
     assert force.max() * 1e9 == pytest.approx(21.505, rel=0.03)
     assert force[first] * 1e9 == pytest.approx(0.5 * 21.505, rel=1e-3)
+    # when it yields it jumps by what the spring lets go
+    after, _ = push_step(TIP, SPRING, *rows("latex_250", [(0.0, 0.0)]), (-d, 0.0, 0.2151e-9 - d, 0.0), PRESSED, 1e-3)
+    assert after[0, push.X] * 1e9 == pytest.approx(0.1075, rel=1e-2)
     work = float(np.sum(force) * 0.005e-9)
     assert work == pytest.approx(5.376e-15, rel=1e-2)
 
