@@ -58,6 +58,7 @@ from services.controller.integration import (
     slave_signalled,
     slave_stepped,
 )
+from services.controller.lateral import hand_moves as moves_stage
 from services.controller.law import (
     NO_SIGNAL,
     NO_TIP,
@@ -73,6 +74,15 @@ from services.haptic_node.physics.step import HapticStepState as HapticChainStat
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import compiled, compiled_form, inlined
 from services.runtime.loop.freshness import DELAY_STEP_NS
+from studies.loops.across import (
+    STAGE_X,
+    AcrossPath,
+    across_at_rest,
+    across_heard,
+    across_sampled,
+    across_signalled,
+    guided,
+)
 from studies.loops.dispatch import (
     master_receive,
     master_send,
@@ -158,7 +168,8 @@ class Trajectory:
     hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
     safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
-    instrument last ceased to follow [s], negative before the session and NaN if it never did.
+    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10),
+    the course of the path across (`studies.loops.across`), where there was one.
     """
 
     time_s: Series
@@ -176,10 +187,11 @@ class Trajectory:
     hand_following: npt.NDArray[np.bool_]
     instrument_reason: npt.NDArray[np.int64]
     withdrawn_s: Series
+    across: Series | None = None
 
 
 def simulate(
-    rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None = None, across: Series | None = None
+    rig: Rig, schedule: Schedule, session_tick: int, hand: Hand | None = None, path: AcrossPath | None = None
 ) -> Trajectory:
     """Run the rig over a link.
 
@@ -189,8 +201,7 @@ def simulate(
         session_tick: The tick at which the operator's programme starts. The instrument is armed and comes to its
             reference before it.
         hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
-        across: The speed of the tip over the sample at each tick [m/s], shape (ticks, 2), once the instrument is armed;
-            without a hand.
+        path: A hand that moves it by the lateral path of the controller.
 
     Raises:
         ValueError: No tick is left for the session.
@@ -199,9 +210,8 @@ def simulate(
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((schedule.ticks, len(COLUMNS)))
     start = rig.haptic_start, rig.instrument_start
-    done = compiled_form(_run)(
-        rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, across
-    )
+    run = compiled_form(_run)
+    done = run(rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, path)
     rows = rows[:done]
     columns: dict[str, Any] = dict(zip(COLUMNS, np.ascontiguousarray(rows[session_tick:].T), strict=True))
     for name in ("in_contact", "hand_following"):
@@ -209,6 +219,7 @@ def simulate(
     for name in ("instrument_mode", "instrument_reason"):
         columns[name] = columns[name].astype(np.int64)
     columns["withdrawn_s"] = columns["withdrawn_s"] - session_tick * rig.period_s
+    columns["across"] = None if path is None else path.rows[session_tick:done]
     return Trajectory(**columns)
 
 
@@ -476,9 +487,8 @@ def _instrument_stepped(
 
 
 @inlined
-def _driven(i: Instrument, speed: Series, now_ns: int) -> Instrument:
-    """Return the instrument that goes on over the sample at a speed [m/s], until its deadline."""
-    was = i.lateral
+def _driven(i: Instrument, lateral: Lateral) -> Instrument:
+    """Return the instrument that is elsewhere over the sample, or goes on from there."""
     return Instrument(
         state=i.state,
         stepped_ns=i.stepped_ns,
@@ -488,8 +498,35 @@ def _driven(i: Instrument, speed: Series, now_ns: int) -> Instrument:
         energy_j=i.energy_j,
         reason=i.reason,
         withdrawn_s=i.withdrawn_s,
-        lateral=Lateral(was.x_m, was.y_m, speed[0], speed[1], now_ns + _RATE_NS, was.force_x_n, was.force_y_n),
+        lateral=lateral,
     )
+
+
+@inlined
+def _by_rate(was: Lateral, speed: Series, now_ns: int) -> Lateral:
+    """Return the way at a speed [m/s], until its deadline."""
+    return Lateral(was.x_m, was.y_m, speed[0], speed[1], now_ns + _RATE_NS, was.force_x_n, was.force_y_n)
+
+
+@inlined
+def _answered(row: Series, lateral: Lateral) -> None:
+    """Put what is known of the tip across into an answer."""
+    row[0], row[1], row[2], row[3] = lateral.x_m, lateral.y_m, lateral.force_x_n, lateral.force_y_n
+
+
+@inlined
+def _counts(m: Master, path: AcrossPath, now_ns: int) -> bool:
+    """Return whether the newest answer tells where the tip is."""
+    heard = m.timing.heard
+    return heard.received_ns >= 0 and m.signal.active and silence_ns(heard, now_ns) * 1e-9 <= path.silence_s
+
+
+@inlined
+def _goes_on(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
+    """Return whether a signal follows the one before while the instrument follows, and how much later it is [s]."""
+    timing, begins = slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    follows = not begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
+    return follows, timing.pacing.elapsed * halves.period_s
 
 
 @inlined
@@ -581,7 +618,7 @@ def _run(
     session_tick: int,
     rows: Series,
     steers: Hand | None,
-    across: Series | None,
+    path: AcrossPath | None,
 ) -> int:
     """Fill `rows` (ticks, columns) with the closed loop, and return how many; the module's text gives the order."""
     # The fields are taken out of the tuple once, because every access costs a count of references to its arrays.
@@ -599,19 +636,22 @@ def _run(
     slave_band = initial_deadband_state(NO_SIGNAL)
     m, s = _master_at(halves, haptic, haptic_state), _slave_at(halves)
     i = _instrument_at(instrument_state, period_ns)
-    hand_energy_j, f, b = 0.0, 0, 0
+    hand_energy_j, f, b, before = 0.0, 0, 0, m.hand
+    across = across_at_rest()
     for n in range(len(rows)):
-        now_ns, before = n * period_ns, m.hand
+        now_ns = n * period_ns
         session_s = (n - session_tick) * dt if n >= session_tick else -1.0
         haptic_state, hand = _hand_stepped(haptic, haptic_state, m.command, now_ns, session_s, dt)
         hand_energy_j += 0.5 * (hand.force_n + before.force_n) * (hand.position_m - before.position_m)
+        before = hand
+        if path is not None:
+            across = across_sampled(path, across, hand, _counts(m, path, now_ns), n, session_s, dt)
+            hand = guided(across, hand)
         m, forward[n & mask], sent_forward[n & mask] = _master_sampled(halves, m, hand, now_ns)
         if steers is not None:
             if steers.state[PHASE] == DONE:
                 return n
             steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, n - session_tick)
-        if across is not None:
-            i = _driven(i, across[n], now_ns)
         end_ns = now_ns + period_ns
         while True:
             arrives_ns, returns_ns = _at(forward_ns, f), _at(backward_ns, b)
@@ -623,7 +663,14 @@ def _run(
                 sent_backward[f & mask] = False
                 if tick >= 0:
                     if steers is not None:
-                        i = _driven(i, steers.forward[tick & mask], event_ns)
+                        i = _driven(i, _by_rate(i.lateral, steers.forward[tick & mask], event_ns))
+                    if path is not None:
+                        follows, later_s = _goes_on(halves, s, forward[tick & mask], tick * period_ns, event_ns)
+                        was = i.lateral
+                        across = across_signalled(path, across, tick, (was.x_m, was.y_m), follows, later_s)
+                        if moves_stage(across.slave):
+                            x_m, y_m = across.slave.x_m, across.slave.y_m
+                            i = _driven(i, Lateral(x_m, y_m, 0.0, 0.0, -1, was.force_x_n, was.force_y_n))
                     s = _slave_signalled(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                     s, i, signal = _carried_out(halves, instrument, s, i, event_ns)
                     elapsed_s = s.timing.pacing.elapsed * dt
@@ -631,8 +678,9 @@ def _run(
                     backward[f & mask], answered[f & mask] = signal, tick
                     if steers is not None:
                         _noted(steers.state, i)
-                        row, felt = steers.backward[f & mask], i.lateral
-                        row[0], row[1], row[2], row[3] = felt.x_m, felt.y_m, felt.force_x_n, felt.force_y_n
+                        _answered(steers.backward[f & mask], i.lateral)
+                    if path is not None:
+                        _answered(path.backward[f & mask], i.lateral)
                 f += 1
             elif event_ns == returns_ns:
                 b, answer = _taken_together(backward_ns, backward_of, sent_backward, b)
@@ -641,10 +689,14 @@ def _run(
                     m = _master_heard(halves, m, backward[answer & mask], hand_ns, there_ns, event_ns)
                     if steers is not None:
                         steers.seen[:] = steers.backward[answer & mask]
+                    if path is not None:
+                        across = across_heard(path, across, answer)
                 b += 1
             else:
                 s, i = _went_on(halves, instrument, s, i, event_ns)
         _record(rows[n], session_s, m, s.tip, hand_energy_j, i)
+        if path is not None:
+            _answered(path.rows[n, STAGE_X:], i.lateral)
     return len(rows)
 
 

@@ -27,6 +27,7 @@ from services.delay_node.config import LinkSettings
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+from studies.loops import across
 from studies.loops.link import schedule_of
 from studies.loops.lockstep import Trajectory, build_rig, simulate
 
@@ -47,17 +48,36 @@ _COLUMNS = {
     "hand_following": ("", "Whether the device follows commands"),
 }
 _RENAMED = {"operator_force_n": "hand_force_n"}
+# Of a session whose hand moves the tip across as well: column of the course, unit, and text.
+_ACROSS = {
+    "hand_x_m": (across.X, "m", "Position of the hand across the sample, x"),
+    "hand_y_m": (across.Y, "m", "Position of the hand across the sample, y"),
+    "shown_x_n": (across.SHOWN_X, "N", "Force that the hand is shown across the sample, x"),
+    "shown_y_n": (across.SHOWN_Y, "N", "Force that the hand is shown across the sample, y"),
+    "tip_x_m": (across.STAGE_X, "m", "Place of the tip over the sample, x"),
+    "tip_y_m": (across.STAGE_Y, "m", "Place of the tip over the sample, y"),
+    "lateral_x_n": (across.FORCE_X, "N", "Lateral force on the tip, x"),
+    "lateral_y_n": (across.FORCE_Y, "N", "Lateral force on the tip, y"),
+    "across_j": (across.ENTERED, "J", "Energy that the hand has put in across the sample"),
+    "depth_j": (across.ENTERED_DEPTH, "J", "Energy that the hand has put into the hold of its depth"),
+}
 # The same in the names and the frame of the bus, z away from the sample: column and sign of each.
 _CHANNELS = {
     "haptic/state": {
         "position_m.2": ("hand_position_m", -1.0),
         "reference_m.2": ("reference_m", -1.0),
         "operator_force_n.2": ("operator_force_n", -1.0),
+        "position_m.0": ("hand_x_m", 1.0),
+        "position_m.1": ("hand_y_m", 1.0),
     },
     "afm/state": {
         "base_position_m.2": ("base_position_m", -1.0),
         "tip_force_n.2": ("tip_force_n", 1.0),
         "separation_m": ("separation_m", 1.0),
+        "base_position_m.0": ("tip_x_m", 1.0),
+        "base_position_m.1": ("tip_y_m", 1.0),
+        "tip_force_n.0": ("lateral_x_n", 1.0),
+        "tip_force_n.1": ("lateral_y_n", 1.0),
     },
 }
 
@@ -93,16 +113,18 @@ class SimulatedSession(ColumnTable):
         self.conditions = conditions
         self.force_scale = force_scale
         self._safety = safety
-        # where the tip is over the sample [m], shape (n, 2); None where it stays
-        self.places_m: Any = None
         self._course = course
         values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
+        told = dict(_COLUMNS)
+        if course.across is not None:
+            values |= {name: course.across[:, column] for name, (column, *_) in _ACROSS.items()}
+            told |= {name: (unit, text) for name, (_, unit, text) in _ACROSS.items()}
         super().__init__(
             "a simulated session",
             {name: np.asarray(column) for name, column in values.items()},
-            {name: unit for name, (unit, _) in _COLUMNS.items()},
-            {name: text for name, (_, text) in _COLUMNS.items()},
+            {name: unit for name, (unit, _) in told.items()},
+            {name: text for name, (_, text) in told.items()},
         )
 
     def __repr__(self) -> str:
@@ -122,19 +144,12 @@ class SimulatedSession(ColumnTable):
         if channel not in _CHANNELS:
             raise ConfigError(f"{channel}: a simulation has no such channel; it has {', '.join(_CHANNELS)}")
         found = {"time_s": ("time_s", 1.0), **_CHANNELS[channel]}
+        found = {name: row for name, row in found.items() if row[0] in self.units}
         columns = {name: sign * self[source] for name, (source, sign) in found.items()}
         units = {name: self.units[source] for name, (source, _) in found.items()}
         texts = {
             name: self.descriptions[source].replace(", towards the sample", "") for name, (source, _) in found.items()
         }
-        if channel == "afm/state" and self.places_m is not None:
-            for axis in (0, 1):
-                name = f"base_position_m.{axis}"
-                columns[name], units[name], texts[name] = (
-                    self.places_m[:, axis],
-                    "m",
-                    "Place of the tip over the sample",
-                )
         return ColumnTable(channel, columns, units, texts)
 
     def df(self, channel: str) -> Any:
@@ -245,9 +260,10 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
     rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
-    places = _places(haptic, controller, link, period_s * (np.arange(ticks) - settle))
-    across = None if places is None else np.diff(places, axis=0, append=places[-1:]) / period_s
-    course = simulate(rig, schedule_of(link, ticks, period_s), settle, None, across)
+    schedule, path = schedule_of(link, ticks, period_s), None
+    if haptic.lateral is not None and controller.lateral.mode != "direct":
+        path = across.across_path(controller, haptic.lateral, schedule)
+    course = simulate(rig, schedule, settle, path=path)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
@@ -258,23 +274,7 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
         link_profile=link.profile,
         link_seed=link.seed,
     )
-    session = SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
-    session.places_m = None if places is None else places[settle:]
-    return session
-
-
-def _places(haptic: HapticConfig, controller: ControllerConfig, link: LinkSettings, time_s: Any) -> Any:
-    """Return where the tip goes over the sample [m], shape (n, 2), from 0, 0 on; None where no hand moves it by place.
-
-    The hand across the sample is where its path is, and the tip follows the delay there later.
-    """
-    hand, lateral = haptic.lateral, controller.lateral
-    if hand is None or not hand.path or lateral is None or lateral.mode != "position":
-        return None
-    times, at_s = [point.time_s for point in hand.path], time_s - link.forward.delay_s
-    ways = [np.interp(at_s, times, [getattr(point, name) for point in hand.path]) for name in ("x_m", "y_m")]
-    places = lateral.position_scale * np.column_stack(ways)
-    return places - places[0]
+    return SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
 
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:

@@ -1,0 +1,150 @@
+"""The hand across the sample in lockstep: the steps that the nodes call, between those of the loop of the law.
+
+The stylus and the person on it step with the haptic site, the reference of the tip goes with the forward signals of the
+law, and place of the stage and force on the tip come with the answers. So delay, loss and silence of the link are those
+of the law.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from services.controller.config import ControllerConfig
+from services.controller.lateral import (
+    LateralFar,
+    LateralHand,
+    LateralMasterState,
+    LateralParams,
+    LateralSlaveState,
+    lateral_at_rest,
+    lateral_master_step,
+    lateral_slave_at_rest,
+    lateral_slave_step,
+)
+from services.controller.law import HandSample
+from services.haptic_node.physics.lateral_hand import (
+    LateralHandConfig,
+    LateralHandParams,
+    LateralHandState,
+    lateral_hand_step,
+)
+from services.numerics.compiled import inlined
+from studies.loops.link import Schedule
+
+Array = npt.NDArray[np.float64]
+
+# of the course: the stylus [m], the force that it is shown [N], the stage [m], the force on the tip [N], and the energy
+# that has entered across and by the hold of the depth [J]
+X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH = range(10)
+
+
+class AcrossPath(NamedTuple):
+    """The path across: constants, what is on the link, and the course, a row a tick.
+
+    silence_s: without an answer for longer nothing is known of the tip [s]; forward: references by the number of the
+    sample, (window, 2) [m]; backward: place and force by the number of the answer, (window, 4) [m, N]; rows: (ticks,
+    10), columns X to ENTERED_DEPTH. Those of stage and tip are written by the loop.
+    """
+
+    lateral: LateralParams
+    hand: LateralHandParams
+    silence_s: float
+    forward: Array
+    backward: Array
+    rows: Array
+
+
+class AcrossState(NamedTuple):
+    """The stylus, both halves, the newest answer, and the work of the hold of the depth [J]."""
+
+    hand: LateralHandState
+    master: LateralMasterState
+    slave: LateralSlaveState
+    far: LateralFar
+    depth_j: float
+
+
+def across_path(controller: ControllerConfig, hand: LateralHandConfig, schedule: Schedule) -> AcrossPath:
+    """Return the path of a rig over a link, nothing on it yet."""
+    window = schedule.window
+    return AcrossPath(
+        controller.lateral_params(),
+        hand.to_params(),
+        controller.law_config().silence_limit_s,
+        np.zeros((window, 2)),
+        np.zeros((window, 4)),
+        np.zeros((schedule.ticks, 10)),
+    )
+
+
+@inlined
+def across_at_rest() -> AcrossState:
+    """Return the state before the first sample."""
+    far = LateralFar(0.0, 0.0, 0.0, 0.0, False)
+    hand = LateralHandState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return AcrossState(hand, lateral_at_rest(), lateral_slave_at_rest(), far, 0.0)
+
+
+@inlined
+def across_sampled(
+    path: AcrossPath, state: AcrossState, hand: HandSample, known: bool, tick: int, session_s: float, dt: float
+) -> AcrossState:
+    """Return the state after a sample of the hand, whose reference is on the link then.
+
+    Args:
+        path: The path.
+        state: The state at the sample before.
+        hand: The sample along the axis of the law.
+        known: Whether the newest answer still counts.
+        tick: The number of the sample.
+        session_s: Time of the programme of the operator [s].
+        dt: The time between two samples [s].
+    """
+    force, depth_j = state.master.force_n, state.depth_j
+    if state.master.held.live:
+        depth_j -= force[2] * (hand.position_m - state.master.held.z_m)
+    shown = (force[0], force[1]) if hand.following else (0.0, 0.0)
+    stylus = lateral_hand_step(path.hand, state.hand, (0.0, 0.0), shown, session_s, dt)
+    sample = LateralHand(
+        stylus.x_m,
+        stylus.y_m,
+        hand.position_m,
+        stylus.speed_x_m_per_s,
+        stylus.speed_y_m_per_s,
+        hand.velocity_m_per_s,
+        hand.following,
+    )
+    was = state.far
+    far = LateralFar(was.force_x_n, was.force_y_n, was.x_m, was.y_m, known)
+    master = lateral_master_step(path.lateral, state.master, sample, far, dt)
+    path.forward[tick & (path.forward.shape[0] - 1)] = master.travel.x_m, master.travel.y_m
+    row = path.rows[tick]
+    row[X], row[Y], row[SHOWN_X], row[SHOWN_Y] = stylus.x_m, stylus.y_m, master.force_n[0], master.force_n[1]
+    row[ENTERED], row[ENTERED_DEPTH] = master.store.entered_j, depth_j
+    return AcrossState(stylus, master, state.slave, far, depth_j)
+
+
+@inlined
+def guided(state: AcrossState, hand: HandSample) -> HandSample:
+    """Return a sample of the hand as the law takes it: with the force that holds its depth."""
+    force_n = hand.force_n + state.master.force_n[2]
+    return HandSample(hand.position_m, hand.velocity_m_per_s, force_n, hand.following)
+
+
+@inlined
+def across_signalled(
+    path: AcrossPath, state: AcrossState, number: int, place_m: tuple[float, float], follows: bool, dt: float
+) -> AcrossState:
+    """Return the state after the signal of a sample has reached the slave half, dt [s] after the one before."""
+    row = path.forward[number & (path.forward.shape[0] - 1)]
+    slave = lateral_slave_step(path.lateral, state.slave, (row[0], row[1]), place_m, follows, dt)
+    return AcrossState(state.hand, state.master, slave, state.far, state.depth_j)
+
+
+@inlined
+def across_heard(path: AcrossPath, state: AcrossState, number: int) -> AcrossState:
+    """Return the state after an answer."""
+    row = path.backward[number & (path.backward.shape[0] - 1)]
+    far = LateralFar(row[2], row[3], row[0], row[1], True)
+    return AcrossState(state.hand, state.master, state.slave, far, state.depth_j)
