@@ -4,6 +4,14 @@
 
 The person pulls with a spring k between where the stylus is and where it is meant to be, by an intended path here or by
 `operator/force`, which a page sends. The stylus is passive: it gives back no more than it was given.
+
+The spring of a page is late by T, because the page is told 30 times a second where the stylus is. With the centring
+spring k_c of the controller they swing where m s^2 + b s + k_c + k e^(-sT) = 0 has a root to the right, which begins at
+
+    T = (pi - arg(k_c - m w^2 + i b w)) / w,  where w > 0 and |k_c - m w^2 + i b w| = k
+
+With b = 40 N s/m that is 0.35 s, and with 1 N s/m it was 16 ms: a page then drove the stylus from end to end, 1 W of
+which went into the damper of the controller (`controller.lateral.damping_n_s_per_m`).
 """
 
 import math
@@ -33,7 +41,12 @@ class LateralHandConfig(Settings):
     """The simulated hand across the sample."""
 
     mass_kg: float = Field(default=0.1, ge=1e-3, le=100.0, description="Mass of the stylus m [kg]; [0.001, 100]")
-    damping_n_s_per_m: float = Field(default=1.0, ge=0.0, le=1e3, description="Its damping b [N s/m]; [0, 1000]")
+    damping_n_s_per_m: float = Field(
+        default=40.0,
+        ge=0.0,
+        le=1e3,
+        description="Its damping b [N s/m]; 40 bears the spring of a page that is up to 0.3 s late; [0, 1000]",
+    )
     reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]; [1e-4, 0.5]")
     max_force_n: float = Field(
         default=5.0, gt=0.0, le=100.0, description="Most that person and controller each pull with [N]; (0, 100]"

@@ -48,6 +48,52 @@ def test_it_gives_back_no_more_than_it_was_given() -> None:
         assert given >= -1e-12
 
 
+# of the page (web/src/spring.ts) and of the controller in mode rate, the defaults of `controller.lateral`
+PAGE_N_PER_M, CENTRING_N_PER_M, DAMPER_N_S_PER_M = 200.0, 30.0, 2.0
+
+
+def bears_s(damping: float, mass: float) -> float:
+    """Return the lag of the page's spring from which on it drives stylus and controller into a swing [s]."""
+    k, c, b = PAGE_N_PER_M, CENTRING_N_PER_M, damping + DAMPER_N_S_PER_M
+    half = (0.5 * b * b - c * mass) / mass**2
+    w = math.sqrt(math.sqrt(half**2 + (k * k - c * c) / mass**2) - half)
+    return (math.pi - math.atan2(b * w, c - mass * w * w)) / w
+
+
+def held_by_a_page(lag_s: float, **keys: Any) -> tuple[float, float]:
+    """Let a late page hold the stylus 10 mm aside; return speed [m/s] and power into the controller [W] then."""
+    params, state = config(**keys), LateralHandState()
+    places, shown, power, speed = [0.0] * (round(lag_s / DT) + 1), 0.0, 0.0, 0.0
+    for n in range(6000):
+        pulled = min(max(PAGE_N_PER_M * (0.01 - places[-1 - round(lag_s / DT)]), -5.0), 5.0)
+        after = lateral_hand_step(params, state, (pulled, 0.0), (shown, 0.0), 0.0, DT)
+        if n >= 4000:
+            power -= shown * (after.x_m - state.x_m) / 2.0
+            speed = max(speed, abs(after.speed_x_m_per_s))
+        state = after
+        places.append(state.x_m)
+        shown = -CENTRING_N_PER_M * state.x_m - DAMPER_N_S_PER_M * state.speed_x_m_per_s
+    return speed, power
+
+
+def test_the_spring_of_a_page_that_is_late_does_not_drive_the_stylus() -> None:
+    usual = LateralHandConfig()
+    most_s = bears_s(usual.damping_n_s_per_m, usual.mass_kg)
+    assert most_s > 0.3
+    for lag_s in (0.0, 0.05, 0.1, 0.2):
+        speed, power = held_by_a_page(lag_s)
+        assert speed < 1e-3 and abs(power) < 1e-4
+    # The closed form is the edge.
+    assert held_by_a_page(0.95 * most_s)[0] < held_by_a_page(1.05 * most_s)[0]
+
+
+def test_a_light_damper_lets_the_page_put_a_watt_into_the_controller() -> None:
+    assert bears_s(1.0, 0.1) == pytest.approx(0.016, abs=1e-3)
+    speed, power = held_by_a_page(0.06, damping_n_s_per_m=1.0)
+    # what the damper of the controller takes
+    assert speed > 0.5 and 0.3 < power < 3.0
+
+
 def test_a_path_that_goes_back_in_time_names_the_corner() -> None:
     with pytest.raises(ConfigError, match=r"path.1.time_s = 1.0 s must be later than 1.0 s"):
         validate(HapticConfig, {"lateral": {"path": [{"time_s": 1.0}, {"time_s": 1.0}]}}, "a test", "haptic_node")
