@@ -31,13 +31,13 @@ _LOOK_SIDE, _LOOK_LINES, _LOOK_PIXELS = 2.0, 14, 28
 # Its edges keep so many d from other particles, where it keeps so many d to each side.
 _EDGE, _LEAST_SIDE = 1.05, 1.1
 # A pixel and a line of an image of all particles are these shares of the radius that they are known to have.
-_PIXEL_SHARE, _LINE_SHARE = 0.5, 0.67
+_PIXEL_SHARE, _LINE_SHARE = 0.5, 0.8
 # What an image says of a place is right within this, whatever its noise [m].
 _LEAST_ERROR_M = 1e-9
 _MOST_ROUNDS = 6
 # What has another radius than the particles, by more than this share, is none of them.
 _OTHER_RADIUS = 0.3
-_SCAN_M_PER_S, _APPROACH_M_PER_S, _TOUCH_N = 2e-6, 5e-6, 4e-9
+_APPROACH_M_PER_S, _TOUCH_N, _GAIN_PER_S = 5e-6, 4e-9, 1200.0
 
 
 class Look(NamedTuple):
@@ -116,14 +116,18 @@ class ProgramBench(ABC):
     Args:
         config: What is known of the instrument.
         setpoint_n: Force of an image in contact [N], below what moves a particle.
+        scan_m_per_s: Speed of its lines [m/s]. On a flank of 75 degrees the force is higher by k tan(75 deg) v (T + 1 /
+            gain), T the period of the instrument: 1.4 nN for 2 um/s on the usual bench.
     """
 
-    def __init__(self, config: AfmConfig, setpoint_n: float = 1.5e-9) -> None:
+    def __init__(self, config: AfmConfig, setpoint_n: float = 1.5e-9, scan_m_per_s: float = 2e-6) -> None:
         particles = ParticlesConfig() if config.sample is None else config.sample.particles or ParticlesConfig()
+        self._scan_m_per_s = scan_m_per_s
         self._scan: dict[str, Scalar] = {
             "program": "scan",
             "scan.mode": "contact",
             "scan.setpoint_n": setpoint_n,
+            "scan.gain_per_s": _GAIN_PER_S,
             "scan.approach_m_per_s": _APPROACH_M_PER_S,
             "scan.settle_s": 0.05,
         }
@@ -157,7 +161,7 @@ class ProgramBench(ABC):
             "scan.depth_m": sides_m[1],
             "scan.pixels": pixels,
             "scan.lines": lines,
-            "scan.dwell_s": max(sides_m[0] / pixels / _SCAN_M_PER_S, 2e-3),
+            "scan.dwell_s": max(sides_m[0] / pixels / self._scan_m_per_s, 2e-3),
         }
         for number, height_m in self.lines(keys):
             # A tip that comes down behind a particle is late, one that goes up is not: of both ways the lower is right.
@@ -179,7 +183,8 @@ class VirtualBench(ProgramBench):
     """
 
     def __init__(self, config: AfmConfig) -> None:
-        super().__init__(config)
+        # No step of simulated time is late, so the tip may go faster than on a rig.
+        super().__init__(config, scan_m_per_s=5e-6)
         self.instrument = VirtualInstrument(config)
 
     @property
@@ -230,6 +235,10 @@ class Assembler:
         targets: Where particles are to be on the sample [m].
         sides_m: Sides of the region that is imaged [m].
         report: Called at each step with a sentence, and with how many targets are taken.
+
+    Raises:
+        UnreachableError: A target lies outside of the region, or so near to its edge that no image has a whole particle
+            there.
     """
 
     def __init__(
@@ -244,6 +253,13 @@ class Assembler:
         self._nominal_m = particles.kind.radius_m
         self._bench, self._targets, self._sides, self._report = bench, targets, sides_m, report
         self._tip = tip_shape(config.tip_sample.tip_radius_m, math.radians(particles.cone_deg))
+        reach_m = touch_distance_m(self._tip, self._nominal_m, 0.0)
+        for number, (x, y) in enumerate(targets):
+            if abs(x) > 0.5 * sides_m[0] - reach_m or abs(y) > 0.5 * sides_m[1] - reach_m:
+                raise UnreachableError(
+                    f"target {number} at {x:g}, {y:g} m must lie {reach_m:.3g} m or more within the sample of"
+                    f" {sides_m[0]:g} x {sides_m[1]:g} m, whose middle is 0, 0"
+                )
         self._drift = Drift(bench.time_s, unknown(), unknown())
         self._known: list[_Known] = []
         self._fixed: list[Point] = []

@@ -170,6 +170,13 @@ def noise_start() -> NoiseState:
     return NoiseState(0.0, (0.0,) * _OCTAVES, 0, 0.0)
 
 
+@lru_cache(maxsize=8)
+def _memory(dt: float) -> tuple[tuple[float, float], ...]:
+    """Return for each part of 1/f noise what is kept of it over dt [s], and what is added: corners from 0.1 Hz on."""
+    kept = [math.exp(-2.0 * math.pi * 0.1 * 2.0**octave * dt) for octave in range(_OCTAVES)]
+    return tuple((share, math.sqrt(1.0 - share * share)) for share in kept)
+
+
 def noise_step(
     config: DisturbanceConfig, state: NoiseState, stiffness_n_per_m: float, dt: float
 ) -> tuple[NoiseState, Noise]:
@@ -196,10 +203,8 @@ def noise_step(
         white_v = r.white_v * normal_number(config.seed, drawn)
         drawn += 1
         parts = []
-        for octave, part in enumerate(flicker):
-            # corners from 0.1 Hz on, an octave apart
-            kept = math.exp(-2.0 * math.pi * 0.1 * 2.0**octave * dt)
-            parts.append(kept * part + math.sqrt(1.0 - kept * kept) * normal_number(config.seed, drawn))
+        for part, (kept, added) in zip(flicker, _memory(dt), strict=True):
+            parts.append(kept * part + added * normal_number(config.seed, drawn))
             drawn += 1
         flicker = tuple(parts)
         flicker_v = r.flicker_v / math.sqrt(_OCTAVES) * sum(flicker)

@@ -53,7 +53,13 @@ def test_an_assembly_of_one_particle_places_it_and_writes_figure_and_table(tmp_p
     [
         (("--pattern", "square", "--count", "6"), "its outline has 4, 8, 12"),
         (("--pattern", "no-such"), "is none of line, square, ring"),
-        (("--pattern", "line", "--count", "3", *ONE), "the pattern has 3 places, and 1 particles were found"),
+        (("--pattern", "line", "--spacing", "2000"), "target 0 at -7e-06, 0 m must lie 3.33e-07 m or more within the"),
+        (("--afm", "sample.particles.places=[[0.0,0.0],[1e-7,0.0]]"), "numbers 0 and 1 overlap"),
+        (("--afm", "sample.particles.places=[[9e-6,0.0]]"), "number 0 at 9e-06, 0 m with the radius"),
+        (
+            ("--pattern", "line", "--count", "3", "--spacing", "700", *ONE),
+            "the pattern has 3 places, and 1 particles were found",
+        ),
         (("--afm", "sample.particles.radius_m=0"), "radius_m"),
     ],
 )
