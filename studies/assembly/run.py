@@ -7,6 +7,7 @@ the drift of the sample under the stage is estimated from particles that were se
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -17,10 +18,11 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.particles.tip_shape import tip_shape, touch_distance_m
 from services.afm_node.programs.settings import requested
-from services.afm_node.virtual import VirtualInstrument
+from services.afm_node.virtual import Step, VirtualInstrument
 from studies.assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from studies.assembly.find import Found, find_particles, fixed_places
 from studies.assembly.plan import Point, Task, UnreachableError, planned
+from studies.assembly.recording import AssemblyRecorder
 
 Array = npt.NDArray[np.float64]
 
@@ -180,12 +182,14 @@ class VirtualBench(ProgramBench):
 
     Args:
         config: The instrument with its particles.
+        folder: Where its recording goes; none without it.
     """
 
-    def __init__(self, config: AfmConfig) -> None:
+    def __init__(self, config: AfmConfig, folder: Path | None = None) -> None:
         # No step of simulated time is late, so the tip may go faster than on a rig.
         super().__init__(config, scan_m_per_s=5e-6)
         self.instrument = VirtualInstrument(config)
+        self.recorder = None if folder is None else AssemblyRecorder(folder, self.instrument)
 
     @property
     def time_s(self) -> float:
@@ -196,12 +200,21 @@ class VirtualBench(ProgramBench):
         return [(x, y) for x, y, _ in self.instrument.device.state.part.moving.tolist()]
 
     def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
-        for step in self.instrument.run(requested(keys)):
+        for step in self._steps(keys):
             if step.wanted.line is not None:
                 yield step.wanted.line.line, step.wanted.line.height_m
 
+    def _steps(self, keys: dict[str, Scalar]) -> Iterator[Step]:
+        """Run a program, and record it."""
+        for step in self.instrument.run(requested(keys)):
+            if self.recorder is not None:
+                self.recorder.step(step)
+            yield step
+        if self.recorder is not None:
+            self.recorder.ended()
+
     def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
-        for _ in self.instrument.run(requested(keys)):
+        for _ in self._steps(keys):
             pass
         outcome = self.instrument.outcome
         return {} if outcome is None or outcome.values is None else outcome.values

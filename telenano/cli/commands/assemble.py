@@ -100,6 +100,7 @@ def assemble(
 ) -> None:
     """Image, push particles into a pattern, and look again: in simulated time with noise and drift, or on a rig."""
     with report_errors(as_json):
+        from studies.assembly import recording
         from studies.assembly.figure import assembly_figure
         from studies.assembly.live import LiveBench
         from studies.assembly.patterns import pattern as places_of
@@ -112,12 +113,19 @@ def assemble(
         with results_in(out) as folder:
             with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
                 task = bar.add_task("the first image", total=len(targets))
-                bench: ProgramBench = VirtualBench(config)
-                if live:
-                    bench = LiveBench(config, site_file, lambda report: "")
-                result = Assembler(
-                    bench, config, targets, sides, lambda text, done: bar.update(task, description=text, completed=done)
-                ).run()
+                virtual = None if live else VirtualBench(config, folder)
+                bench: ProgramBench = virtual or LiveBench(config, site_file, lambda report: "")
+
+                def tell(text: str, done: int) -> None:
+                    bar.update(task, description=text, completed=done)
+                    if virtual is not None and virtual.recorder is not None:
+                        virtual.recorder.say(text)
+
+                try:
+                    result = Assembler(bench, config, targets, sides, tell).run()
+                finally:
+                    if virtual is not None and virtual.recorder is not None:
+                        virtual.recorder.finish()
             tolerance_m = _DONE_SHARE * _diameter_m(config)
             assembly_figure(result, tolerance_m).savefig(folder / "assembly.png", dpi=120)
             document = {
@@ -142,7 +150,8 @@ def assemble(
                 "drift_m_per_s": [result.drift.x.speed_m_per_s, result.drift.y.speed_m_per_s],
             }
             (folder / "assembly.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    document["files"] = [str(out / name) for name in ("assembly.json", "assembly.png")]
+    names = ["assembly.json", "assembly.png", *([] if live else [recording.NAME])]
+    document["files"] = [str(out / name) for name in names]
     print_document(document, str(out), as_json=as_json)
 
 

@@ -41,8 +41,8 @@ def test_who_assembles_asks_the_bench_for_images_and_pushes_only() -> None:
 
 ROOT = FOLDER.parents[1]
 TRUTH = "afm/particles"
-# what says it, and the table of topics; docs and generated files of the contract are no readers
-SAYS_IT = {"proto/topics.py", "services/afm_node/node.py"}
+# the table of topics, and what writes it into recordings; docs and generated files of the contract are no readers
+SAYS_IT = {"proto/topics.py", "services/afm_node/node.py", "studies/assembly/recording.py"}
 
 
 def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:

@@ -1,6 +1,7 @@
 """`telenano particles` and `telenano assemble` as a user calls them."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from proto.instrument import AfmParticles
+from recording.reader import Recording
+from recording.verify import verify
 from services.afm_node.physics.particles.tip_shape import tip_shape
 from studies.assembly.find import sphere_m
 from telenano.cli.root import app
@@ -45,7 +49,24 @@ def test_an_assembly_of_one_particle_places_it_and_writes_figure_and_table(tmp_p
     document = json.loads(done.output)
     assert (document["placed"], document["losses"]) == (1, 0)
     assert document["particles"][0]["true_error_m"] < 20e-9
-    assert {path.name for path in out.iterdir()} == {"assembly.json", "assembly.png"}
+    assert {path.name for path in out.iterdir()} == {"assembly.json", "assembly.png", "assembly.mcap"}
+    judge_recording(out / "assembly.mcap")
+
+
+def judge_recording(path: Path) -> None:
+    """Look for what a page needs to show the assembly again: images, pushes, sentences, and the truth apart."""
+    recording = Recording(path)
+    assert verify([path]).sound
+    lines = [message.fields() for message in recording.messages(("afm/scanline",))]
+    assert sum(line["line"] == 0 and line["direction"] == "trace" for line in lines) >= 3
+    programs = [message.fields() for message in recording.messages(("afm/program",))]
+    ends = [one["text"] for one in programs if one["program"] == "push" and one["state"] == "finished"]
+    assert len(ends) == 1
+    assert any(one["values"]["in_contact"] for one in programs if one["program"] == "push")
+    told = [message.fields()["text"] for message in recording.messages(("session/event",))]
+    assert told[0] == "1 particles were found" and "particle 0: the particle is at its goal" in told
+    places = [AfmParticles.model_validate(row.fields()).places_m for row in recording.messages(("afm/particles",))]
+    assert math.dist(places[-1].to_numpy()[0], (3e-7, 0.0)) < 20e-9
 
 
 @pytest.mark.parametrize(
