@@ -1,6 +1,9 @@
 """A hand in the browser pushes a particle on a live rig, and gives it back: judged by what is on the bus."""
 
 import math
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -9,6 +12,7 @@ import pytest
 from browser_page import PATIENCE_S, PATIENT, Page, View, browser, needs_browser, open_page
 from stack_rig import Rig
 
+from recording.reader import Recording
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.particles.steering import steered
 
@@ -121,3 +125,48 @@ def walk(rig: Rig, page: Page) -> None:
     status = newest(rig, "law/status")
     assert status.passive
     assert page.faults == []
+
+
+def transport(page: Page, action: str, value: float) -> None:
+    page.value(f"telenano.cockpit.commands.ask('{action}', {{ k: 'transport', action: '{action}', value: {value} }})")
+
+
+def contact_s(path: Path) -> float:
+    """Return when a push has met its particle, from the begin of a recording [s]."""
+    found = Recording(path)
+    met = [row for row in found.messages(("afm/program",)) if (row.fields().get("values") or {}).get("in_contact")]
+    return 1e-9 * (met[0].log_ns - found.span_ns[0])
+
+
+def test_the_recording_of_an_assembly_shows_it_again(tmp_path: Path) -> None:
+    (tmp_path / "there.txt").write_text("4e-7 1e-7\n")
+    one = ("--afm", "sample.particles.places=[[0.0,0.0]]", "--afm", "sample.size_m=3e-6")
+    out = tmp_path / "out"
+    words = ["assemble", "--pattern", str(tmp_path / "there.txt"), "--out", str(out), "--json", *one]
+    subprocess.run([sys.executable, "-m", "telenano", *words], check=True, capture_output=True)
+    view = View({**os.environ, "TELENANO_RUNTIME_DIR": str(tmp_path)}, str(out / "assembly.mcap"))
+    try:
+        with browser() as chromium:
+            page = open_page(chromium, view.operator, headset=True)
+            page.until("document.querySelector('#particles-list') !== null", "the panel of the particles")
+            page.value("document.querySelector('#tab-particles')?.click()")
+            transport(page, "rate", 10.0)
+            page.until("document.querySelectorAll('#particles-list li').length === 1", "a particle in the first image")
+            # A push takes half a second, which a page without a graphics processor draws a few times of.
+            transport(page, "rate", 0.05)
+            transport(page, "seek", contact_s(out / "assembly.mcap"))
+            transport(page, "play", 0.0)
+            page.until("/, pushed/.test(document.querySelector('#particles-list li').textContent)", "the push")
+            transport(page, "rate", 10.0)
+            # 400 and 100 nm, and the drift meanwhile
+            at_goal = "(() => { const [x, y] = document.querySelector('#particles-list li').textContent.split(/[, ]+/)"
+            page.until(f"{at_goal}; return Math.hypot(x - 400, y - 100) < 40; }})()", "the particle at its goal")
+            # the circles lie in the scene in three dimensions as well, which is that of a headset
+            page.until("telenano.view.sheet.mesh.visible", "circles in three dimensions")
+            page.until("document.querySelector('#vr').hidden === false", "a browser with a headset")
+            page.click("#vr")
+            page.until("telenano.view.headset.isPresenting", "a session of the headset")
+            page.until("telenano.view.frames > 3", "pictures in the headset")
+            assert page.faults == []
+    finally:
+        view.close()

@@ -20,10 +20,12 @@ import { carried } from "./grab";
 const SCALE = 0.004;
 const PLACE = new Vector3(0, 1.0, -0.6);
 const BACKGROUND = 0x10171e;
-const PANEL = { width: 512, height: 192, metres: 0.42 };
+const PANEL = { width: 512, height: 236, metres: 0.42 };
 const PANEL_MS = 150;
 /** Of the standard mapping of controllers: the two buttons beside the stick. */
 const STOP_BUTTONS = [4, 5];
+/** The stick itself, pressed. */
+const NEXT_BUTTONS = [3];
 
 /** The world in a headset: on a table, held with the grips, the tip pressed with a trigger, and a panel of numbers. */
 export class Headset {
@@ -32,6 +34,8 @@ export class Headset {
   onPress: (down: number | null, across?: [number, number]) => void = () => {};
   /** Called when a button beside the stick is pressed. */
   onStop: () => void = () => {};
+  /** Called when a stick is pressed. */
+  onNext: () => void = () => {};
   onLeave: () => void = () => {};
   /** How much larger than usual that is which lies on the table. */
   size: () => number = () => 1;
@@ -40,6 +44,7 @@ export class Headset {
   private before: Matrix4[] = [];
   private pressed: { controller: XRTargetRaySpace; from: Vector3 } | undefined;
   private isStopping = false;
+  private isGoing = false;
   private readonly canvas = make("canvas", { width: PANEL.width, height: PANEL.height });
   private readonly panel: Mesh<PlaneGeometry, MeshBasicMaterial>;
   private writtenAt = 0;
@@ -79,7 +84,7 @@ export class Headset {
       const at = where(controller);
       this.onPress(from.y - at.y, [at.x - from.x, from.z - at.z]);
     }
-    this.readStop();
+    this.readButtons();
     const at = performance.now();
     if (at - this.writtenAt < PANEL_MS) return;
     this.writtenAt = at;
@@ -115,11 +120,13 @@ export class Headset {
     return controller;
   }
 
-  private readStop(): void {
+  private readButtons(): void {
     const sources = [...(this.renderer.xr.getSession()?.inputSources ?? [])];
-    const isDown = sources.some((source) => STOP_BUTTONS.some((i) => source.gamepad?.buttons[i]?.pressed));
-    if (isDown && !this.isStopping) this.onStop();
-    this.isStopping = isDown;
+    const isDown = (buttons: number[]): boolean => sources.some((source) => buttons.some((i) => source.gamepad?.buttons[i]?.pressed));
+    const [stops, goes] = [isDown(STOP_BUTTONS), isDown(NEXT_BUTTONS)];
+    if (stops && !this.isStopping) this.onStop();
+    if (goes && !this.isGoing) this.onNext();
+    [this.isStopping, this.isGoing] = [stops, goes];
   }
 
   private write(lines: string[]): void {

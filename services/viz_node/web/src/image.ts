@@ -24,6 +24,9 @@ export class Image {
   onDraw: (pen: CanvasRenderingContext2D, at: (x: number, y: number) => [number, number], scale: number) => void = () => {};
   /** Returns what moves with the pointer that was pressed at a place of the image from above [nm]; nothing where that is free. */
   onGrab: (x: number, y: number) => ((x: number, y: number) => void) | undefined = () => undefined;
+  /** Does what comes next with the particles of the image, for who has one button; `nextText` says what. */
+  onNext: () => void = () => {};
+  nextText: () => string = () => "";
   /** Called when what is drawn over the image has changed. */
   redraw: () => void = () => {};
 

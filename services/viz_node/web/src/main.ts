@@ -148,9 +148,19 @@ addEventListener("keydown", (event) => {
   if (event.key === "p") scopes.pause();
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
-  // the clutch of the hand across the sample, where there is one
+  // clutch and mode of the hand across the sample, where there is one
   if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();
+  if (event.key === "k" && commands.may) nextOption("lateral-mode");
 });
+
+/** Choose the next option of a list, as a person does. */
+function nextOption(id: string): void {
+  const list = document.getElementById(id) as HTMLSelectElement | null;
+  if (!list || list.disabled) return;
+  list.selectedIndex = (list.selectedIndex + 1) % list.options.length;
+  list.dispatchEvent(new Event("change"));
+}
+
 if (!token) connection.onState("refused", "open the address that `telenano view` printed: it ends with a token");
 else connection.open();
 begin();

@@ -28,6 +28,7 @@ import { drawsInSoftware, Pace } from "./pace";
 import { Probe } from "./probe";
 import type { Line } from "./protocol";
 import { Section } from "./section";
+import { Sheet } from "./sheet";
 import { arrow, axesAndBars, empty, niceLength, point, type Extent } from "./shapes";
 import type { Store } from "./store";
 import { Surface } from "./surface";
@@ -120,6 +121,9 @@ export class View {
   private picked = "";
   private markHeight = 0;
   private readonly raycaster = new Raycaster();
+  private readonly sheet = new Sheet();
+  /** What the stick of a controller does next, in words. */
+  nextText: () => string = () => "";
 
   constructor(
     private readonly root: HTMLElement,
@@ -146,7 +150,8 @@ export class View {
     this.mark = new Mesh(new SphereGeometry(0.9), new MeshStandardMaterial({ color: 0xffb000, emissive: 0xffb000 }));
     this.mark.visible = false;
     this.world.add(this.plane, this.surface.mesh, this.tip, this.contact, this.mark, this.normal, this.lateral);
-    this.world.add(this.bars);
+    this.world.add(this.bars, this.sheet.mesh);
+    this.sheet.mesh.visible = false;
     this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
     this.orbit.enableDamping = false;
     this.orbit.addEventListener("change", () => this.invalidate());
@@ -220,8 +225,16 @@ export class View {
     this.invalidate();
   }
 
+  /** Draw again what is over the image, in three dimensions. */
+  drawSheet(): void {
+    this.sheet.mesh.visible = !this.surface.isEmpty;
+    this.sheet.draw(this.extent, this.flat.overlay);
+    this.invalidate();
+  }
+
   clear(): void {
     this.surface.clear();
+    this.sheet.mesh.visible = false;
     this.plane.visible = this.grid.visible = true;
     this.legend.hidden = true;
     this.greatestForce = 1e-9;
@@ -547,6 +560,7 @@ export class View {
       `Normal force ${of("force", "N")}`,
       `Tip to sample ${of("separation", "m")}`,
       "Trigger presses, grips hold, A B X Y: stop",
+      this.nextText(),
     ];
   }
 

@@ -69,6 +69,8 @@ export class ParticlesPanel implements Panel {
     const { image, hand } = cockpit;
     image.onDraw = (pen, at, scale) => this.draw(pen, at, scale);
     image.onGrab = (x, y) => this.grab(x, y);
+    image.onNext = () => this.cockpit.commands.may && this.next();
+    image.nextText = () => (this.known.some(({ target }) => target) ? `Stick pressed: ${this.isTakenOver ? "give back" : this.isAssembling ? "take over" : "assemble"}` : "");
     this.pad.addEventListener("pointerdown", (event) => {
       this.pad.setPointerCapture(event.pointerId);
       this.steer(event);
@@ -86,15 +88,17 @@ export class ParticlesPanel implements Panel {
     this.pad.tabIndex = this.cockpit.hand.isOffered ? 0 : -1;
   }
 
+  /** Keep up with images and pushes, whichever tab is shown. */
   frame(): void {
+    const runs = this.cockpit.tip.program;
+    if (this.ran === "scan" && !runs) this.look();
+    this.ran = runs;
     this.follow();
   }
 
   write(): void {
     const { store, image, tip } = this.cockpit;
     const runs = tip.program;
-    if (this.ran === "scan" && !runs) this.look();
-    this.ran = runs;
     this.find.disabled = image.surface.isEmpty;
     const program = store.state.get(PROGRAM);
     const own = runs === "push" ? String(program?.["text"] ?? "") : this.byHand();
@@ -123,12 +127,16 @@ export class ParticlesPanel implements Panel {
     if (!extent) return;
     const { measured, rows, columns } = surface.grid();
     const was = this.known;
-    this.known = findParticles({ values: measured, rows, columns, extent }).map((one) => {
+    const found = findParticles({ values: measured, rows, columns, extent }).map((one) => {
       const same = was.find((other) => Math.hypot(other.x - one.x, other.y - one.y) < one.radius);
       return { ...one, found: [one.x, one.y] as const, isLost: false, ...(same?.target && { target: same.target }) };
     });
+    // an image of a part says nothing of what lies elsewhere
+    const elsewhere = was.filter(({ x, y, radius }) => (Math.abs(x - extent.x) > extent.width / 2 || Math.abs(y - extent.y) > extent.depth / 2) && !found.some((one) => Math.hypot(one.x - x, one.y - y) < radius));
+    this.known = [...found, ...elsewhere];
     this.pushed = undefined;
-    this.words = this.known.length ? `${this.known.length} particles found. Drag one in the flat image: that is its target.` : "No particle was found in the image.";
+    this.cockpit.image.redraw();
+    this.words = this.known.length ? `${found.length} particles found. Drag one in the flat image: that is its target.` : "No particle was found in the image.";
   }
 
   /** Take up where the pushed particle is: from the report of a push, or from the lateral force under a hand. */
@@ -138,10 +146,13 @@ export class ParticlesPanel implements Panel {
     const [x, y] = [store.last("tip", "x") * NM, store.last("tip", "y") * NM];
     if (runs === "push") {
       const values = store.fact(PROGRAM, "values") as Values | undefined;
-      if (this.pushed && values?.["in_contact"] === true) {
-        this.believe(this.pushed, Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM);
-        this.aside = Number(values["aside_rad"]);
-      }
+      if (values?.["in_contact"] !== true) return;
+      const [bx, by] = [Number(values["believed_x_m"]) * NM, Number(values["believed_y_m"]) * NM];
+      // a push that this page has not begun is that of a command or of a recording
+      if (!this.isAssembling) this.pushed = this.known.find((one) => Math.hypot(bx - one.x, by - one.y) < one.radius);
+      if (!this.pushed) return;
+      this.believe(this.pushed, bx, by);
+      this.aside = Number(values["aside_rad"]);
       return;
     }
     const [fx, fy] = [store.last("tip", "force_x"), store.last("tip", "force_y")];
@@ -172,6 +183,7 @@ export class ParticlesPanel implements Panel {
     one.isLost = false;
     // the force tells the place again, so the error does not outgrow the particle
     one.error = Math.min(one.error, one.radius);
+    this.cockpit.image.redraw();
   }
 
   /** What the hand does, in words; nothing where it does not move the tip. */
@@ -200,6 +212,10 @@ export class ParticlesPanel implements Panel {
       if (!(await this.push(next))) break;
     }
     this.isAssembling = false;
+  }
+
+  private next(): void {
+    void (this.isTakenOver ? this.give() : this.isAssembling ? this.take() : this.run());
   }
 
   private async push(one: Known): Promise<boolean> {

@@ -5,6 +5,7 @@ import { View } from "../scene";
 /** Tip and surface, in three dimensions and from above: the scene is the control of the tip. */
 export class ScenePanel implements Panel {
   view: View | undefined;
+  private isStale = false;
 
   constructor(
     root: HTMLElement,
@@ -18,13 +19,21 @@ export class ScenePanel implements Panel {
       view.pressText = () => `${hand.force.toFixed(2)} N, felt ${store.last("command", "tip_force").toFixed(2)} N`;
       view.headset.onPress = (down, across) => hand.press(down, across);
       view.headset.onStop = () => void commands.estop();
-      store.onLines = (lines) => view.addLines(lines);
+      view.headset.onNext = () => image.onNext();
+      view.nextText = () => image.nextText();
+      store.onLines = (lines) => {
+        view.addLines(lines);
+        this.isStale = true;
+      };
       store.onRestart = () => view.clear();
       image.onLook = () => view.look();
       image.onPicture = () => (image.surface.isEmpty ? undefined : view.flat.export());
       view.flat.overlay = (pen, at, scale) => image.onDraw(pen, at, scale);
       view.flat.grab = (x, y) => image.onGrab(x, y);
-      image.redraw = () => view.flat.redraw();
+      image.redraw = () => {
+        view.flat.redraw();
+        this.isStale = true;
+      };
       this.view = view;
     } catch (error) {
       root.append(make("p", { class: "error" }, `No picture in three dimensions: ${String(error)}. Everything else works.`));
@@ -45,6 +54,8 @@ export class ScenePanel implements Panel {
   write(): void {
     this.view?.writeTag();
     this.view?.write();
+    if (this.isStale) this.view?.drawSheet();
+    this.isStale = false;
   }
 
   recolour(): void {
