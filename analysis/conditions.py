@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from analysis.plugins import recorded_plugins
 from proto.nodes import LINK
@@ -15,6 +16,8 @@ from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
 
 _MASTER = "controller@master"
+# A round trip that varies by more than this, and by more than this share of its median, was changed, or jitters.
+_CHANGED_MS, _CHANGED_SHARE = 10.0, 0.5
 
 
 def conditions(
@@ -31,7 +34,8 @@ def conditions(
 
     Returns:
         `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
-        set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back;
+        set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back, and
+        `link_round_trip_range_ms`, the least and the greatest of them;
         `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the law
         has to bridge it (both null where nothing was recorded); profile and seed of the link; `plugins`, package,
         version and digest of what other packages brought to it; versions.
@@ -44,11 +48,13 @@ def conditions(
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
     laws, round_trip_ms = _law_status(recording, start_ns, end_ns)
     versions = recording.metadata.get("versions", {})
+    trips_ms = _link_round_trips_ms(recording, start_ns, end_ns)
     return {
         "law": laws or [controller.law],
         "parameters": controller.law_config().model_dump(mode="json"),
         "changed": _changed(recording, timeline or Timeline(recording), start_ns, end_ns),
-        "link_round_trip_ms": _link_round_trip_ms(recording, start_ns, end_ns),
+        "link_round_trip_ms": None if trips_ms is None else round(float(np.median(trips_ms)), 3),
+        "link_round_trip_range_ms": None if trips_ms is None else _range(trips_ms),
         "round_trip_ms": round_trip_ms,
         "link_profile": link.profile,
         "link_seed": link.seed,
@@ -61,10 +67,14 @@ def conditions(
 def title(found: dict[str, Any]) -> str:
     """Return the conditions as the words of a title: law, round trip, and the profile of a link that is not clean."""
     words = [" then ".join(found["law"])]
+    least_ms, greatest_ms = found.get("link_round_trip_range_ms") or (0.0, 0.0)
     for key, name in (("link_round_trip_ms", "round trip of the link"), ("round_trip_ms", "round trip")):
-        if found[key] is not None:
-            words.append(f"{name} {found[key]:g} ms")
-            break
+        if found[key] is None:
+            continue
+        # of a delay that was changed in the session the median says nothing
+        is_changed = name.endswith("link") and greatest_ms - least_ms > max(_CHANGED_MS, _CHANGED_SHARE * found[key])
+        words.append(f"{name} {least_ms:g} to {greatest_ms:g} ms" if is_changed else f"{name} {found[key]:g} ms")
+        break
     if found["link_profile"] != "clean":
         words.append(f"link {found['link_profile']}")
     return ", ".join(words)
@@ -91,7 +101,8 @@ def _law_status(recording: RecordingSource, start_ns: int, end_ns: int) -> tuple
     return in_turn, round(1e3 * float(np.median(told_s)), 3) if told_s.size else None
 
 
-def _link_round_trip_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> float | None:
+def _link_round_trips_ms(recording: RecordingSource, start_ns: int, end_ns: int) -> npt.NDArray[np.float64] | None:
+    """Return the delays that the link added there and back [ms], each a mean of 0.1 s; None where none is known."""
     if not any(channel.channel_topic == "link/status" for channel in recording.channels):
         return None
     ways = [(f"{way}.delay_mean_s", f"{way}.delay_valid") for way in ("forward", "backward")]
@@ -101,7 +112,12 @@ def _link_round_trip_ms(recording: RecordingSource, start_ns: int, end_ns: int) 
         inside &= found[valid].astype(bool)
     if not inside.any():
         return None
-    return round(1e3 * float(np.median(sum(found[mean_s][inside] for mean_s, _ in ways))), 3)
+    there, back = (found[mean_s][inside] for mean_s, _ in ways)
+    return np.asarray(1e3 * (there + back), dtype=np.float64)
+
+
+def _range(values: npt.NDArray[np.float64]) -> list[float]:
+    return [round(float(values.min()), 3), round(float(values.max()), 3)]
 
 
 def _changed(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[str]:

@@ -1,4 +1,8 @@
-"""The holds of a recorded session: where the hand's force stands still, and what the tip's force does meanwhile."""
+"""The holds of a recorded session: where the hand's force stands still, and what the tip's force does meanwhile.
+
+Where a person is the hand, its force swings with the loop, and an oscillation leaves no hold. There a swing of the
+tip's force (`analysis.swings`) is judged in the place of one.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -7,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.verdict import GUARD_ACTED, Circumstances, Kind, judge
+from analysis.swings import Swing, swings_of
+from analysis.verdict import GUARD_ACTED, Circumstances, Kind, Verdict, judge
 
 Series = npt.NDArray[np.float64]
 
@@ -26,6 +31,8 @@ _MISSING_SHARE = 0.1
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
 _STARVED = ("command_deadline", "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
+# It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
+_ASKED = ("retract_requested", "estop")
 # a report of the instrument belongs to what it did at most so long before or after [s]
 _REPORTED_WITHIN_S = 0.2
 # an incident is the cause of what ends so long after it [s], or is reported so long after what it caused
@@ -38,7 +45,10 @@ _WORST_FIRST: tuple[Kind, ...] = (
 
 
 class Hold(NamedTuple):
-    """A stretch of constant hand force, and what became of alpha_f F_s in it: see `analysis.verdict.Verdict`."""
+    """A stretch of constant hand force, and what became of alpha_f F_s in it: see `analysis.verdict.Verdict`.
+
+    frequency_hz: None, or that of the swing that is judged in the place of a hold; hand_force_n is then the mean.
+    """
 
     start_s: float
     end_s: float
@@ -48,6 +58,7 @@ class Hold(NamedTuple):
     peak_to_peak_n: float
     noise_n: float
     reason: str
+    frequency_hz: float | None = None
 
 
 class Instrument(NamedTuple):
@@ -105,7 +116,8 @@ class Programme(NamedTuple):
 
     planned: holds of the operator's programme, start [s], end [s], force [N]; answered_s: when the hand took up answers
     [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
-    sites that fell silent; limits, those of the instrument's guard, if they are known.
+    sites that fell silent; limits, those of the instrument's guard, if they are known; programs: from when to when [s]
+    the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -113,6 +125,8 @@ class Programme(NamedTuple):
     guards: Sequence[Guard] = ()
     incidents: Sequence[Incident] = ()
     limits: Limits | None = None
+    programs: Sequence[tuple[float, float]] = ()
+    by_hand: bool = False
 
 
 NO_PROGRAMME = Programme()
@@ -177,7 +191,8 @@ def judge_holds(
     Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure; a
     trend has to be a factor of two to be believed, because messages on a real bus come when they come. Where the hand
     presses, the tip has to press with the same force, and to touch. A hold without samples of hand or tip, or without
-    an answer at the hand, is `no_data`, also one of the programme that the recording does not show at all.
+    an answer at the hand, is `no_data`, also one of the programme that the recording does not show at all. A hold ends
+    where the instrument begins a program of its own or somebody has it withdraw, which is no act of the guard.
 
     Args:
         hand_time_s: The times of the hand's samples [s], shape (n,).
@@ -192,7 +207,9 @@ def judge_holds(
     if greatest == 0.0:
         return []
     holds = []
-    for start, end in constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest):
+    away = absences(tip_time_s, tip, programme)
+    stretches = constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest)
+    for start, end in [part for stretch in stretches for part in outside(stretch, away)]:
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
         holds.append((start, end, force))
     # A hold that was planned and that the recording does not show at the hand has no data.
@@ -200,12 +217,47 @@ def judge_holds(
         shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
         if shown_s < 0.5 * (end - start) and lacks_of(hand_time_s, hand_time_s, (start, end)):
             holds.append((start, end, force))
-    times = _Times(hand_time_s, tip_time_s, scaled_force_n)
-    return [_judge_hold(times, tip, hold, greatest, programme) for hold in sorted(holds)]
+    times = _Times(hand_time_s, hand_force_n, tip_time_s, scaled_force_n)
+    judged = [_judge_hold(times, tip, hold, greatest, programme) for hold in sorted(holds)]
+    if not programme.by_hand:
+        return judged
+    swings = [swing for swing in swings_of(tip_time_s, scaled_force_n) if not _covered(swing, [*holds, *away])]
+    judged += [_judge_swing(times, tip, swing, greatest, programme) for swing in swings]
+    return sorted(judged, key=lambda hold: hold.start_s)
+
+
+def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -> list[tuple[float, float]]:
+    """Return from when to when [s] the tip does not follow the hand because somebody wanted that."""
+    spans = list(programme.programs)
+    if tip is None or not tip_time_s.size:
+        return spans
+    follows = np.concatenate([np.ones(1, dtype=bool), tip.following, np.ones(1, dtype=bool)])
+    for first, after in np.flatnonzero(np.diff(follows)).reshape(-1, 2).tolist():
+        from_s = float(tip_time_s[first])
+        near = [guard for guard in programme.guards if abs(guard.time_s - from_s) <= _REPORTED_WITHIN_S]
+        if near and min(near, key=lambda guard: abs(guard.time_s - from_s)).reason in _ASKED:
+            spans.append((from_s, float(tip_time_s[min(after, len(tip_time_s) - 1)])))
+    return spans
+
+
+def outside(stretch: tuple[float, float], spans: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the parts [s] of a stretch that are in none of the spans and last for at least SHORTEST_HOLD_S."""
+    parts = [stretch]
+    for from_s, to_s in spans:
+        cut = [part for start, end in parts for part in ((start, min(end, from_s)), (max(start, to_s), end))]
+        parts = [(start, end) for start, end in cut if end - start >= SHORTEST_HOLD_S]
+    return parts
+
+
+def _covered(swing: Swing, spans: Sequence[tuple[float, ...]]) -> bool:
+    """Return whether half of a swing is in spans that were judged already, or in which the tip follows no hand."""
+    covered_s = sum(max(0.0, min(swing.end_s, span[1]) - max(swing.start_s, span[0])) for span in spans)
+    return covered_s > 0.5 * (swing.end_s - swing.start_s)
 
 
 class _Times(NamedTuple):
     hand_s: Series
+    hand_force_n: Series
     tip_s: Series
     scaled_force_n: Series
 
@@ -234,6 +286,25 @@ def _judge_hold(
         return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
     verdict = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
     return Hold(start, end, force, *verdict)
+
+
+def _judge_swing(series: _Times, tip: Instrument | None, swing: Swing, greatest_n: float, programme: Programme) -> Hold:
+    """Judge a swing as a hold; one that goes on as it is, or of which there is no telling, is a limit cycle."""
+    inside = (series.tip_s >= swing.start_s) & (series.tip_s <= swing.end_s)
+    known = Circumstances(noisy=True)
+    if tip is not None and (lost := inside & ~tip.following).any():
+        known = _guarded(known, series.tip_s, tip, int(np.argmax(lost)), programme)
+        inside &= series.tip_s < series.tip_s[int(np.argmax(lost))]
+    at = slice(*np.searchsorted(series.hand_s, (swing.start_s, swing.end_s)).tolist())
+    force = float(series.hand_force_n[at].mean()) if series.hand_force_n[at].size else 0.0
+    found = judge(series.tip_s[inside], series.scaled_force_n[inside], greatest_n, known)
+    words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
+    if found.kind not in ("diverged", "guarded", "stable"):
+        reason = f"a swing of {words} neither grows nor dies out"
+        found = Verdict("limit_cycle", found.growth_per_s, swing.peak_to_peak_n, found.noise_n, reason)
+    elif found.kind == "stable":
+        found = found._replace(peak_to_peak_n=swing.peak_to_peak_n, reason=f"a swing of {words}: {found.reason}")
+    return Hold(swing.start_s, swing.end_s, force, *found, swing.frequency_hz)
 
 
 def _guarded(

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 from analysis.holds import SHORTEST_HOLD_S
-from services.haptic_node.config import ForceProfileConfig, HapticConfig
+from services.haptic_node.config import ForceProfileConfig, HapticConfig, InteractiveConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
 
@@ -33,3 +33,13 @@ def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, 
         holds.append((first_s, last_s, force_n))
     cut = [(max(0.0, first_s), min(last_s, end_s), force_n) for first_s, last_s, force_n in holds]
     return [hold for hold in cut if hold[1] - hold[0] >= SHORTEST_HOLD_S]
+
+
+def is_by_hand(scenario: Scenario) -> bool:
+    """Return whether a person presses, at a page or at a device, whose hand gives way to what the loop does.
+
+    Raises:
+        ConfigError: A key of the scenario cannot be read; the message names it.
+    """
+    config = validate(HapticConfig, scenario.haptic_node, "scenario.yaml", "haptic_node")
+    return isinstance(config.operator, InteractiveConfig) or not config.simulated

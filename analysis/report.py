@@ -30,7 +30,7 @@ from analysis.holds import (
 )
 from analysis.line import lines_of
 from analysis.missing import Spans, cut_off, gaps, recording_facts
-from analysis.programme import planned_holds
+from analysis.programme import is_by_hand, planned_holds
 from analysis.summary import Summary
 from proto import TOPICS
 from proto.errors import RecordingError, ReportError
@@ -54,6 +54,7 @@ RELEASE_WINDOW_S = 1.0
 _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
+_RUNS = ("running", "paused")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
@@ -230,8 +231,24 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
             (hand["t_ns"][new] - start_ns) * 1e-9,
             *_reported(recording, timeline, start_ns),
             _limits(document, found["changed"]),
+            _programs(recording, timeline, start_ns, end_ns),
+            is_by_hand(document),
         ),
     )
+
+
+def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
+    """Return from when to when the instrument ran programs of its own, in session time [s]."""
+    found, begun_s = [], None
+    for report in recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct"):
+        at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
+        at_s, runs = (at_ns - start_ns) * 1e-9, report.fields().get("state") in _RUNS
+        if runs and begun_s is None:
+            begun_s = at_s
+        elif not runs and begun_s is not None:
+            found.append((begun_s, at_s))
+            begun_s = None
+    return found if begun_s is None else [*found, (begun_s, (end_ns - start_ns) * 1e-9)]
 
 
 def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:

@@ -53,7 +53,10 @@ class Package(_Part):
 
 
 class HoldSummary(_Part):
-    """A hold: a stretch in which the hand's force stands still, and what becomes of α_f F_s in it."""
+    """A hold: a stretch in which the hand's force stands still, and what becomes of α_f F_s in it.
+
+    Where a person is the hand, which swings with the loop, a swing of α_f F_s is listed and judged like a hold.
+    """
 
     start_s: float = Field(description="Start of the hold in the session [s]")
     end_s: float = Field(description="End of the hold in the session [s]")
@@ -65,6 +68,10 @@ class HoldSummary(_Part):
     peak_to_peak_n: float = Field(description="Peak-to-peak of the motion at the end of the hold, without noise [N]")
     noise_n: float = Field(description="Standard deviation of the noise of the read-out [N]")
     reason: str = Field(description="The verdict in words")
+    frequency_hz: float | None = Field(
+        default=None,
+        description="Frequency of a swing in the place of a hold, where a person is the hand [1/s]; null in a hold",
+    )
 
 
 class OtherReading(_Part):
@@ -136,6 +143,11 @@ class Summary(_Part):
     changed: list[str] = Field(description="What was set while the session ran, each with the node that set it")
     link_round_trip_ms: float | None = Field(
         description="Median of the delays that the link added there and back [ms]; null without `link/status`"
+    )
+    link_round_trip_range_ms: list[float] | None = Field(
+        default=None,
+        description="Least and greatest of those delays, each a mean of 0.1 s [ms]: they tell of a delay that was "
+        "changed in the session; null without `link/status`",
     )
     round_trip_ms: float | None = Field(
         description="Median age of the hand's sample that the newest answer descends from, in whole periods, as the "

@@ -6,6 +6,7 @@ import numpy as np
 
 from analysis.phases import contacts_of, moments_of, phases_of
 from analysis.report import Session, read_session, read_traffic, summarise
+from analysis.swings import swings_of
 from proto.errors import RecordingError
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
@@ -18,11 +19,13 @@ _LONG = ("rate_hz", "completeness", "seq_gaps", "holds", "parameters", "plugins"
 def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     """Return by key what a page shows of a recording beside its curves; times are since its first message [s].
 
-    `phases` and `holds` have `from_s` and `to_s`, `moments` have `t_s`, `kind`, `level`, `src` and `text`, `summary` is
-    that of `telenano report`, and `fault` says in words why there is none.
+    `phases`, `holds` and `swings` have `from_s` and `to_s`, `moments` have `t_s`, `kind`, `level`, `src` and `text`,
+    `summary` is that of `telenano report`, and `fault` says in words why there is none. The swings are those of the
+    force that the hand is shown, of which the banner of a live rig is made.
     """
     start_ns = recording.span_ns[0]
-    found: dict[str, Any] = {"phases": [], "holds": [], "moments": _events(recording, start_ns), "summary": None}
+    found: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
+    found["moments"] = _events(recording, start_ns)
     try:
         session = read_session(recording)
         summary = summarise(session, recording.info(), read_traffic(recording, session))
@@ -47,6 +50,15 @@ def _session_facts(
         "phases": [{"kind": p.kind, "from_s": p.from_s + shift_s, "to_s": p.to_s + shift_s} for p in phases],
         "holds": [
             {**hold, "from_s": hold["start_s"] + shift_s, "to_s": hold["end_s"] + shift_s} for hold in summary["holds"]
+        ],
+        "swings": [
+            {
+                "from_s": s.start_s + shift_s,
+                "to_s": s.end_s + shift_s,
+                "hertz": s.frequency_hz,
+                "peak_to_peak_n": s.peak_to_peak_n,
+            }
+            for s in swings_of(series.reference_time_s, session.command["force_n.2"])
         ],
         "moments": sorted([*events, *moments], key=lambda moment: float(moment["t_s"])),
         "summary": {key: value for key, value in summary.items() if key not in _LONG},

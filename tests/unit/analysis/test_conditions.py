@@ -52,6 +52,28 @@ def test_the_laws_that_ran_and_the_delay_that_was_are_stated(recording: Recordin
     assert title(found) == "wave then passivity, round trip of the link 50 ms, link lte"
 
 
+def test_a_delay_that_was_changed_in_the_session_is_stated_with_both_ends(recording: Recording) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    assert found["link_round_trip_range_ms"] == [50.0, 50.0]
+    # as where somebody typed 200 ms one way into the page after a long session without delay
+    changed = {**found, "link_round_trip_ms": 0.0, "link_round_trip_range_ms": [0.0, 400.0]}
+    assert title(changed) == "wave then passivity, round trip of the link 0 to 400 ms, link lte"
+
+
+def test_the_least_and_the_greatest_delay_of_a_link_are_those_of_its_reports(tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path))
+    channel = writer.channel("link/status", "delay_node@master", "master")
+    for n, delay_s in enumerate((0.0, 0.0, 0.0, 0.2)):
+        way = sample("link/status", 0).model_dump()["forward"]
+        way |= {"delay_valid": True, "delay_mean_s": delay_s, "delay_min_s": 0.0, "delay_max_s": 0.3}
+        t_ns = EPOCH_NS + n * MILLISECOND_NS
+        message = sample("link/status", n, src="delay_node@master", t_ns=t_ns, forward=way, backward=way)
+        writer.write(channel, t_ns, t_ns, n, encode(message))
+    writer.finish()
+    found = conditions(Recording(writer.path), SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    assert (found["link_round_trip_ms"], found["link_round_trip_range_ms"]) == (0.0, [0.0, 400.0])
+
+
 def test_what_happened_outside_the_session_does_not_count(recording: Recording) -> None:
     found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 3 * MILLISECOND_NS)
     assert (found["law"], found["changed"], found["link_round_trip_ms"]) == (["wave"], [], None)

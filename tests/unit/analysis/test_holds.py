@@ -164,3 +164,62 @@ def test_a_slow_loop_that_does_not_swing_is_never_said_to(time_constant_s: float
     found = judge_holds(TIME_S, HAND_N, TIME_S, tip_n)
     assert {hold.verdict for hold in found} <= {"stable", "drifting", "wrong_force"}
     assert not any("grows" in hold.reason or "neither grows" in hold.reason for hold in found)
+
+
+def test_a_hold_that_lasts_into_a_scan_ends_where_the_scan_begins() -> None:
+    # as of the page's hand: it keeps holding, the scan moves the tip from 3.5 s on, withdraws it, and it is armed again
+    scanning, away = (3.5, 4.2), (4.2, 4.45)
+    following = ~((away[0] <= TIME_S) & (away[1] > TIME_S))
+    moved = (scanning[0] <= TIME_S) & (away[1] > TIME_S)
+    tip_n = np.where(moved, 20.0 * np.sin(40.0 * TIME_S), HAND_N)
+    tip = instrument(following)
+    programme = Programme(guards=[Guard(away[0], "retract_requested")], programs=[scanning])
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, programme)
+    assert [hold.verdict for hold in holds] == ["stable"] * 3
+    assert holds[1].end_s == scanning[0]
+    assert verdict_of(holds, guard_of(TIME_S, tip, programme))[0] == "stable"
+    # what the guard itself does in the same place stays what it was
+    acted = programme._replace(guards=[Guard(away[0], "force_limit")], programs=[])
+    assert "guard acted" in judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, acted)[1].reason
+
+
+def test_a_hold_in_which_somebody_stops_the_tip_is_judged_until_then() -> None:
+    following = TIME_S < 7.0
+    asked = Programme(guards=[Guard(7.0, "estop")])
+    swinging = np.where(following, HAND_N + swing(5.0, 7.0, 0.0, 0.5), 0.0)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, swinging, instrument(following), asked)
+    assert [hold.verdict for hold in holds] == ["stable", "stable", "limit_cycle"]
+    assert holds[2].end_s == 7.0
+    # nobody is held by a tip that is away
+    assert max(hold.end_s for hold in holds) == 7.0
+
+
+def by_hand(growth_per_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the force of a person's hand and of the tip, which swing together at 0.8 Hz from 2 s on."""
+    since_s = TIME_S - 2.0
+    swings = np.where(since_s > 0.0, 0.8 * np.exp(growth_per_s * since_s) * np.sin(1.6 * np.pi * since_s), 0.0)
+    pressed = np.interp(TIME_S, [1.0, 1.5], [0.0, 1.0])
+    return pressed - 0.5 * swings, pressed + swings
+
+
+@pytest.mark.parametrize(("growth_per_s", "verdict"), [(0.0, "limit_cycle"), (0.2, "diverged"), (-0.25, "stable")])
+def test_a_swing_of_a_persons_hand_has_a_verdict_although_nothing_stands_still(
+    growth_per_s: float, verdict: str
+) -> None:
+    hand_n, tip_n = by_hand(growth_per_s)
+    holds = judge_holds(TIME_S, hand_n, TIME_S, tip_n, programme=Programme(by_hand=True))
+    (found,) = [hold for hold in holds if hold.frequency_hz is not None]
+    assert found.verdict == verdict
+    assert found.frequency_hz == pytest.approx(0.8, rel=0.05)
+    assert "from peak to peak at 0.8" in found.reason
+    assert (found.start_s, found.end_s) == pytest.approx((2.3, 8.4), abs=0.9)
+    assert verdict_of(holds)[0] == verdict
+    # a programme that goes to and fro is what was asked for, and no oscillation
+    assert all(hold.frequency_hz is None for hold in judge_holds(TIME_S, hand_n, TIME_S, tip_n))
+
+
+def test_no_swing_is_found_in_a_hold_or_in_a_scan() -> None:
+    known = Programme(by_hand=True, programs=[(5.2, 9.0)])
+    tip_n = HAND_N + swing(1.5, 4.5, 0.0, 0.5) + swing(5.3, 9.0, 0.0, 3.0)
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, programme=known)
+    assert [(hold.verdict, hold.frequency_hz) for hold in holds] == [("stable", None), ("limit_cycle", None)]
