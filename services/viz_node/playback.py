@@ -11,6 +11,9 @@ from services.viz_node.feed import Seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN
 
 _LEAST_RATE, _MOST_RATE = 0.01, 100.0
+_IMAGE_TOPIC = "afm/scanline"
+# how far back from its last line the beginning of an image is looked for first [ns]
+_LOOK_BACK_NS = 60_000_000_000
 # what is shown of the time before a place that was sought, so that no curve begins empty
 _LEAD_S = 5.0
 # messages in one call: a rate of 100 must not hold up the pages
@@ -20,7 +23,8 @@ _MOST_MESSAGES = 20_000
 class RecordingPlayback:
     """Messages of a recording at their own pace, or another one.
 
-    After a seek come the newest message of each slow topic from before that place, and the curves of a few seconds.
+    After a seek come the newest message of each slow topic from before that place, the lines of the newest image
+    there, and the curves of a few seconds.
     """
 
     def __init__(self, recording: RecordingSource, monotonic_s: Callable[[], float]) -> None:
@@ -119,10 +123,37 @@ class RecordingPlayback:
 
     def _from(self, start_ns: int) -> Iterator[RecordedMessage]:
         slow = self._recording.newest_before(
-            start_ns, lambda found: _is_shown(found) and found.topic not in LOOP_TOPICS
+            start_ns, lambda found: _is_shown(found) and found.topic not in (*LOOP_TOPICS, _IMAGE_TOPIC)
         )
-        yield from sorted(slow.values(), key=lambda message: message.log_ns)
+        before = sorted([*slow.values(), *self._image_before(start_ns)], key=lambda message: message.log_ns)
+        yield from before
         yield from self._recording.select(_is_shown, start_ns)
+
+    def _image_before(self, place_ns: int) -> list[RecordedMessage]:
+        """Return the lines of the newest image that had begun before a place [ns], as many as it had by then.
+
+        They are looked for from the newest line back, in spans that grow, because an hour may have one image.
+        """
+        newest = self._recording.newest_before(place_ns, _is_image)
+        if not newest:
+            return []
+        last_ns = max(line.log_ns for line in newest.values())
+        span_ns = _LOOK_BACK_NS
+        while True:
+            lines = list(self._recording.select(_is_image, max(last_ns - span_ns, self._start_ns), last_ns + 1))
+            begins = [at for at, line in enumerate(lines) if _begins_image(line)]
+            if begins or span_ns > last_ns - self._start_ns:
+                return lines[begins[-1] if begins else 0 :]
+            span_ns *= 2
+
+
+def _is_image(channel: RecordedChannel) -> bool:
+    return channel.topic == _IMAGE_TOPIC and channel.via == "direct"
+
+
+def _begins_image(line: RecordedMessage) -> bool:
+    fields = _seen(line).fields
+    return fields.get("line") == 0 and fields.get("direction") == "trace"
 
 
 def _is_shown(channel: RecordedChannel) -> bool:

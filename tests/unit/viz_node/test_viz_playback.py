@@ -1,11 +1,21 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+from recorder_samples import EPOCH_NS, haptic_state
 
+from proto import TOPICS, encode
+from proto.contract import examples
 from proto.errors import RecordingError, RefusedError
+from proto.messages import Array
 from recording.reader import Recording
+from recording.writer import FileSettings, RecordingWriter
+from services.viz_node import playback as playback_module
+from services.viz_node.feed import Feed
 from services.viz_node.playback import RecordingPlayback
+
+MS = 1_000_000
 
 
 class Time:
@@ -120,3 +130,58 @@ def test_a_recording_that_has_ended_does_not_play_on_from_where_somebody_looks(
     playback.transport("play", 0.0)
     time.now_s += 0.01
     assert playback.position_s == pytest.approx(0.02)
+
+
+LINES, LINE_MS = 8, 5
+IMAGES_MS = (20, 100)
+
+
+def scanned(folder: Path) -> Recording:
+    """Return 200 ms of a hand, and two images of eight lines each, that begin at 20 ms and at 100 ms."""
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
+    hand = writer.channel("haptic/state", "haptic_node@master", "master")
+    tip = writer.channel("afm/scanline", "afm_node@slave", "slave")
+    example = examples(TOPICS["afm/scanline"])["ordinary"]
+    rows = [(ms, hand, encode(haptic_state(ms))) for ms in range(200)]
+    for image, begin_ms in enumerate(IMAGES_MS):
+        for line in range(LINES):
+            height = Array.from_numpy(np.full(4, 1e-9 * (10 * image + line), dtype=np.float32))
+            for direction in ("trace", "retrace"):
+                made = {"line": line, "lines": LINES, "direction": direction, "height_m": height}
+                message = example.model_copy(update={"src": "afm_node@slave", **made})
+                rows.append((begin_ms + LINE_MS * line, tip, encode(message)))
+    for number, (ms, channel, payload) in enumerate(sorted(rows, key=lambda row: row[0])):
+        writer.write(channel, EPOCH_NS + ms * MS, EPOCH_NS + ms * MS, number, payload)
+    writer.finish()
+    return Recording(writer.path)
+
+
+@pytest.mark.parametrize("look_back_ns", [1, 60_000_000_000])
+def test_after_a_seek_the_newest_image_before_the_place_is_whole(
+    tmp_path: Path, time: Time, monkeypatch: pytest.MonkeyPatch, look_back_ns: int
+) -> None:
+    monkeypatch.setattr(playback_module, "_LEAD_S", 0.002)
+    monkeypatch.setattr(playback_module, "_LOOK_BACK_NS", look_back_ns)
+    found = RecordingPlayback(scanned(tmp_path), time)
+    list(found.poll(watched=True))
+    found.transport("pause", 0.0)
+
+    def lines_at(place_s: float) -> dict[tuple[str, int], float]:
+        found.transport("seek", place_s)
+        feed = Feed()
+        for seen in found.poll(watched=True):
+            feed.record(seen)
+        snapshot = feed.snapshot()["lines"]
+        heights = [(line["direction"], line["line"], line["height"]["data"]) for line in snapshot]
+        return {(way, line): float(np.frombuffer(data, "<f4")[0]) for way, line, data in heights}
+
+    def image(number: int, lines: int) -> dict[tuple[str, int], float]:
+        ways = ("trace", "retrace")
+        return {(way, line): pytest.approx(1e-9 * (10 * number + line)) for way in ways for line in range(lines)}
+
+    # past the scan, long past the second one, back between the two, into the middle of one, and before all
+    assert lines_at(0.09) == image(0, LINES)
+    assert lines_at(0.19) == image(1, LINES)
+    assert lines_at(0.08) == image(0, LINES)
+    assert lines_at(0.1 + 1e-3 * (2 * LINE_MS + 1)) == image(1, 3)
+    assert lines_at(0.01) == {}
