@@ -10,11 +10,12 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import urlsplit
 
-from proto.errors import ConfigError, EndpointError, RigError
+from proto.errors import ConfigError, EndpointError, RigError, TelenanoError
 from proto.extras import how_to_install
-from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.security.private_files import check_runtime_directory, write_private
+from services.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
+from services.runtime.security.private_files import check_runtime_directory, read_secret, write_private
 from services.viz_node.access import LOOPBACK, Access, is_loopback
 from services.viz_node.connections import Connections, Listener, most_connections
 
@@ -31,6 +32,8 @@ _WEB = Path(__file__).parent / "web"
 _BACKLOG = 64
 _PING_S = 5.0
 _STOP_S = 1
+# the end of the names of the files that have the addresses of servers, and how long is waited for one to answer [s]
+_ADDRESSES, _LOOK_S = ".addresses", 0.5
 # a browser opens six connections at once
 _LEAST_STRANGERS = 8
 
@@ -125,26 +128,53 @@ def addresses_of(bound: socket.socket, access: Access, tls: Tls | None, name: st
 
 @contextlib.contextmanager
 def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: str = "view") -> Iterator[None]:
-    """Show the addresses of a server on a terminal; elsewhere write them to a private file while the block runs.
+    """Keep the addresses of a server in a private file while the block runs, and show them on a terminal.
 
     An address ends with the token, and what goes to a pipe or a file is kept: logs of containers and of services.
+    There the output says how to get it instead (`served_addresses`).
     Parameters: addresses, by what they are called; show, prints a line; what, the server.
     """
-    if sys.stdout.isatty():
+    base = re.split("[#?]", next(iter(addresses.values())))[0]
+    file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}{_ADDRESSES}"
+    is_terminal = sys.stdout.isatty()
+    # A terminal has been told all that somebody needs, also where no file can be written.
+    with contextlib.suppress(*((TelenanoError, OSError) if is_terminal else ())):
+        check_runtime_directory(make=True)
+        write_private(file, "".join(f"{name}: {address}\n" for name, address in addresses.items()))
+    if is_terminal:
         for name, address in addresses.items():
             show(f"{name}: {address}")
-        yield
-        return
-    base = re.split("[#?]", next(iter(addresses.values())))[0]
-    check_runtime_directory(make=True)
-    file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}.addresses"
-    write_private(file, "".join(f"{name}: {address}\n" for name, address in addresses.items()))
-    show(f"{what}: {base}")
-    show(f"its addresses with their tokens, for its owner alone to read: {file}")
+    else:
+        show(f"{what}: {base}")
+        text = "it opens with a token, which no pipe and no log is given: `telenano view --addresses` prints it"
+        show(f"{text}, and for its owner alone it is in the file: {file}")
     try:
         yield
     finally:
         file.unlink(missing_ok=True)
+
+
+def served_addresses() -> list[str]:
+    """Return a line for each address of the servers of this user that answer, by what the address is called."""
+    found = []
+    for rig in rigs_with_folders():
+        for file in sorted(rig_directory(rig).glob(f"*{_ADDRESSES}")):
+            port = file.name.removesuffix(_ADDRESSES).rpartition("-")[2]
+            with contextlib.suppress(OSError):
+                lines = read_secret(file).decode().splitlines()
+                # A server that was killed leaves its file behind.
+                if port.isdecimal() and any(_answers(line, int(port)) for line in lines):
+                    found += lines
+    return found
+
+
+def _answers(line: str, port: int) -> bool:
+    """Return whether a server takes connections at the host of an address, or at this machine's own."""
+    host = urlsplit(line.partition(": ")[2]).hostname or LOOPBACK
+    for name in (LOOPBACK, host):
+        with contextlib.suppress(OSError), socket.create_connection((name, port), timeout=_LOOK_S):
+            return True
+    return False
 
 
 class PageServer:

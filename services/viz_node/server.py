@@ -160,7 +160,11 @@ class _PageSocket:
             role = self._access.role_of(request.token)
             if role is None:
                 await asyncio.sleep(_WRONG_TOKEN_S)
-                await _refuse(socket, _POLICY, "the token is wrong: open the address that the view printed")
+                await _refuse(
+                    socket,
+                    _POLICY,
+                    "the token is wrong: open the address that telenano view --addresses prints where the rig runs",
+                )
             return role
         except TimeoutError:
             await _refuse(socket, _POLICY, f"no token came within {_HELLO_S:g} s")

@@ -31,7 +31,7 @@ from services.viz_node.level_cache import LevelCache
 from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
 from services.viz_node.playback import RecordingPlayback
-from services.viz_node.serve import PageServer, Tls, addresses_of, announced, missing_for_view
+from services.viz_node.serve import PageServer, Tls, addresses_of, announced, missing_for_view, served_addresses
 from telenano.cli.options import (
     AllowOption,
     CertificateKeyOption,
@@ -66,15 +66,23 @@ def view(
     key: CertificateKeyOption = None,
     allow: AllowOption = None,
     name: HostNameOption = None,
+    addresses: Annotated[
+        bool,
+        typer.Option("--addresses", help="Print the addresses, with their tokens, of your pages here, and end."),
+    ] = False,
 ) -> None:
     """Serve the operator's page of a running rig, or of a recording, until Ctrl-C; prints the addresses to open.
 
-    Where the output is no terminal, the addresses go to a file that only its owner can read: they end with the tokens.
+    Where the output is no terminal, no token is written to it, because a pipe or a log keeps it. `--addresses` prints
+    the addresses of every page that you serve on this machine, those of `telenano up` too, whenever you ask.
 
     The token of the operator is in TELENANO_VIEW_OPERATOR_TOKEN, that of observers in TELENANO_VIEW_OBSERVER_TOKEN,
     that of a participant of an experiment in TELENANO_VIEW_PARTICIPANT_TOKEN; without them new ones are made.
     """
     with report_errors(False):
+        if addresses:
+            _print_addresses()
+            return
         if reason := missing_for_view():
             raise ConfigError(f"the view cannot be served: {reason}")
         config = ViewConfig(
@@ -109,6 +117,13 @@ def view(
     # The exit code is that of the signal that ended it, as after any other command; a person ends it with Ctrl-C.
     if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
         raise SystemExit(128 + signal.SIGTERM)
+
+
+def _print_addresses() -> None:
+    if not (lines := served_addresses()):
+        raise ConfigError("you serve no page on this machine: `telenano up` serves one, or `telenano view`")
+    for line in lines:
+        typer.echo(line)
 
 
 def _serve_again(serve_once: Callable[[], None]) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 
 import msgpack
 import pytest
+import typer
 import zmq
 
 from presets import DEFAULT_SITE_FILE
@@ -29,7 +30,7 @@ from services.runtime.loop.healthcheck import endpoint_of, receive_health
 from services.viz_node.commander import RigCommander, forms
 from services.viz_node.requests import PROTOCOL
 from services.viz_node.serve import Tls, announced, bind, check_exposure, page_folder
-from telenano.cli.commands.view import _serve_again
+from telenano.cli.commands.view import _serve_again, view
 
 
 @pytest.fixture
@@ -53,7 +54,8 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
         file = runtime / "view-8650.addresses"
         assert shown == [
             "view: http://127.0.0.1:8650/",
-            f"its addresses with their tokens, for its owner alone to read: {file}",
+            "it opens with a token, which no pipe and no log is given: `telenano view --addresses` prints it, and for "
+            f"its owner alone it is in the file: {file}",
         ]
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
         assert file.read_text().splitlines() == [f"{name}: {address}" for name, address in addresses.items()]
@@ -62,7 +64,30 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     with announced(addresses, shown.append):
         assert shown == [f"{name}: {address}" for name, address in addresses.items()]
-        assert list(runtime.iterdir()) == []
+        # for who asks in another terminal
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert list(runtime.iterdir()) == []
+
+
+def test_the_addresses_of_the_pages_that_run_are_printed_to_who_asks(
+    runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(typer.Exit):
+        view(addresses=True)
+    assert "you serve no page on this machine" in capsys.readouterr().err
+    shown: list[str] = []
+    with bind(port=0) as bound:
+        port = bound.getsockname()[1]
+        addresses = {"operator": f"http://127.0.0.1:{port}/#secret-1", "observer": f"http://127.0.0.1:{port}/#secret-2"}
+        with announced(addresses, shown.append):
+            # what a server that was killed leaves behind is of no use
+            (runtime / "view-1.addresses").write_text("operator: http://127.0.0.1:1/#old\n")
+            (runtime / "view-1.addresses").chmod(0o600)
+            view(addresses=True)
+            assert capsys.readouterr().out.splitlines() == [f"{name}: {found}" for name, found in addresses.items()]
+    # the output of the server itself says how to get there, and has no token
+    assert "telenano view --addresses" in shown[1]
+    assert "secret" not in "".join(shown)
 
 
 def test_a_view_that_something_unforeseen_ends_begins_anew_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
