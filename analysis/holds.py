@@ -218,10 +218,11 @@ def judge_holds(
         if shown_s < 0.5 * (end - start) and lacks_of(hand_time_s, hand_time_s, (start, end)):
             holds.append((start, end, force))
     times = _Times(hand_time_s, hand_force_n, tip_time_s, scaled_force_n)
-    judged = [_judge_hold(times, tip, hold, greatest, programme) for hold in sorted(holds)]
-    if not programme.by_hand:
-        return judged
-    swings = [swing for swing in swings_of(tip_time_s, scaled_force_n) if not _covered(swing, [*holds, *away])]
+    swings = swings_of(tip_time_s, scaled_force_n) if programme.by_hand else []
+    swings = [swing for swing in swings if not _covered(swing, [*holds, *away])]
+    # between its stops a hand that swings stands still now and then
+    holds = [hold for hold in holds if not _covered(hold, swings)]
+    judged = [_judge_hold(times, tip, hold, greatest, programme) for hold in holds]
     judged += [_judge_swing(times, tip, swing, greatest, programme) for swing in swings]
     return sorted(judged, key=lambda hold: hold.start_s)
 
@@ -249,10 +250,10 @@ def outside(stretch: tuple[float, float], spans: Sequence[tuple[float, float]]) 
     return parts
 
 
-def _covered(swing: Swing, spans: Sequence[tuple[float, ...]]) -> bool:
-    """Return whether half of a swing is in spans that were judged already, or in which the tip follows no hand."""
-    covered_s = sum(max(0.0, min(swing.end_s, span[1]) - max(swing.start_s, span[0])) for span in spans)
-    return covered_s > 0.5 * (swing.end_s - swing.start_s)
+def _covered(stretch: tuple[float, ...], spans: Sequence[tuple[float, ...]]) -> bool:
+    """Return whether more than half of a stretch is in spans; each begins with its start and its end [s]."""
+    start_s, end_s = stretch[:2]
+    return sum(max(0.0, min(end_s, span[1]) - max(start_s, span[0])) for span in spans) > 0.5 * (end_s - start_s)
 
 
 class _Times(NamedTuple):

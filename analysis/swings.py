@@ -2,10 +2,11 @@
 
 `services/viz_node/web/src/oscillation.ts` has the same rule for the last seconds of a live rig, and
 `services/viz_node/web/test/swings.json` holds both to it. A turning point counts where the force comes back from it by
-a least height. The motion swings when three whole turns follow one another of which each takes at most 1.5 times as
-long as the one before, and no less than 1 / 1.5 of it; a press is no part of the swing that follows it, because of two
-ways that are one turn neither is more than four times the other. Heights of two, four and eight times the least are
-tried as well, so that a small ripple on a large swing hides neither.
+a least height. The motion swings in three whole turns that are even: each turn takes at most 1.5 times as long as the
+one half a turn before and no less than 1 / 1.5 of it, and no way of it is more than four times another, so that a press
+is no part of the swing that follows it. A turn is timed from the middle of a way to the middle of the way after the
+next, where the force goes fast, because when it turns is vague where the tip is off the sample. Heights of two, four
+and eight times the least are tried as well, so that a small ripple on a large swing hides neither.
 """
 
 from collections.abc import Sequence
@@ -21,8 +22,10 @@ Series = npt.NDArray[np.float64]
 FELT_N = 0.3
 TURNS = 3
 _EVENNESS, _LIKENESS = 1.5, 4.0
-# the least and the greatest value of each so long [s] are looked at
-_SPAN_S = 2.5e-3
+# the page looks at 15 s, in which three slower turns have no room
+_LONGEST_TURN_S = 5.0
+# The force is looked at so often [1/s]; one sample alone, as where an answer is missing, does not count.
+_RATE_HZ = 100.0
 # Between two swings that are one, a turn or two were uneven.
 _UNEVEN_TURNS = 2.0
 
@@ -48,77 +51,82 @@ def swings_of(time_s: Series, force_n: Series, least_n: float = FELT_N) -> list[
         least_n: The least way from peak to peak [N].
     """
     known = np.isfinite(force_n)
-    times, values = _thinned(time_s[known], force_n[known])
+    times, values = _sampled(time_s[known], force_n[known])
     found: list[Swing] = []
-    height_n = least_n
-    times, values = turning_points(times, values, height_n)
-    while len(values) > 2 * TURNS:
-        found += _even(times, values)
+    height_n, places = least_n, turning_points(values, range(len(values)), least_n)
+    while len(places) > 2 * TURNS + 1:
+        found += _even(times, values, places)
         height_n *= 2.0
-        times, values = turning_points(times, values, height_n)
+        places = turning_points(values, places, height_n)
     return _joined(found)
 
 
-def turning_points(time_s: Sequence[float], value: Sequence[float], height: float) -> tuple[list[float], list[float]]:
-    """Return times and values of the points from which a motion comes back by a height, and of where it begins."""
-    times: list[float] = []
-    values: list[float] = []
+def turning_points(values: Sequence[float], places: Sequence[int], height: float) -> list[int]:
+    """Return the places, of those given, from which a motion comes back by a height, and that at which it begins."""
+    found: list[int] = []
     rises: bool | None = None
-    low = high = 0
-    for i, now in enumerate(value):
-        if now >= value[high]:
+    if not places:
+        return found
+    low = high = places[0]
+    for i in places:
+        now = values[i]
+        if now >= values[high]:
             high = i
-        if now <= value[low]:
+        if now <= values[low]:
             low = i
-        if rises is not False and now <= value[high] - height:
-            turn, rises, low = high, False, i
-        elif rises is not True and now >= value[low] + height:
-            turn, rises, high = low, True, i
-        else:
-            continue
-        times.append(time_s[turn])
-        values.append(value[turn])
-    return times, values
+        if rises is not False and now <= values[high] - height:
+            found.append(high)
+            rises, low = False, i
+        elif rises is not True and now >= values[low] + height:
+            found.append(low)
+            rises, high = True, i
+    return found
 
 
-def _thinned(time_s: Series, force_n: Series) -> tuple[list[float], list[float]]:
-    """Return the least and the greatest value of each short span, in the order in which they come."""
+def _sampled(time_s: Series, force_n: Series) -> tuple[list[float], list[float]]:
+    """Return even times, and the force there: of each three samples in a row the middle one."""
     if len(time_s) < 2:
-        return time_s.tolist(), force_n.tolist()
-    of = max(1, round(_SPAN_S * (len(time_s) - 1) / max(float(time_s[-1] - time_s[0]), _SPAN_S)))
-    if of < 2:
-        return time_s.tolist(), force_n.tolist()
-    whole = len(time_s) // of * of
-    spans = force_n[:whole].reshape(-1, of)
-    first = np.arange(len(spans)) * of
-    ends = np.sort(np.stack([first + spans.argmin(axis=1), first + spans.argmax(axis=1)]), axis=0)
-    places = np.concatenate([ends.T.ravel(), np.arange(whole, len(time_s))])
-    return time_s[places].tolist(), force_n[places].tolist()
+        return [], []
+    grid = np.arange(time_s[0], time_s[-1] + 0.5 / _RATE_HZ, 1.0 / _RATE_HZ)
+    held = force_n[np.searchsorted(time_s, grid + 1e-9, side="right") - 1]
+    padded = np.concatenate([held[:1], held, held[-1:]])
+    middle = np.median(np.stack([padded[:-2], held, padded[2:]]), axis=0)
+    return grid.tolist(), middle.tolist()
 
 
-def _even(times: Sequence[float], values: Sequence[float]) -> list[Swing]:
+def _even(times: Sequence[float], values: Sequence[float], places: Sequence[int]) -> list[Swing]:
     """Return the runs of turning points of which each whole turn takes about as long as the one before."""
-    turns = [after - before for before, after in zip(times, times[2:], strict=False)]
-    ways = [abs(after - before) for before, after in pairwise(values)]
-    are_alike = [max(there, back) <= _LIKENESS * min(there, back) for there, back in pairwise(ways)]
+    middles = [times[_crossing(values, first, last)] for first, last in pairwise(places)]
+    turns = [after - before for before, after in zip(middles, middles[2:], strict=False)]
+    ways = [abs(values[last] - values[first]) for first, last in pairwise(places)]
+    alike = [max(ways[i : i + 3]) <= _LIKENESS * min(ways[i : i + 3]) for i in range(len(turns))]
     found, first = [], 0
     for i in range(1, len(turns) + 1):
-        is_even = i < len(turns) and 1.0 / _EVENNESS <= turns[i] / turns[i - 1] <= _EVENNESS
-        if is_even and are_alike[i - 1] and are_alike[i]:
+        is_even = i < len(turns) and 1.0 / _EVENNESS <= turns[i] / max(turns[i - 1], 1e-9) <= _EVENNESS
+        if is_even and turns[i] <= _LONGEST_TURN_S and alike[i - 1] and alike[i]:
             continue
-        # the turns first .. i - 1 lie between the points first .. i + 1
-        if i + 1 - first >= 2 * TURNS:
-            greatest = max(ways[first : i + 1])
-            found.append(Swing(times[first], times[i + 1], 1.0 / float(np.median(turns[first:i])), greatest))
+        # the turns first .. i - 1 lie between the points first .. i + 2
+        if i + 2 - first > 2 * TURNS:
+            turn_s = float(np.median(turns[first:i]))
+            # before its first way and after its last the force may have stood for long
+            begin_s = max(times[places[first]], middles[first] - 0.5 * turn_s)
+            end_s = min(times[places[i + 2]], middles[i + 1] + 0.5 * turn_s)
+            found.append(Swing(begin_s, end_s, 1.0 / turn_s, max(ways[first : i + 2])))
         first = i
     return found
+
+
+def _crossing(values: Sequence[float], first: int, last: int) -> int:
+    """Return the first place between two turning points at which half of the way is behind."""
+    middle, sign = 0.5 * (values[first] + values[last]), 1.0 if values[last] > values[first] else -1.0
+    return next((i for i in range(first, last) if sign * (values[i] - middle) >= 0.0), last)
 
 
 def _joined(swings: Sequence[Swing]) -> list[Swing]:
     """Return the swings with those joined that overlap, or that a turn or two part; of the larger one the frequency."""
     found: list[Swing] = []
     for swing in sorted(swings):
-        if found and swing.start_s - found[-1].end_s <= _UNEVEN_TURNS / found[-1].frequency_hz:
+        if found and swing.start_s - found[-1].end_s <= _UNEVEN_TURNS / max(found[-1].frequency_hz, swing.frequency_hz):
             before = found.pop()
             larger = max(before, swing, key=lambda one: one.peak_to_peak_n)
             swing = larger._replace(start_s=before.start_s, end_s=max(before.end_s, swing.end_s))
