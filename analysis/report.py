@@ -1,7 +1,7 @@
 """Figure and summary of a session, from its recording alone."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ RELEASE_WINDOW_S = 1.0
 _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
-_RUNS = ("running", "paused")
+_RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
@@ -134,7 +134,11 @@ class Traffic:
 
 
 def write_report(
-    path: Path | Sequence[Path], out: Path, missing: Sequence[str] = (), options: FigureOptions = ON_SCREEN
+    path: Path | Sequence[Path],
+    out: Path,
+    missing: Sequence[str] = (),
+    options: FigureOptions = ON_SCREEN,
+    show: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Write `fig12.png` and `summary.json` of a recording, or of the parts of one, to a folder.
 
@@ -143,6 +147,7 @@ def write_report(
         out: The folder that the report is written to.
         missing: Sentences on what is known to be missing besides what the recording itself shows.
         options: The formats and the style of the figure.
+        show: Called with what is done next, each of which takes seconds for a recording of minutes.
 
     Returns:
         The summary.
@@ -152,8 +157,13 @@ def write_report(
         ReportError: A file cannot be written; the error has the summary, and none is left half written.
     """
     recording = open_recordings([path] if isinstance(path, Path) else path)
+    show("1 of 4: reading the session")
     session = read_session(recording)
-    summary = summarise(session, recording.info(), read_traffic(recording, session), missing)
+    show(f"2 of 4: counting the messages of its {session.duration_s:.0f} s")
+    traffic = read_traffic(recording, session)
+    show("3 of 4: looking for what is missing, and judging")
+    summary = summarise(session, recording.info(), traffic, missing)
+    show("4 of 4: drawing the figure")
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
     origin = described(session.scenario, session.conditions)
@@ -244,7 +254,8 @@ def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end
         at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
         at_s, runs = (at_ns - start_ns) * 1e-9, report.fields().get("state") in _RUNS
         if runs and begun_s is None:
-            begun_s = at_s
+            # its first step is reported before it
+            begun_s = at_s - _FIRST_STEP_S
         elif not runs and begun_s is not None:
             found.append((begun_s, at_s))
             begun_s = None

@@ -32,6 +32,8 @@ from services.runtime.loop.realtime import shallow_idle
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Observer = Callable[[RigNode], None]
+# A recording of a minute has so much: its report takes seconds.
+_LONG_BYTES = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -266,8 +268,11 @@ def report_of(
         return None
     names = " ".join(map(str, recordings))
     show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
+    is_long = sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES
+    if is_long:
+        show(f"that takes some time; Ctrl-C leaves it to `telenano report {names} --out {plan.out}`")
     try:
-        return make_report(recordings, plan.out, outcome.missing, options)
+        return make_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
     except RecordingError:
         # The failure of the rig is the cause, and is reported.
         if outcome.failure:
@@ -279,10 +284,14 @@ def report_of(
 
 
 def make_report(
-    recordings: Sequence[Path], out: Path, missing: Sequence[str], options: FigureOptions
+    recordings: Sequence[Path],
+    out: Path,
+    missing: Sequence[str],
+    options: FigureOptions,
+    show: Callable[[str], None],
 ) -> dict[str, Any]:
     """Make figure and summary from a recording; what the recording lacks ends in a TelenanoError."""
     # matplotlib takes a second to import, which a running rig should not pay
     from analysis.report import write_report
 
-    return write_report(recordings, out, missing, options)
+    return write_report(recordings, out, missing, options, show)

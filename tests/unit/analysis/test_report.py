@@ -34,7 +34,10 @@ def session(recording_of: Callable[[str], Path]) -> Path:
 @pytest.fixture(scope="module")
 def whole(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], bytes]:
     out = tmp_path_factory.mktemp("whole")
-    return write_report(session, out), (out / "fig12.png").read_bytes()
+    steps: list[str] = []
+    found = write_report(session, out, show=steps.append), (out / "fig12.png").read_bytes()
+    assert [step.partition(":")[0] for step in steps] == [f"{n} of 4" for n in (1, 2, 3, 4)]
+    return found
 
 
 @pytest.fixture(scope="module")

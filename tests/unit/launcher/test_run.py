@@ -136,11 +136,23 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     path = tmp_path / "session.mcap"
     reported: list[str] = []
     ran = Outcome("", False, True, (path,), "", {})
-    monkeypatch.setattr(
-        up, "make_report", lambda recordings, out, missing, options: {"recording": str(recordings[0]), "out": str(out)}
-    )
+
+    def made(recordings: Any, out: Path, missing: Any, options: Any, show: Any) -> dict[str, Any]:
+        show("1 of 4: reading the session")
+        return {"recording": str(recordings[0]), "out": str(out)}
+
+    monkeypatch.setattr(up, "make_report", made)
     assert report_of(ran, plan, reported.append) == {"recording": str(path), "out": str(plan.out)}
     assert reported == ["making figure and summary"]
+    # of a long one it is said what is done, and how to have the terminal back
+    path.write_bytes(b"-")
+    monkeypatch.setattr(up, "_LONG_BYTES", 0)
+    reported.clear()
+    report_of(ran, plan, reported.append)
+    assert reported[1:] == [
+        f"that takes some time; Ctrl-C leaves it to `telenano report {path} --out {plan.out}`",
+        "1 of 4: reading the session",
+    ]
     assert report_of(Outcome("", True, False, (path,), "", {}), plan, reported.append) is None
     assert report_of(Outcome("", False, True, (), "elsewhere", {}), plan, reported.append) is None
 
