@@ -148,7 +148,7 @@ class Page:
         try:
             return until(lambda: self.value(expression), what)
         except AssertionError as error:
-            note = self.page.inner_text("#scene .solid .note")
+            note = self.page.inner_text("#scene > .note")
             raise AssertionError(f"{error}; the page says {note!r} {self.banners()!r} {self.faults}") from None
 
     def answered(self, action: Callable[[], object]) -> str:
@@ -158,6 +158,12 @@ class Page:
         shown = self.page.locator(".answer.done, .answer.refused")
         until(shown.count, "an answer on the page")
         return str(shown.first.inner_text())
+
+    def measured(self, curve: str) -> list[str]:
+        """Return what stands beside the name of a curve in the table of the cursors: A, B, B - A, peak to peak, …"""
+        rows = self.page.locator(".measures tbody tr").all()
+        found = {row.locator("th").inner_text(): row.locator("td").all_inner_texts() for row in rows}
+        return found.get(curve, ["–"] * 6)
 
     def banners(self) -> str:
         return str(self.page.inner_text("#banners"))

@@ -276,6 +276,41 @@ def test_a_gamepad_presses_with_its_stick_and_rumbles_with_the_force_that_comes_
 
 
 @pytest.mark.endurance
+def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_again(rig: Rig, operator: Page) -> None:
+    force_n = lambda: newest(rig, "haptic/state").operator_force_n[2]  # noqa: E731
+
+    def hold() -> None:
+        operator.follow()
+        operator.click("#hand-keep")
+        operator.press(10.0)
+        operator.page.mouse.up()
+        rig.wait_until(lambda: force_n() < -0.2, "the force at the device")
+
+    def check_nothing_presses() -> None:
+        begin_ns = time.time_ns()
+        operator.page.wait_for_timeout(2000.0)
+        assert not any(state.operator_force_n[2] for state in since(rig, "haptic/state", begin_ns))
+
+    hold()
+    for key, value in {"pixels": "16", "lines": "8", "dwell_s": "2"}.items():
+        operator.fill(f"#program-scan-{key}", value)
+    assert "acknowledged" in operator.answered(lambda: operator.click("#program-scan"))
+    rig.wait_until(lambda: force_n() == 0.0, "a hand that has let go")
+    operator.until(has("#hand-text", "Let go: the instrument runs a scan"), "why")
+    assert operator.page.get_attribute("#hand-keep", "aria-pressed") == "false"
+    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "the end of the image")
+    operator.follow()
+    check_nothing_presses()
+    hold()
+    operator.answered(lambda: operator.click("#stop"))
+    rig.wait_until(lambda: newest(rig, "haptic/state").session_s < 0.0, "the end of the operator's programme")
+    operator.until(has("#hand-text", "Let go: "), "why")
+    operator.answered(lambda: operator.click("#start"))
+    rig.wait_until(lambda: newest(rig, "haptic/state").session_s >= 0.0, "its start")
+    check_nothing_presses()
+
+
+@pytest.mark.endurance
 def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_says(rig: Rig, operator: Page) -> None:
     operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
     for key, value in {"pixels": "64", "lines": "40", "dwell_s": "3"}.items():
@@ -454,6 +489,8 @@ def test_the_emergency_stop_is_on_a_key(rig: Rig, operator: Page) -> None:
     rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the stop at the haptic device")
     rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the stop at the instrument")
     until(lambda: "EMERGENCY STOP" in operator.banners(), "the banner of the stop")
+    # the programme of the operator goes on behind it, and nothing follows
+    operator.until("document.querySelector('#start').getAttribute('aria-pressed') === 'false'", "a start that is over")
     operator.click("#theme")
     operator.click("#arm")
     rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")

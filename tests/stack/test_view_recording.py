@@ -90,8 +90,8 @@ def check_section_and_pick(page: Page) -> None:
     page.click("#section")
     box = page.page.locator("#scene .solid > canvas").bounding_box()
     page.page.mouse.dblclick(box["x"] + box["width"] / 2, box["y"] + 0.55 * box["height"])
-    page.until("/Measured point/.test(document.querySelector('#scene .solid .note').textContent)", "a picked point")
-    note = page.page.inner_text("#scene .solid .note")
+    page.until("/Measured point/.test(document.querySelector('#scene > .note').textContent)", "a picked point")
+    note = page.page.inner_text("#scene > .note")
     numbers = re.search(r"Measured point (\d+) of line (\d+): x (\S+) nm, y (\S+) nm, z (\S+) nm", note)
     assert numbers is not None, note
     point, line = int(numbers[1]), int(numbers[2])
@@ -214,10 +214,9 @@ def find_the_jump(page: Page, folder: Path) -> None:
     box = page.page.locator(".plot").nth(2).locator(".u-over").bounding_box()
     page.page.mouse.click(box["x"] + page.value(place), box["y"] + box["height"] / 2)
     # B is the nearer of the two: from nothing before the jump to what is read there
-    page.until(r"/normal 0 → -?[1-9]/.test(document.querySelector('.measures').textContent)", "the force at a cursor")
-    read = re.search(r"normal 0 → (-?[\d.]+) nN", page.page.inner_text(".measures"))
-    assert read is not None, page.page.inner_text(".measures")
-    assert float(read[1]) == pytest.approx(DRAWN_NN, rel=1e-3)
+    until(lambda: page.measured("normal, nN")[0] == "0" != page.measured("normal, nN")[1], "the force at a cursor")
+    assert float(page.measured("normal, nN")[1]) == pytest.approx(DRAWN_NN, rel=1e-3)
+    check_cursors(page, box)
     with page.page.expect_download() as saved:
         page.click("#save-png")
     assert saved.value.path().read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -227,6 +226,35 @@ def find_the_jump(page: Page, folder: Path) -> None:
     forces_n = [float(row[3]) for row in rows if (row[0], row[2]) == ("tip", "force")]
     assert min(forces_n) == pytest.approx(DRAWN_NN * 1e-9, rel=1e-5)
     assert len(forces_n) == pytest.approx(0.5 / STEP_S, abs=3)
+
+
+def check_cursors(page: Page, box: dict[str, float]) -> None:
+    """Check that a cursor keeps its value, that the pointer reads the same, and what is measured between the two."""
+    until(lambda: page.measured("normal, nN")[3] != "–", "what lies between the cursors")
+    a_s, b_s = page.value("telenano.scopes.cursors.map((cursor) => cursor.time)")
+    # of a force of 0 and one of -12.5 nN between the two: no more and no less
+    assert float(page.measured("normal, nN")[3]) == pytest.approx(-DRAWN_NN, rel=1e-3)
+    assert float(page.measured("normal, nN")[4]) == pytest.approx(DRAWN_NN * drawn_share(a_s, b_s), rel=0.1)
+    # on the steep edge: at the time of one sample, which stays while other parts of the recording are drawn
+    begun_s = page.value("telenano.cockpit.document.about.session_s[0]")
+    x = page.value(f"telenano.scopes.plots[2].plot.valToPos({begun_s + JUMP_S}, 'x')")
+    page.page.mouse.click(box["x"] + x, box["y"] + box["height"] / 2)
+    pointed = page.page.locator(".plot").nth(2).locator(".at-cursor").inner_text().split()
+    time_s, force_nn = page.measured("time")[1], page.measured("normal, nN")[1]
+    assert (pointed[0], pointed[2]) == (time_s.removesuffix(" s"), force_nn)
+    for span, rate in (("2", 1.0), ("whole", 1.0)):
+        page.page.locator("#span").select_option(label=span if span == "whole" else f"{span} s", force=True)
+        page.value("telenano.cockpit.document.seek(telenano.cockpit.document.at(performance.now()) + 1)")
+        page.page.wait_for_timeout(500.0 * rate)
+        assert (page.measured("time")[1], page.measured("normal, nN")[1]) == (time_s, force_nn)
+    page.choose("#span", "0.5")
+    page.value(f"telenano.cockpit.document.seek({begun_s + JUMP_S})")
+    page.until("telenano.cockpit.document.between(0, 0) && telenano.scopes.shownWindow.width === 0", "every sample")
+
+
+def drawn_share(a_s: float, b_s: float) -> float:
+    """Return for which share of the time between two cursors around the jump the tip is drawn to the sample."""
+    return 0.5 * DRAWN_S / abs(b_s - a_s)
 
 
 @pytest.mark.endurance
@@ -290,11 +318,11 @@ def check_exaggeration(page: Page) -> None:
     """Draw heights five times as high: the page says so, and what is picked keeps its measured height."""
     page.choose("#stretch", "5")
     page.until("telenano.view.surface.mesh.scale.z === 5", "heights five times as high")
-    page.until(has("#scene .solid .note", "drawn 5 times as high"), "the factor in words")
+    page.until(has("#scene > .note", "drawn 5 times as high"), "the factor in words")
     picked = page.value("telenano.view.mark.position.z / 5 + telenano.view.surface.base")
     assert picked == pytest.approx(page.value("telenano.view.markHeight"), abs=1e-6)
     page.choose("#stretch", "1")
-    page.until(has("#scene .solid .note", "as measured, to scale"), "heights to scale")
+    page.until(has("#scene > .note", "as measured, to scale"), "heights to scale")
 
 
 def check_wrong_token(chromium: Any, view: View) -> None:
@@ -303,7 +331,10 @@ def check_wrong_token(chromium: Any, view: View) -> None:
     page = Page(window.new_page())
     page.page.goto(f"{view.operator.partition('#')[0]}#not-the-token-0123", wait_until="commit")
     page.page.wait_for_selector("#banners .banner", state="attached")
-    until(lambda: "the token is wrong: open the address that the view printed" in page.banners(), "what is wrong")
+    until(
+        lambda: "the token is wrong: open the address that telenano view --addresses prints" in page.banners(),
+        "what is wrong",
+    )
     assert page.value("telenano.store.streams.size") == 0
     window.close()
 

@@ -168,6 +168,11 @@ def states(rig: Rig, chromium: Any, view: View) -> None:
     stop = page.page.inner_text("#estop")
     assert "NOT CONNECTED" in stop
     assert "telenano estop" in stop
+    # a dead stop looks dead under the pointer too
+    page.page.hover("#estop")
+    page.page.wait_for_timeout(300.0)
+    assert page.value("getComputedStyle(document.querySelector('#estop')).backgroundImage") != "none"
+    assert page.value("getComputedStyle(document.querySelector('#estop')).color") != "rgb(255, 255, 255)"
     answer = page.answered(lambda: page.page.keyboard.press("Escape"))
     assert "telenano estop" in answer
     look(page, "disconnected")

@@ -6,7 +6,8 @@ import { Stops } from "./stops";
 import type { Store } from "./store";
 
 const SHOWN_MS = 7000;
-const MOST_SHOWN = 3;
+/** There is room for two lines beside the state of the rig. */
+const MOST_SHOWN = 2;
 /** The AFM before the haptic device, so that the hand never moves a reference that nothing follows. */
 const DEVICES = ["afm_node", "haptic_node"];
 
@@ -18,6 +19,8 @@ export class Commands {
   }));
   /** Called when an emergency stop is asked for, before it is answered. */
   onEstop: () => void = () => {};
+  /** Called before devices are armed: the tip must not press at once with a force that was held before. */
+  onArm: () => void = () => {};
   link: LinkState = "connecting";
 
   constructor(
@@ -54,6 +57,7 @@ export class Commands {
 
   /** Arm the devices one after the other, as far as they permit, and no further than to the next emergency stop. */
   async arm(mayGoOn = this.stops.begin()): Promise<void> {
+    this.onArm();
     for (const device of DEVICES) if (!mayGoOn() || !(await this.command(`arm ${device}`, "arm", device))) return;
   }
 
@@ -72,15 +76,14 @@ export class Commands {
   private pending(about: string): HTMLElement {
     const note = make("div", { class: "answer pending" }, `${about} …`);
     const answers = part("answers");
-    answers.append(note);
-    // more would lie over what is worked with
-    while (answers.childElementCount > MOST_SHOWN) answers.firstElementChild!.remove();
+    answers.prepend(note);
+    while (answers.childElementCount > MOST_SHOWN) answers.lastElementChild!.remove();
     return note;
   }
 
   private settle(note: HTMLElement, about: string, ok: boolean, text: string): void {
     note.className = `answer ${ok ? "done" : "refused"}`;
-    note.textContent = `${about}: ${ok ? "acknowledged" : "refused"} · ${text}`;
+    note.textContent = note.title = `${about}: ${ok ? "acknowledged" : "refused"} · ${text}`;
     setTimeout(() => note.remove(), SHOWN_MS);
   }
 }

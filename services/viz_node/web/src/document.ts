@@ -1,4 +1,5 @@
 import type { Connection } from "./connection";
+import type { Oscillation } from "./oscillation";
 import { floats, type StreamData } from "./protocol";
 import { Ring } from "./ring";
 import type { Store } from "./store";
@@ -16,6 +17,14 @@ export interface Hold {
   reason: string;
   growth_per_s: number | null;
   peak_to_peak_n: number;
+  /** Of a swing that stands in the place of a hold, where a person is the hand [Hz]. */
+  frequency_hz?: number | null;
+}
+export interface Swing {
+  from_s: number;
+  to_s: number;
+  hertz: number;
+  peak_to_peak_n: number;
 }
 export interface Moment {
   t_s: number;
@@ -31,6 +40,7 @@ export interface About {
   session_s?: [number, number];
   phases?: Span[];
   holds?: Hold[];
+  swings?: Swing[];
   moments?: Moment[];
   summary?: Record<string, unknown> | null;
   fault?: string;
@@ -165,6 +175,17 @@ export class Document {
       if (ring.time(i) <= at + 0.02 && !Number.isNaN(value)) return value;
     }
     return NaN;
+  }
+
+  /** The hold, or the swing in the place of one, at a place [s]; of two that overlap the later one. */
+  holdAt(place: number): Hold | undefined {
+    return this.about?.holds?.findLast(({ from_s, to_s }) => from_s <= place && place < to_s);
+  }
+
+  /** How the force that the hand is shown swings at a place [s]. */
+  swingAt(place: number): Oscillation | undefined {
+    const found = this.about?.swings?.find(({ from_s, to_s }) => from_s <= place && place <= to_s);
+    return found && { hertz: found.hertz, peakToPeak: found.peak_to_peak_n };
   }
 
   /** The next moment after a place, or the one before it [s]. */

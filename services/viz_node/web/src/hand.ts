@@ -28,6 +28,13 @@ export function rumbleStrength(back_n: number): number {
   return size < LEAST_FELT_N ? 0 : Math.min(1, size / RUMBLE_N);
 }
 
+/** Why a hand that is held has to let go, by the mode of the instrument, its program, and whether a session runs. */
+export function whyLetGo(mode: unknown, program: string, runs: boolean): string {
+  if (program) return `the instrument runs a ${program}`;
+  if (!runs) return "the session has ended";
+  return mode === "follow" || mode === "hold" ? "" : "the tip was withdrawn";
+}
+
 /** A hand for those who have no device: drag down to push, and see the arm lag behind the pointer. */
 export class Hand {
   private readonly canvas = make("canvas", { "aria-hidden": "true" });
@@ -52,6 +59,7 @@ export class Hand {
   private grabbedAt = { y: 0, arm: 0 };
   private refusal = "";
   private rumbledAt = 0;
+  private followed = false;
 
   constructor(
     private readonly connection: Connection,
@@ -167,6 +175,16 @@ export class Hand {
   refuse(text: string): void {
     this.refusal = text;
     this.letGo();
+  }
+
+  /**
+   * Let go where the tip ceases to follow the hand: a program begins, the guard or somebody has it withdraw, the
+   * operator's programme ends. A force that was held until then would press at once when the tip follows again.
+   */
+  followTip(mode: unknown, program: string, runs: boolean): void {
+    const reason = whyLetGo(mode, program, runs);
+    if (this.followed && reason && this.isHeld) this.refuse(`Let go: ${reason}`);
+    this.followed = !reason;
   }
 
   draw(): void {

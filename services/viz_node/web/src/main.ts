@@ -40,8 +40,9 @@ const cockpit: Cockpit = {
   document: new Document(connection, store),
 };
 cockpit.hand.may = () => commands.may;
-commands.onEstop = () => cockpit.hand.letGo();
+commands.onEstop = commands.onArm = () => cockpit.hand.letGo();
 store.recorded = (stream, column) => cockpit.document.value(stream, column, performance.now());
+store.recordedSwing = () => cockpit.document.swingAt(cockpit.document.at(performance.now()));
 const status = new StatusPanel(part("status"), cockpit);
 const regions = new Regions(PANELS, cockpit);
 const view = (regions.panel("scene") as ScenePanel).view;
@@ -127,6 +128,7 @@ function draw(now: number): void {
 // not with the frames, of which a slow machine draws few: what an operator must not overlook comes at its time
 setInterval(() => {
   store.clock.tick(performance.now());
+  cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
   status.draw();
 }, BANNERS_MS);
 
@@ -161,7 +163,7 @@ function nextOption(id: string): void {
   list.dispatchEvent(new Event("change"));
 }
 
-if (!token) connection.onState("refused", "open the address that `telenano view` printed: it ends with a token");
+if (!token) connection.onState("refused", "this address has no token: type telenano view --addresses where the rig runs, and open what it prints");
 else connection.open();
 begin();
 requestAnimationFrame(draw);

@@ -80,8 +80,6 @@ export class Regions {
       const isChosen = tab.id === `tab-${id}`;
       tab.setAttribute("aria-selected", String(isChosen));
       tab.tabIndex = isChosen ? 0 : -1;
-      // of many tabs the chosen one is seen
-      if (isChosen) this.tabs.scrollLeft = tab.offsetLeft + tab.offsetWidth - this.tabs.clientWidth;
       part(tab.getAttribute("aria-controls")!).hidden = !isChosen;
     }
   }

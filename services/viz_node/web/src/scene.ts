@@ -386,7 +386,7 @@ export class View {
       isAway ? `the tip is out of the picture, ${quantity(separation, "m")} away` : "",
       this.picked,
     ].filter(Boolean).join(" · ");
-    if (this.note.textContent !== text) this.note.textContent = text;
+    if (this.note.textContent !== text) this.note.textContent = this.note.title = text;
   }
 
   private buildOverlay(): void {
@@ -416,9 +416,9 @@ export class View {
         make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset"),
       ),
     );
-    this.solid.append(this.legend, this.tag, this.note);
+    this.solid.append(this.legend, this.tag);
     this.views.append(this.solid, this.flat.element, this.section.element);
-    this.root.append(bar, this.views);
+    this.root.append(bar, this.views, this.note);
     this.show("solid");
   }
 

@@ -22,14 +22,14 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
     found.push(["bad", "EMERGENCY STOP: arm to go on"]);
   }
   // what was stopped swings no more, whatever the last seconds show
-  const swing = isLive && !found.length ? swingOf(store) : undefined;
+  const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();
   if (lost.length) found.push(["bad", `LOST: ${lost.join(", ")}`]);
-  if (swing) found.push(["bad", `OSCILLATES: ${swing.peakToPeak.toFixed(1)} N at ${swing.hertz.toFixed(1)} Hz`]);
+  if (swing) found.push(["bad", `OSCILLATES: ${swing.peakToPeak.toFixed(1)} N peak to peak at ${swing.hertz.toFixed(1)} Hz`]);
   if (!isLive || nodes.some((node) => node.replay)) found.push(["warn", "REPLAYED: not an instrument"]);
   const delay = roundTripOf(store);
   if (delay > 1e-3) found.push(["warn", `DELAYED: ${(delay * 1e3).toFixed(1)} ms round trip`]);
-  if (store.fact("law/status/master", "passive") === false) found.push(["warn", "NOT PASSIVE"]);
+  if (store.fact("law/status/master", "passive") === false) found.push(["warn", "NOT PASSIVE: the loop has made energy"]);
   if (!found.length) found.push(["good", "running"]);
   const doing = isLive ? doingOf(store) : "";
   if (doing && found[0]![0] !== "bad") found.push([found[0]![0], doing]);

@@ -1,3 +1,4 @@
+import type { Oscillation } from "./oscillation";
 import { Ring } from "./ring";
 import {
   floats,
@@ -57,6 +58,8 @@ export class Store {
   onRestart: () => void = () => {};
   /** Value of a column at the playhead of a recording, NaN where it is not known. */
   recorded: (stream: string, column: string) => number = () => NaN;
+  /** How the force swings at the playhead of a recording. */
+  recordedSwing: () => Oscillation | undefined = () => undefined;
   private seen = new Set<string>();
 
   /** Begin anew with what the server knows. Curves stay, as after a lost connection, unless `forget`. */

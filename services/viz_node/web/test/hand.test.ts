@@ -1,9 +1,18 @@
 import { expect, it } from "vitest";
-import { rumbleStrength } from "../src/hand";
+import { rumbleStrength, whyLetGo } from "../src/hand";
 
 it("rumbles in proportion to the force of the tip, whichever way it pushes, and not for noise", () => {
   expect(rumbleStrength(0.01)).toBe(0);
   expect(rumbleStrength(-1.5)).toBeCloseTo(0.5);
   expect(rumbleStrength(1.5)).toBeCloseTo(0.5);
   expect(rumbleStrength(20)).toBe(1);
+});
+
+it("lets go where the tip ceases to follow it: in a program, withdrawn, after a stop", () => {
+  expect(whyLetGo("follow", "", true)).toBe("");
+  // the guard waits for the next command, and follows again
+  expect(whyLetGo("hold", "", true)).toBe("");
+  expect(whyLetGo("follow", "scan", true)).toBe("the instrument runs a scan");
+  for (const mode of ["retracting", "retracted", "estop"]) expect(whyLetGo(mode, "", true)).toBe("the tip was withdrawn");
+  expect(whyLetGo("follow", "", false)).toBe("the session has ended");
 });

@@ -1,9 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { BUILT_IN, Layouts, moved, overlaid } from "../src/scopes/layout";
-import { valueAt } from "../src/scopes/plot";
 import { axisRange, noiseOf } from "../src/scopes/range";
 import { resampled, spectrumOf } from "../src/scopes/spectrum";
-import { Ring } from "../src/ring";
 
 describe("a range", () => {
   it("is not smaller than the noise, so that noise does not look like an event", () => {
@@ -68,11 +66,4 @@ describe("layouts", () => {
     expect(specs).toHaveLength(BUILT_IN["Loop"]!.length - 1);
     expect(specs[0]!.curves.map((curve) => curve.column)).toEqual(["force", "tip_force", "position", "reference"]);
   });
-});
-
-it("a cursor reads the sample that is nearest, and none where there is a gap", () => {
-  const ring = new Ring(1, 4);
-  ring.push(3, 10, new Float32Array([0, 0.001, 0.5, 7, 8, 9]));
-  expect(valueAt(ring, 0, 10.0008, 0.06)).toBe(8);
-  expect(valueAt(ring, 0, 10.25, 0.06)).toBeNaN();
 });

@@ -13,6 +13,7 @@ export class LawPanel implements Panel {
     root: HTMLElement,
     private readonly cockpit: Cockpit,
   ) {
+    this.facts.title = ENERGY_ABOUT;
     root.querySelector("h2")?.append(this.facts);
     root.append(make("div", { class: "row tight" }, this.select));
     this.select.addEventListener("change", () => {
@@ -44,11 +45,19 @@ export class LawPanel implements Panel {
     const passive = store.fact("law/status/master", "passive");
     const age = store.last("hand", "loop_age");
     const words = [
-      Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(1)} ms old`,
-      passive === true ? "passive" : passive === false ? "not passive" : "",
-      `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"} seen`,
+      Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
+      energyText(passive),
+      `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"}`,
     ];
     const text = words.filter(Boolean).join(" · ");
     if (this.facts.textContent !== text) this.facts.textContent = text;
   }
 }
+
+/** What the account of the energy says, named as what it is: it says nothing of the motion. */
+export function energyText(passive: unknown): string {
+  return passive === true ? "no energy made" : passive === false ? "has made energy" : "";
+}
+
+const ENERGY_ABOUT =
+  "By the account of the energy at its two ports the loop has given out no more than it took in. That says nothing of the motion, which a red OSCILLATES is about: hand, sample and delay can swing for long on what the hand puts in.";

@@ -5,7 +5,8 @@ import { Playhead } from "../playhead";
 import type { Ring } from "../ring";
 import { drawnAs, SHORT } from "../scopes/catalog";
 import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/layout";
-import { Plot, type Window } from "../scopes/plot";
+import { columnsOf, Plot, type Window } from "../scopes/plot";
+import { measure, neighbour, readAt, type Reading, type Samples, type Stretch } from "../scopes/reading";
 import { sheetOf } from "../scopes/sheet";
 
 /** Where frames are slow the curves are drawn in every second one, so that the page still answers. */
@@ -13,12 +14,18 @@ const SLOW_SHARE = 2;
 const SPANS = [0.1, 0.5, 1, 2, 5, 10, 30, 60, 300, 3600];
 const LONGEST_LIVE = 60;
 const CURSOR_STEP = 1 / 200;
+/** All samples are asked for when a cursor has stood still for so long [ms], of at most so long a stretch [s]. */
+const REST_MS = 120;
+const LONGEST_STRETCH = 60;
+/** How far around a cursor they are asked for [s]. */
+const AROUND = 0.3;
+const HEADS = ["", "A", "B", "B − A", "peak to peak", "mean", "turns at"];
 
 /** The scopes: which there are, what span they show, two cursors, and what is saved of them. */
 export class ScopesPanel implements Panel {
   plots: Plot[] = [];
   specs: ScopeSpec[] = [];
-  cursors: [number, number] | undefined;
+  cursors: [Reading, Reading] | undefined;
   span = 10;
   private readonly layouts = new Layouts(() => localStorage);
   private layout: string;
@@ -29,6 +36,10 @@ export class ScopesPanel implements Panel {
   private drawnFor = "";
   private shownWindow: Window | undefined;
   private moving: 0 | 1 = 0;
+  /** What was measured between the cursors, by the names of the columns. */
+  private stretch = new Map<string, Stretch>();
+  private placed = 0;
+  private restTimer: ReturnType<typeof setTimeout> | undefined;
   private readonly grid = make("div", { class: "plots" });
   private readonly measures = make("div", { class: "measures", hidden: true, tabindex: 0, role: "status", "aria-label": "Values at the cursors" });
   private readonly spanSelect = make("select", { id: "span", "aria-label": "Span of the scopes", onchange: () => this.setSpan(Number(this.spanSelect.value)) });
@@ -133,9 +144,54 @@ export class ScopesPanel implements Panel {
     if (this.cursors || !window) this.cursors = undefined;
     else {
       if (this.pausedAt === undefined) this.pause();
-      this.cursors = [window.from + (window.to - window.from) / 3, window.from + (2 * (window.to - window.from)) / 3];
+      const [a, b] = [1 / 3, 2 / 3].map((share) => this.readIn(window, window.from + share * (window.to - window.from))) as [Reading, Reading];
+      this.cursors = [a, b];
     }
     this.cursorButton.setAttribute("aria-pressed", String(this.cursors !== undefined));
+    this.moved();
+  }
+
+  private readIn(samples: Samples, time: number, of = this.plots[0]?.stream ?? ""): Reading {
+    return readAt(samples, columnsOf(this.cockpit.store), time, of);
+  }
+
+  /** What a cursor stands at is read once and stays, whatever is drawn afterwards. */
+  private setCursor(which: 0 | 1, time: number, of: string): void {
+    if (!this.cursors || !this.shownWindow) return;
+    this.cursors[which] = this.readIn(this.shownWindow, time, of);
+    this.moved(of);
+  }
+
+  private moved(of?: string): void {
+    this.stretch.clear();
+    const placed = ++this.placed;
+    clearTimeout(this.restTimer);
+    if (this.cursors) this.restTimer = setTimeout(() => void this.settle(placed, of), REST_MS);
+    this.invalidate();
+    this.writeMeasures();
+  }
+
+  /** Read the cursors among all samples, where spans were drawn, and measure between them. */
+  private async settle(placed: number, of: string | undefined): Promise<void> {
+    const { document, store } = this.cockpit;
+    const { cursors } = this;
+    if (!cursors) return;
+    const live: Samples = { ring: (stream) => store.rings.get(stream), width: 0 };
+    const read = async (from: number, to: number): Promise<Samples | undefined> => {
+      if (!document.isThere) return live;
+      const part = await document.samples(Math.max(0, from), Math.min(document.length, to));
+      return typeof part === "string" ? undefined : { ring: (stream) => part.rings.get(stream), width: 0 };
+    };
+    for (const which of [0, 1] as const) {
+      const { time, isExact } = cursors[which];
+      const samples = isExact ? undefined : await read(time - AROUND, time + AROUND);
+      if (placed !== this.placed) return;
+      if (samples) cursors[which] = this.readIn(samples, time, of);
+    }
+    const [from, to] = cursors.map(({ time }) => time).sort((a, b) => a - b) as [number, number];
+    const samples = to - from <= LONGEST_STRETCH ? await read(from, to) : this.shownWindow;
+    if (placed !== this.placed || !samples) return;
+    for (const [stream, columns] of columnsOf(store)) columns.forEach((name, i) => this.stretch.set(`${stream}.${name}`, measure(samples, stream, i, from, to)));
     this.invalidate();
     this.writeMeasures();
   }
@@ -150,12 +206,16 @@ export class ScopesPanel implements Panel {
       const from = Math.min(Math.max(0, at - span / 2), Math.max(0, length - span));
       const part = document.between(from, from + span);
       const moments = (document.about?.moments ?? []).filter(({ kind }) => kind !== "node").map(({ t_s }) => t_s);
-      return { from, to: from + span, zero: 0, now: at, cursors: this.cursors, moments, width: part?.width ?? 0, ring: (stream) => part?.rings.get(stream) };
+      return { from, to: from + span, zero: 0, now: at, cursors: this.cursorTimes, moments, width: part?.width ?? 0, ring: (stream) => part?.rings.get(stream) };
     }
     const head = this.playhead.advance(store.newest, now, 1);
     const to = this.pausedAt ?? head;
     if (!Number.isFinite(to)) return undefined;
-    return { from: to - this.span, to, zero: to, now: undefined, cursors: this.cursors, moments: [], width: 0, ring: (stream: string): Ring | undefined => store.rings.get(stream) };
+    return { from: to - this.span, to, zero: to, now: undefined, cursors: this.cursorTimes, moments: [], width: 0, ring: (stream: string): Ring | undefined => store.rings.get(stream) };
+  }
+
+  private get cursorTimes(): [number, number] | undefined {
+    return this.cursors && [this.cursors[0].time, this.cursors[1].time];
   }
 
   private build(): void {
@@ -191,8 +251,8 @@ export class ScopesPanel implements Panel {
     const more = make("button", { type: "button", class: "more", title: "Curves, range, spectrum, place", "aria-label": `Change ${title}`, onclick: () => this.openSheet(i) }, "⋯");
     const name = make("div", { class: "name", draggable: "true" }, make("b", { title: plot.title }, plot.title), make("span", { class: "keys", title: plot.keys.map(([label]) => label).join(", ") }, ...keys), enlarge, more);
     const element = make("div", { class: "plot", role: "group", "aria-label": plot.title }, name, plot.area);
-    plot.onTime = (time, begins) => this.place(time, begins);
-    plot.area.addEventListener("keydown", (event) => this.moveByKey(event));
+    plot.onTime = (time, begins) => this.place(time, begins, plot.stream);
+    plot.area.addEventListener("keydown", (event) => this.moveByKey(event, plot.stream));
     this.makeDraggable(element, name, i);
     return element;
   }
@@ -336,50 +396,57 @@ export class ScopesPanel implements Panel {
   }
 
   /** Press near a cursor to take it along; in a recording without cursors the playhead goes there. */
-  private place(time: number, begins: boolean): void {
+  private place(time: number, begins: boolean, of: string): void {
     const { document } = this.cockpit;
     if (!this.cursors) {
       if (document.isThere && begins) document.seek(time);
       return;
     }
-    if (begins) this.moving = Math.abs(time - this.cursors[0]) <= Math.abs(time - this.cursors[1]) ? 0 : 1;
-    this.cursors[this.moving] = time;
-    this.invalidate();
-    this.writeMeasures();
+    if (begins) this.moving = Math.abs(time - this.cursors[0].time) <= Math.abs(time - this.cursors[1].time) ? 0 : 1;
+    this.setCursor(this.moving, time, of);
   }
 
-  /** Arrow keys move cursor A, with Shift cursor B. */
-  private moveByKey(event: KeyboardEvent): void {
+  /** Arrow keys move cursor A, with Shift cursor B, by at least a sample. */
+  private moveByKey(event: KeyboardEvent, of: string): void {
     const direction = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (!this.cursors || !direction || !this.shownWindow) return;
     event.preventDefault();
     event.stopPropagation();
     const step = (this.shownWindow.to - this.shownWindow.from) * CURSOR_STEP;
-    this.cursors[event.shiftKey ? 1 : 0] += direction * step;
-    this.invalidate();
-    this.writeMeasures();
+    const which = event.shiftKey ? 1 : 0;
+    const { time } = this.cursors[which];
+    const next = neighbour(this.shownWindow.ring(of), time, direction);
+    this.setCursor(which, direction > 0 ? Math.max(next, time + step) : Math.min(next, time - step), of);
   }
 
   private writeMeasures(): void {
     this.measures.hidden = !this.cursors;
     if (!this.cursors || !this.shownWindow) return;
     const [a, b] = this.cursors;
-    const { zero } = this.shownWindow;
+    const zero = this.cockpit.document.isThere ? 0 : this.shownWindow.zero;
     const number = (value: number, floor = 0): string => (Number.isNaN(value) ? "–" : `${Math.abs(value) < floor / 100 ? 0 : +value.toPrecision(4)}`);
-    const head = make("span", {}, make("b", {}, `A ${(a - zero).toFixed(3)} s, B ${(b - zero).toFixed(3)} s`), ` · B − A ${(b - a).toFixed(3)} s${b === a ? "" : ` (${number(1 / Math.abs(b - a))} Hz)`}`);
+    const times = [a.time - zero, b.time - zero, b.time - a.time].map((time, i) => `${i === 2 || [a, b][i]!.isExact ? "" : "≈ "}${time.toFixed(3)} s`);
+    const between = a.time === b.time ? "" : `1 / (B − A) = ${number(1 / Math.abs(b.time - a.time))} Hz`;
     const shown = this.enlarged >= 0 ? this.plots.slice(this.enlarged, this.enlarged + 1) : this.plots;
-    const rows = shown.flatMap((plot) => {
-      const other = plot.at(b);
-      return plot.at(a).flatMap(({ label, unit, value, floor }, i) => {
-        const then = other[i]!.value;
-        if (Number.isNaN(value) && Number.isNaN(then)) return [];
-        return [make("span", {}, make("b", {}, label), ` ${number(value, floor)} → ${number(then, floor)} ${unit} (${number(then - value, floor)})`)];
-      });
-    });
-    const text = [head, ...rows].map((part) => part.textContent).join("|");
+    const rows = shown.flatMap((plot) =>
+      plot.measured.flatMap(({ name, drawn: { label, unit, scale, floor } }) => {
+        const [at, then] = [a, b].map((reading) => (reading.values.get(name) ?? NaN) * scale) as [number, number];
+        if (Number.isNaN(at) && Number.isNaN(then)) return [];
+        const found = this.stretch.get(name);
+        const [peakToPeak, mean] = [found?.peakToPeak ?? NaN, found?.mean ?? NaN].map((value) => value * scale) as [number, number];
+        // what does not go further than noise turns at no frequency
+        const hertz = peakToPeak > floor ? (found?.hertz ?? NaN) : NaN;
+        return [[`${label}, ${unit}`, number(at, floor), number(then, floor), number(then - at, floor), number(peakToPeak, floor), number(mean, floor), Number.isNaN(hertz) ? "–" : `${+hertz.toPrecision(3)} Hz`]];
+      }),
+    );
+    const lines = [["time", ...times, between, "", ""], ...rows];
+    const text = JSON.stringify(lines);
     if (this.measures.dataset["text"] === text) return;
     this.measures.dataset["text"] = text;
-    this.measures.replaceChildren(head, ...rows);
+    const cells = (texts: readonly string[]): HTMLElement[] => texts.map((cell, i) => (i ? make("td", {}, cell) : make("th", { scope: "row" }, cell)));
+    this.measures.replaceChildren(
+      make("table", {}, make("thead", {}, make("tr", {}, ...HEADS.map((head) => make("th", { scope: "col" }, head)))), make("tbody", {}, ...lines.map((line) => make("tr", {}, ...cells(line))))),
+    );
   }
 
   private async saveSamples(): Promise<void> {

@@ -39,7 +39,8 @@ export class SessionPanel implements Panel {
     const runs = Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0;
     const isStopped = store.fact("haptic/state/master", "estop") === true || store.fact("afm/state/slave", "mode") === "estop";
     const isKnown = store.state.has("haptic/state/master");
-    this.start.setAttribute("aria-pressed", String(runs));
+    // the programme of the operator goes on behind an emergency stop, and nothing follows it
+    this.start.setAttribute("aria-pressed", String(runs && !isStopped));
     this.start.nextElementSibling!.setAttribute("aria-pressed", String(isKnown && !runs));
     this.armed.setAttribute("aria-pressed", String(isKnown && !isStopped && store.fact("haptic/state/master", "mode") !== "safe"));
   }

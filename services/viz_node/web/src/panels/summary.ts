@@ -12,7 +12,7 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["release_force_nn", "Force after release", (value: number) => `${fixed(value)} nN`],
   ["greatest_pull_nn", "Greatest pull", (value: number) => `${fixed(value)} nN`],
   ["round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
-  ["link_round_trip_ms", "Round trip of the link", (value: number) => `${value.toFixed(1)} ms`],
+  ["link_round_trip_range_ms", "Round trip of the link", (value: [number, number]) => rangeText(value)],
   ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
   ["overruns", "Deadlines missed", String],
   ["hand_cycles", "Cycles of the hand", String],
@@ -20,6 +20,8 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["version", "Version", String],
 ];
 
+/** More holds of which there is nothing to say are one row. */
+const MOST_QUIET = 6;
 const VERDICTS = { good: "good", warn: "warn", bad: "error" };
 
 /** Whether a verdict is good, bad, or none that says so. */
@@ -31,6 +33,24 @@ export function kindOf(verdict: string): "good" | "warn" | "bad" {
 /** A number with two decimals, and without a sign where it is none of them. */
 function fixed(value: number): string {
   return (+value.toFixed(2) + 0).toFixed(2);
+}
+
+/** Least and greatest of what may have been changed [ms]: one number where it stayed as it was. */
+export function rangeText([least, greatest]: readonly [number, number]): string {
+  return greatest - least < 1 ? `${((least + greatest) / 2).toFixed(1)} ms` : `${least.toFixed(1)} to ${greatest.toFixed(1)} ms`;
+}
+
+/** The holds that say something, and how many of the others there are of each kind. */
+export function sorted(holds: readonly Hold[]): { notable: Hold[]; others: Hold[]; words: string } {
+  const isQuiet = ({ verdict }: Hold): boolean => verdict === "stable" || verdict === "released";
+  const others = holds.filter(isQuiet);
+  // where nothing happened the last hold that pressed is what somebody looks for
+  if (others.length <= MOST_QUIET) return { notable: [...holds], others: [], words: "" };
+  const count = (kind: string): string => {
+    const found = others.filter(({ verdict }) => verdict === kind).length;
+    return found ? `${found} ${kind}` : "";
+  };
+  return { notable: holds.filter((hold) => !isQuiet(hold)), others, words: [count("stable"), count("released")].filter(Boolean).join(", ") };
 }
 
 /** The verdict on a recording and on each of its holds, with the numbers of its summary. */
@@ -45,7 +65,7 @@ export class SummaryPanel implements Panel {
     root: HTMLElement,
     private readonly cockpit: Cockpit,
   ) {
-    const head = ["from, s", "hand, N", "swing, N", "verdict"].map((name) => make("th", { scope: "col" }, name));
+    const head = ["from, s", "hand, N", "p–p, N", "verdict"].map((name) => make("th", { scope: "col" }, name));
     this.table = make("table", { class: "holds" }, make("thead", {}, make("tr", {}, ...head)), this.holds);
     root.append(this.verdict, this.table, this.facts);
   }
@@ -64,9 +84,19 @@ export class SummaryPanel implements Panel {
       return;
     }
     this.verdict.replaceChildren(make("b", { class: VERDICTS[kindOf(String(summary["verdict"]))] }, String(summary["verdict"]).replaceAll("_", " ")), `: ${String(summary["reason"])}`);
-    this.holds.replaceChildren(...(about?.holds ?? []).map((hold) => this.rowOf(hold)));
+    this.fill(about?.holds ?? []);
     const rows = ROWS.filter(([key]) => summary[key] !== null && summary[key] !== undefined);
     this.facts.replaceChildren(...rows.flatMap(([key, name, show]) => [make("dt", {}, name), make("dd", {}, show(summary[key] as never))]));
+  }
+
+  private fill(holds: readonly Hold[]): void {
+    const { notable, others, words } = sorted(holds);
+    const rows = notable.map((hold) => this.rowOf(hold));
+    if (others.length) {
+      const open = make("button", { type: "button", class: "plain", id: "holds-all", "aria-expanded": "false", onclick: () => this.holds.replaceChildren(...holds.map((hold) => this.rowOf(hold))) }, `${notable.length ? "and " : ""}${words}: show them`);
+      rows.push(make("tr", {}, make("td", { colspan: 4 }, open)));
+    }
+    this.holds.replaceChildren(...rows);
   }
 
   /** A hold, which is a way to its place. */
@@ -74,6 +104,6 @@ export class SummaryPanel implements Panel {
     const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, hold.from_s.toFixed(2));
     const kind = kindOf(hold.verdict).replace("good", "");
     const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;
-    return make("tr", { class: kind, title: hold.reason }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, hold.verdict.replaceAll("_", " ")));
+    return make("tr", { class: kind, title: hold.reason }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, `${hold.verdict.replaceAll("_", " ")}${hold.frequency_hz ? `, ${+hold.frequency_hz.toPrecision(2)} Hz` : ""}`));
   }
 }

@@ -90,11 +90,11 @@ export class TimelinePanel implements Panel {
     this.track.setAttribute("aria-valuemax", length.toFixed(3));
     this.track.setAttribute("aria-valuenow", at.toFixed(3));
     const phase = (document.about?.phases ?? []).find((found) => found.from_s <= at && at < found.to_s);
-    const hold = (document.about?.holds ?? []).find((found) => found.from_s <= at && at < found.to_s && phase?.kind === "hold");
+    const hold = phase?.kind === "hold" ? document.holdAt(at) : undefined;
     const moment = (document.about?.moments ?? []).find((found) => Math.abs(found.t_s - at) < Math.max(0.002, length / 2000));
     const words = [
       phase ? PHASES[phase.kind]?.[0] : "",
-      hold ? `${hold.verdict.replaceAll("_", " ")} at ${+hold.hand_force_n.toPrecision(3)} N` : "",
+      hold ? `${hold.verdict.replaceAll("_", " ")} at ${+hold.hand_force_n.toPrecision(3)} N${hold.frequency_hz ? `, ${hold.peak_to_peak_n.toPrecision(2)} N peak to peak at ${hold.frequency_hz.toPrecision(2)} Hz` : ""}` : "",
       moment ? moment.text : "",
       document.progress,
     ].filter(Boolean).join(" · ");
@@ -230,13 +230,14 @@ export class TimelinePanel implements Panel {
 
   private band(pen: CanvasRenderingContext2D, phase: Span, toX: (time: number) => number, height: number): void {
     const [name, fill] = PHASES[phase.kind] ?? [phase.kind, "line"];
-    const hold = phase.kind === "hold" ? (this.cockpit.document.about?.holds ?? []).find((found) => Math.abs(found.from_s - phase.from_s) < 1e-6) : undefined;
+    const middle = (phase.from_s + phase.to_s) / 2;
+    const hold = phase.kind === "hold" ? this.cockpit.document.holdAt(middle) : undefined;
     const verdict = hold?.verdict ?? "";
     const [x0, x1] = [toX(phase.from_s), toX(phase.to_s)];
     const kind = hold ? kindOf(verdict) : "";
     pen.fillStyle = colour(kind ? `${kind}-back` : fill);
     pen.fillRect(x0 + 0.5, height - BAND, Math.max(1, x1 - x0 - 1), BAND);
-    const text = hold ? `${+hold.hand_force_n.toPrecision(2)} N ${verdict.replaceAll("_", " ")}` : name;
+    const text = hold ? `${hold.frequency_hz ? `${+hold.frequency_hz.toPrecision(2)} Hz` : `${+hold.hand_force_n.toPrecision(2)} N`} ${verdict.replaceAll("_", " ")}` : name;
     pen.font = "600 11px system-ui";
     pen.fillStyle = colour(kind || "quiet");
     if (kind) pen.fillRect(x0 + 0.5, height - BAND, Math.max(1, x1 - x0 - 1), 2);

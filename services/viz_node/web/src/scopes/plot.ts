@@ -1,25 +1,25 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { colour, make } from "../dom";
-import { grid, minMax, type Point, type Ring } from "../ring";
+import { grid, minMax, type Point } from "../ring";
 import type { Store } from "../store";
 import { tickTexts } from "../ticks";
 import { drawnAs, type Drawn } from "./catalog";
 import { ForceDistance } from "./force_distance";
 import type { ScopeSpec } from "./layout";
 import { axisRange, noiseOf } from "./range";
+import { gapOf, readAt, samplesOf, type Reading, type Samples } from "./reading";
 import { resampled, spectrumOf } from "./spectrum";
 
-/** Without samples for this long a curve is broken [s]. */
-const GAPS: Record<string, number> = { link: 0.6, law_master: 0.2, law_slave: 0.2 };
-const GAP = 0.06;
 const COLOURS = ["c1", "c2", "c3", "c4", "c5", "c6"];
 const SPECTRUM_POINTS = 4096;
 /** Axes shrink to a smaller range only when it is this much smaller, so that they do not breathe. */
 const SHRINK = 0.7;
+/** Room beside the plot for half of the last number of the time with its unit [px]. */
+const MARGIN_PX = 18;
 
 /** The part of the time that all scopes show, and what is marked in it [s]. */
-export interface Window {
+export interface Window extends Samples {
   from: number;
   to: number;
   /** Subtracted from times before they are written: the end of a window that moves, 0 in a recording. */
@@ -28,9 +28,6 @@ export interface Window {
   now: number | undefined;
   cursors: readonly [number, number] | undefined;
   moments: readonly number[];
-  ring(stream: string): Ring | undefined;
-  /** The time that two samples of a ring stand for, 0 where each is one [s]. */
-  width: number;
 }
 
 /** One scope: curves over time, their spectrum, or force against distance. */
@@ -107,16 +104,20 @@ export class Plot {
     return this.plot?.ctx.canvas ?? this.distance!.canvas;
   }
 
-  /** Values of the curves at a time [s], in their units: NaN where there is none. */
-  at(time: number): { label: string; unit: string; value: number; floor: number }[] {
-    if (this.spec.kind !== "time" || !this.window) return [];
-    return this.spec.curves.map((curve, i) => {
-      const { label, unit, scale, floor } = this.drawn[i]!;
-      const ring = this.window!.ring(curve.stream);
-      const column = this.store.column(curve.stream, curve.column);
-      const value = ring && column >= 0 ? valueAt(ring, column, time, Math.max(GAPS[curve.stream] ?? GAP, this.window!.width)) : NaN;
-      return { label, unit, value: value * scale, floor };
-    });
+  /** The stream whose samples the cursors of this scope stand at. */
+  get stream(): string {
+    return this.spec.curves[0]?.stream ?? "";
+  }
+
+  /** The curves over time by the names of their columns, and how each is drawn. */
+  get measured(): { name: string; drawn: Drawn }[] {
+    if (this.spec.kind !== "time") return [];
+    return this.spec.curves.map(({ stream, column }, i) => ({ name: `${stream}.${column}`, drawn: this.drawn[i]! }));
+  }
+
+  /** What a cursor reads at a time [s]: the pointer shows the same. */
+  read(time: number): Reading | undefined {
+    return this.window && readAt(this.window, columnsOf(this.store), time, this.stream);
   }
 
   private drawTime(window: Window): void {
@@ -127,7 +128,7 @@ export class Plot {
       const ring = window.ring(curve.stream);
       const column = this.store.column(curve.stream, curve.column);
       if (!ring || column < 0) return new Array<Point>(2 * buckets).fill(null);
-      const gap = Math.max(GAPS[curve.stream] ?? GAP, 2.5 * width);
+      const gap = Math.max(gapOf(curve.stream), 2.5 * width);
       const points = minMax(ring, column, from, to, buckets, gap);
       const { scale } = this.drawn[i]!;
       return points.map((value) => (value == null ? value : value * scale));
@@ -146,7 +147,7 @@ export class Plot {
     const found = this.spec.curves.map((curve, i) => {
       const ring = window.ring(curve.stream);
       const column = this.store.column(curve.stream, curve.column);
-      const [times, values] = samples(ring, column, from, to);
+      const [times, values] = samplesOf(ring, column, from, to);
       if (times.length < 16) return [];
       const spectrum = spectrumOf(resampled(times, values, from, to, count), rate);
       hertz = spectrum.hertz;
@@ -181,17 +182,20 @@ export class Plot {
     const at = plot.cursor.idx;
     this.values.hidden = at === null || at === undefined || (plot.cursor.left ?? -1) < 0;
     if (this.values.hidden || at == null) return;
-    const value = (points: ArrayLike<Point>): string => {
-      const known = [0, 1, -1, 2, -2].map((step) => points[at + step]).find((point) => typeof point === "number");
-      return known === undefined ? "–" : `${+known.toPrecision(4)}`;
+    const isSpectrum = this.spec.kind === "spectrum";
+    const zero = this.window?.zero ?? 0;
+    const reading = isSpectrum ? undefined : this.read(plot.posToVal(plot.cursor.left!, "x") + zero);
+    const value = (i: number): number => {
+      if (isSpectrum) return (this.data[i + 1] as ArrayLike<Point>)[at] ?? NaN;
+      const { stream, column } = this.spec.curves[i]!;
+      return (reading?.values.get(`${stream}.${column}`) ?? NaN) * this.drawn[i]!.scale;
     };
     const shown = this.spec.curves.map((_, i) => {
-      const text = make("span", {}, value(this.data[i + 1] as ArrayLike<Point>));
+      const text = make("span", {}, Number.isNaN(value(i)) ? "–" : `${+value(i).toPrecision(4)}`);
       text.style.color = `var(--${COLOURS[i % COLOURS.length]})`;
       return text;
     });
-    const x = plot.data[0][at] ?? 0;
-    const where = this.spec.kind === "spectrum" ? `${+x.toPrecision(3)} Hz` : `${x.toFixed(3)} s`;
+    const where = isSpectrum ? `${+(plot.data[0][at] ?? 0).toPrecision(3)} Hz` : `${reading?.isExact ? "" : "≈ "}${((reading?.time ?? NaN) - zero).toFixed(3)} s`;
     this.values.replaceChildren(make("span", {}, where), ...shown);
   }
 
@@ -237,13 +241,13 @@ export class Plot {
       {
         width: Math.max(50, this.area.clientWidth),
         height: Math.max(50, this.area.clientHeight),
-        padding: [8, this.axes.length > 1 ? 0 : 10, 0, 0],
+        padding: [8, this.axes.length > 1 ? 0 : MARGIN_PX, 0, 0],
         legend: { show: false },
         cursor: { sync: { key: isSpectrum ? "spectra" : "scopes" }, drag: { x: false, y: false } },
         hooks: { setCursor: [(plot: uPlot) => this.readAt(plot)], draw: [(plot: uPlot) => this.drawMarks(plot)] },
         scales: { x: isSpectrum ? { time: false, distr: 3, log: 10 } : { time: false }, ...scales },
         axes: [
-          { ...axis, size: 20, space: 48, values: isSpectrum ? powers : (_, splits) => tickTexts(splits).map((text, i) => (i === splits.length - 1 ? `${text} s` : text)) },
+          { ...axis, size: 20, space: 48, values: isSpectrum ? powers : secondsOf },
           ...this.axes.map(side),
         ],
         series: [{}, ...this.drawn.map(({ unit }, i) => ({ stroke: colour(COLOURS[i % COLOURS.length]!), width: 1.25, points: { show: false }, scale: `y${Math.max(0, Math.min(1, this.units.indexOf(unit)))}` }))],
@@ -274,26 +278,12 @@ export class Plot {
   }
 }
 
-/** Value of a column at a time: that of the nearest sample within `within`, NaN without any. */
-export function valueAt(ring: Ring, column: number, time: number, within: number): number {
-  let [nearest, found] = [within, NaN];
-  const middle = ring.indexAt(time);
-  for (let i = Math.max(0, middle - 4); i < Math.min(ring.length, middle + 4); i++) {
-    const away = Math.abs(ring.time(i) - time);
-    const value = ring.value(column, i);
-    if (away <= nearest && !Number.isNaN(value)) [nearest, found] = [away, value];
-  }
-  return found;
+/** The names of the columns of each stream. */
+export function columnsOf(store: Store): Map<string, string[]> {
+  return new Map([...store.streams.values()].map(({ name, columns }) => [name, columns.map((column) => column.name)]));
 }
 
-function samples(ring: Ring | undefined, column: number, from: number, to: number): [number[], number[]] {
-  const [times, values]: [number[], number[]] = [[], []];
-  if (!ring || column < 0) return [times, values];
-  for (let i = ring.indexAt(from); i < ring.length && ring.time(i) <= to; i++) {
-    const value = ring.value(column, i);
-    if (Number.isNaN(value)) continue;
-    times.push(ring.time(i));
-    values.push(value);
-  }
-  return [times, values];
+/** Texts of an axis of time, of which the last has the unit. */
+function secondsOf(_: uPlot, splits: number[]): string[] {
+  return tickTexts(splits).map((text, i) => (i === splits.length - 1 ? `${text} s` : text));
 }

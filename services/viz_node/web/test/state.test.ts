@@ -1,0 +1,61 @@
+import { describe, expect, it } from "vitest";
+import { Document } from "../src/document";
+import { energyText } from "../src/panels/law";
+import { rangeText, sorted } from "../src/panels/summary";
+import { bannersOf } from "../src/state";
+import { Store } from "../src/store";
+import type { Hold } from "../src/document";
+import type { NodeFacts } from "../src/protocol";
+
+const node: NodeFacts = { state: "running", uptime_s: 1, rate_hz: 1000, overruns: 0, cpu_percent: 1, memory_bytes: 1, replay: false, lateness_p99_s: 0, lost: 0, rejected: 0, beat: 0 };
+const texts = (store: Store): string => bannersOf(store, "open", "").map(([, text]) => text).join(" | ");
+
+/** A recording that was judged: from 3 s to 7 s of it the force swings. */
+function replay(): [Store, Document] {
+  const store = new Store();
+  store.source = { kind: "recording", name: "session.mcap", length_s: 10, playing: false, position_s: 5 };
+  store.take({ k: "tick", nodes: { "haptic_node@master": node } });
+  const document = new Document({} as never, store);
+  document.about = { length_s: 10, start_ns: 0, read: 1, swings: [{ from_s: 3, to_s: 7, hertz: 0.776, peak_to_peak_n: 4.4 }] };
+  return [store, document];
+}
+
+describe("the banner", () => {
+  it("of a replay says that it oscillates where the page of the live rig did, and from where to where", () => {
+    const [store, document] = replay();
+    let place = 5;
+    store.recordedSwing = () => document.swingAt(place);
+    expect(texts(store)).toBe("OSCILLATES: 4.4 N peak to peak at 0.8 Hz | REPLAYED: not an instrument");
+    place = 8;
+    expect(texts(store)).toBe("REPLAYED: not an instrument");
+  });
+
+  it("says of what the energy and the motion are, which do not contradict each other", () => {
+    const [store, document] = replay();
+    store.recordedSwing = () => document.swingAt(5);
+    store.take({ k: "tick", state: { "law/status/master": { passive: false } } });
+    expect(texts(store)).toContain("NOT PASSIVE: the loop has made energy");
+    expect(energyText(true)).toBe("no energy made");
+    expect(energyText(false)).toBe("has made energy");
+    expect(energyText(undefined)).toBe("");
+  });
+});
+
+describe("the summary", () => {
+  const hold = (verdict: string, from_s = 0): Hold => ({ from_s, to_s: from_s + 1, hand_force_n: 1, verdict, reason: "", growth_per_s: null, peak_to_peak_n: 0 });
+
+  it("lists what is to be looked at, and counts what a hand did without anything happening", () => {
+    const holds = [...Array.from({ length: 25 }, (_, i) => hold("stable", i)), hold("released", 30), hold("limit_cycle", 31), hold("diverged", 32)];
+    const { notable, others, words } = sorted(holds);
+    expect(notable.map(({ verdict }) => verdict)).toEqual(["limit_cycle", "diverged"]);
+    expect(others).toHaveLength(26);
+    expect(words).toBe("25 stable, 1 released");
+    // a few are listed as they are
+    expect(sorted([hold("stable"), hold("stable", 2)]).notable).toHaveLength(2);
+  });
+
+  it("tells of a delay that was set in the session", () => {
+    expect(rangeText([0, 400])).toBe("0.0 to 400.0 ms");
+    expect(rangeText([50.1, 50.3])).toBe("50.2 ms");
+  });
+});
