@@ -227,7 +227,9 @@ def repeated(source: str, length_s: float, folder: Path) -> Path:
     messages = [message for message in recording.select() if message.topic in TOPICS]
     places = {m.channel: (m.topic, m.src, m.site) for m in messages}
     channels = {channel: writer.channel(*place) for channel, place in places.items()}
-    counts = {message.channel: message.seq + 1 for message in messages}
+    # the numbers of a turn go on where those before it ended: a gap would have every message read for it
+    firsts = {message.channel: message.seq for message in reversed(messages)}
+    counts = {message.channel: message.seq - firsts[message.channel] + 1 for message in messages}
     payloads = Payloads([message.payload for message in messages])
     rows = [(channels[m.channel], m.log_ns, m.publish_ns, m.seq, counts[m.channel]) for m in messages]
     flushed_ns = 0

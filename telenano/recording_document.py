@@ -25,13 +25,13 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     """
     start_ns = recording.span_ns[0]
     found: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
-    found["moments"] = _events(recording, start_ns)
     try:
         session = read_session(recording)
         summary = summarise(session, recording.info(), read_traffic(recording, session))
     except RecordingError as error:
-        return {**found, "fault": str(error)}
-    return {**found, **_session_facts(session, summary, (session.start_ns - start_ns) * 1e-9, found["moments"])}
+        return {**found, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
+    moments = _events(recording, start_ns, session.timeline)
+    return {**found, **_session_facts(session, summary, (session.start_ns - start_ns) * 1e-9, moments)}
 
 
 def _session_facts(
@@ -65,9 +65,8 @@ def _session_facts(
     }
 
 
-def _events(recording: RecordingSource, start_ns: int) -> list[dict[str, Any]]:
+def _events(recording: RecordingSource, start_ns: int, timeline: Timeline) -> list[dict[str, Any]]:
     """Return marks and what nodes reported, the newest left out where there are too many."""
-    timeline = Timeline(recording)
     found = []
     for message in recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct"):
         fields = message.fields()
