@@ -28,6 +28,8 @@ HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
 LONGEST_STEP_S = 0.05
 # A hold of which a greater share is missing between its samples cannot be judged.
 _MISSING_SHARE = 0.1
+# A swing of which less than this share is left in its last turn dies out.
+_LEFT_SHARE = 0.5
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
 _STARVED = ("command_deadline", "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
@@ -300,11 +302,13 @@ def _judge_swing(series: _Times, tip: Instrument | None, swing: Swing, greatest_
     force = float(series.hand_force_n[at].mean()) if series.hand_force_n[at].size else 0.0
     found = judge(series.tip_s[inside], series.scaled_force_n[inside], greatest_n, known)
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
-    if found.kind not in ("diverged", "guarded", "stable"):
-        reason = f"a swing of {words} neither grows nor dies out"
-        found = Verdict("limit_cycle", found.growth_per_s, swing.peak_to_peak_n, found.noise_n, reason)
-    elif found.kind == "stable":
-        found = found._replace(peak_to_peak_n=swing.peak_to_peak_n, reason=f"a swing of {words}: {found.reason}")
+    if found.kind not in ("diverged", "guarded"):
+        # of a swing of a few turns that the models do not fit, its last turn says what becomes of it
+        left_n = float(np.ptp(series.scaled_force_n[inside & (series.tip_s > swing.end_s - 1.0 / swing.frequency_hz)]))
+        dies_out = left_n < _LEFT_SHARE * swing.peak_to_peak_n
+        reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")
+        kind: Kind = "stable" if dies_out else "limit_cycle"
+        found = Verdict(kind, found.growth_per_s, swing.peak_to_peak_n, found.noise_n, reason)
     return Hold(swing.start_s, swing.end_s, force, *found, swing.frequency_hz)
 
 

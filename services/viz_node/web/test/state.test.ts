@@ -45,9 +45,10 @@ describe("the summary", () => {
   const hold = (verdict: string, from_s = 0): Hold => ({ from_s, to_s: from_s + 1, hand_force_n: 1, verdict, reason: "", growth_per_s: null, peak_to_peak_n: 0 });
 
   it("lists what is to be looked at, and counts what a hand did without anything happening", () => {
-    const holds = [...Array.from({ length: 25 }, (_, i) => hold("stable", i)), hold("released", 30), hold("limit_cycle", 31), hold("diverged", 32)];
+    const holds = [...Array.from({ length: 25 }, (_, i) => hold("stable", i)), hold("released", 30), hold("limit_cycle", 31), hold("diverged", 32), { ...hold("stable", 33), frequency_hz: 0.8 }];
     const { notable, others, words } = sorted(holds);
-    expect(notable.map(({ verdict }) => verdict)).toEqual(["limit_cycle", "diverged"]);
+    // a swing that died out was one
+    expect(notable.map(({ verdict }) => verdict)).toEqual(["limit_cycle", "diverged", "stable"]);
     expect(others).toHaveLength(26);
     expect(words).toBe("25 stable, 1 released");
     // a few are listed as they are

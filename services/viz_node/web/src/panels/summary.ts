@@ -42,9 +42,8 @@ export function rangeText([least, greatest]: readonly [number, number]): string 
 
 /** The holds that say something, and how many of the others there are of each kind. */
 export function sorted(holds: readonly Hold[]): { notable: Hold[]; others: Hold[]; words: string } {
-  const isQuiet = ({ verdict }: Hold): boolean => verdict === "stable" || verdict === "released";
+  const isQuiet = ({ verdict, frequency_hz }: Hold): boolean => (verdict === "stable" || verdict === "released") && !frequency_hz;
   const others = holds.filter(isQuiet);
-  // where nothing happened the last hold that pressed is what somebody looks for
   if (others.length <= MOST_QUIET) return { notable: [...holds], others: [], words: "" };
   const count = (kind: string): string => {
     const found = others.filter(({ verdict }) => verdict === kind).length;
