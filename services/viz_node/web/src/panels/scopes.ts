@@ -189,7 +189,9 @@ export class ScopesPanel implements Panel {
       if (samples) cursors[which] = this.readIn(samples, time, of);
     }
     const [from, to] = cursors.map(({ time }) => time).sort((a, b) => a - b) as [number, number];
-    const samples = to - from <= LONGEST_STRETCH ? await read(from, to) : this.shownWindow;
+    const { whole } = document;
+    const spans = whole && { ring: (stream: string) => whole.rings.get(stream), width: whole.width };
+    const samples = to - from <= LONGEST_STRETCH ? await read(from, to) : spans;
     if (placed !== this.placed || !samples) return;
     for (const [stream, columns] of columnsOf(store)) columns.forEach((name, i) => this.stretch.set(`${stream}.${name}`, measure(samples, stream, i, from, to)));
     this.invalidate();
