@@ -203,9 +203,11 @@ export class Document {
 
   private async read(): Promise<void> {
     const reading = ++this.readings;
-    for (;;) {
+    for (;; await new Promise((go) => setTimeout(go, READING_MS))) {
       const answer = await this.connection.ask({ k: "document" });
-      if (!answer.ok || reading !== this.readings) return;
+      if (reading !== this.readings) return;
+      // a server that is busy answers late, or refuses one question of many
+      if (!answer.ok) continue;
       const about = answer.found as About;
       const { length_s } = about;
       const part = await this.connection.ask({ k: "part", from_s: 0, to_s: Math.max(length_s, 1e-3), spans: WHOLE_SPANS });
@@ -215,8 +217,7 @@ export class Document {
       this.part = undefined;
       this.asked = "";
       this.changed();
-      if (about.read >= 1) return;
-      await new Promise((go) => setTimeout(go, READING_MS));
+      if (about.read >= 1 && part.ok) return;
     }
   }
 

@@ -1,4 +1,4 @@
-import { describe, expect, it } from "vitest";
+import { describe, expect, it, vi } from "vitest";
 import { Document } from "../src/document";
 import { energyText } from "../src/panels/law";
 import { rangeText, sorted } from "../src/panels/summary";
@@ -39,6 +39,23 @@ describe("the banner", () => {
     expect(energyText(false)).toBe("has made energy");
     expect(energyText(undefined)).toBe("");
   });
+});
+
+it("a recording is read to its end although the server did not answer once", async () => {
+  vi.useFakeTimers();
+  const store = new Store();
+  store.source = { kind: "recording", name: "session.mcap", length_s: 10 };
+  const about = (read: number): object => ({ ok: true, found: { length_s: 10, start_ns: 0, read } });
+  const part = { ok: true, found: { from_s: 0, to_s: 10, width_s: 1, streams: {} } };
+  const answers = [about(0.05), part, { ok: false, text: "no answer came" }, about(1), { ok: false, text: "busy" }, about(1), part];
+  const ask = vi.fn(() => Promise.resolve(answers.shift()));
+  const document = new Document({ ask } as never, store);
+  document.begin();
+  await vi.advanceTimersByTimeAsync(10_000);
+  expect(document.about?.read).toBe(1);
+  expect(document.progress).toBe("");
+  expect(answers).toEqual([]);
+  vi.useRealTimers();
 });
 
 describe("the summary", () => {
