@@ -70,7 +70,7 @@ class AssemblyRecorder:
                 height_m=Array.from_numpy(line.height_m),
                 amplitude_m=None,
                 phase_rad=None,
-                lateral_force_n=Array.from_numpy(line.lateral_n),
+                lateral_force_n=None if line.lateral_n is None else Array.from_numpy(line.lateral_n),
             )
 
     def ended(self) -> None:
