@@ -116,7 +116,8 @@ def _schedule(network: str, seed: int, ticks: int, period_s: float) -> Schedule:
 def course_until(course: Trajectory, end_s: float) -> Trajectory:
     """Return the part of a course before a time [s]."""
     count = int(np.searchsorted(course.time_s, end_s - 1e-9))
-    return Trajectory(**{field.name: getattr(course, field.name)[:count] for field in fields(course)})
+    columns = {field.name: getattr(course, field.name) for field in fields(course)}
+    return Trajectory(**{name: None if column is None else column[:count] for name, column in columns.items()})
 
 
 def rounded(value: float | None) -> float | None:

@@ -8,7 +8,7 @@ because a lever that swings freely has another shape than one that is pressed.
 
 *Sader*: k = 0.1906 rho b^2 L Q Im(Gamma(w0)) w0^2 for a rectangular lever in a fluid (J. E. Sader, J. W. M. Chon,
 P. Mulvaney, Rev. Sci. Instrum. 70 (1999) 3967), with the hydrodynamic function Gamma of a rectangular beam (J. E.
-Sader, J. Appl. Phys. 84 (1998) 64, Eqs. 20 and 21). It needs no sensitivity.
+Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 
 *Sensitivity*: the slope of the way of the base over the voltage in contact with a sample that does not give way.
 """
@@ -184,7 +184,7 @@ def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:
 
 
 def hydrodynamic(reynolds: float) -> complex:
-    """Return Gamma of a rectangular beam at a Reynolds number rho w b^2 / (4 eta), 1e-6 to 1e4 (Sader 1998, Eq. 20)."""
+    """Return Gamma of a rectangular beam at a Reynolds number rho w b^2 / (4 eta), 1e-6 to 1e4 (Sader 1998)."""
     from scipy.special import kv
 
     if not _REYNOLDS[0] <= reynolds <= _REYNOLDS[1]:

@@ -2,6 +2,7 @@
 
 import math
 import random
+import re
 import string
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -148,8 +149,9 @@ class Frames:
         rng = self.random
         if name == "law":
             return rng.choice((*LAWS, "a" * 32))
-        if name == "id":
-            return "".join(rng.choices(string.ascii_letters + "_-", k=rng.choice((1, 8, 64))))
+        word = re.fullmatch(r"\^\[A-Za-z0-9_-\]\{1,(\d+)\}\$", schema.get("pattern", ""))
+        if name == "id" or word:
+            return "".join(rng.choices(string.ascii_letters + "_-", k=rng.choice((1, 8, int(word[1]) if word else 64))))
         if name == "src":
             return "fuzz@slave"
         if schema.get("pattern") == "^[a-z][a-z0-9_]{0,31}$":
@@ -177,7 +179,7 @@ class Frames:
         if "prefixItems" in schema:
             return [self._value(item, root) for item in schema["prefixItems"]]
         count = rng.choice((0, 1, 2, 30)) if rng.random() < 0.998 else 1024
-        return [self._value(schema["items"], root) for _ in range(count)]
+        return [self._value(schema["items"], root) for _ in range(min(count, schema.get("maxItems", count)))]
 
     # --- what they do not ---
 

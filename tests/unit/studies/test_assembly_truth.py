@@ -41,8 +41,15 @@ def test_who_assembles_asks_the_bench_for_images_and_pushes_only() -> None:
 
 ROOT = FOLDER.parents[1]
 TRUTH = "afm/particles"
-# the table of topics, and what writes it into recordings; docs and generated files of the contract are no readers
-SAYS_IT = {"proto/topics.py", "services/afm_node/node.py", "studies/assembly/recording.py"}
+# These are the table of topics, what writes it into recordings, and what judges a trial of an experiment afterwards;
+# docs and generated files of the contract are no readers.
+SAYS_IT = {
+    "proto/topics.py",
+    "services/afm_node/node.py",
+    "studies/assembly/recording.py",
+    "studies/experiments/recorded_trial.py",
+    "studies/experiments/tasks/push_particle.py",
+}
 
 
 def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
