@@ -83,7 +83,8 @@ class _Task(Plain):
                 "period_m": p.period_m,
                 "height_m": p.height_m,
             },
-            "controller.lateral": {"mode": "position", "position_scale": scale},
+            # The hand across feels nothing, because sticking to a ridge and leaping over it is another task.
+            "controller.lateral": {"mode": "position", "position_scale": scale, "force_scale": 1e3, "pulse_n": 0.0},
             "haptic_node.lateral": {"path": ends, "reach_m": max(0.02, 1.1 * half)},
         }
 

@@ -120,7 +120,8 @@ def test_a_hand_that_keeps_its_force_follows_the_heights_of_a_grating() -> None:
     task, p = task_named("follow_profile", {}, "made")
     found = simulated("follow_profile", {}, "virtual_impedance", 0.0, **instrument, **nested_flat(task.settings(p, 2)))
     assert found["height_range_m"] == pytest.approx(p.height_m, rel=0.1, abs=0.0)  # type: ignore[attr-defined]
-    assert found["way_m"] == pytest.approx(p.way_m, rel=0.01, abs=0.0)  # type: ignore[attr-defined]
+    # the stylus lags its path by b v / k, 8.4 nm of 800
+    assert found["way_m"] == pytest.approx(p.way_m, rel=0.012, abs=0.0)  # type: ignore[attr-defined]
     assert found["success"] is True
 
 
