@@ -220,15 +220,15 @@ def test_smith_goes_in_by_what_the_hand_does_in_a_round_trip(round_trip_ms: floa
 @pytest.mark.endurance
 def test_waves_over_bad_links_are_as_the_document_says() -> None:
     wave: dict[str, Any] = {"law": "wave", "environment": "spring"}
-    for round_trip_ms, apart_mm in ((60.0, 0.54), (120.0, 0.84), (200.0, 1.15), (500.0, 2.05)):
+    for round_trip_ms, apart_mm in ((60.0, 0.58), (120.0, 0.87), (200.0, 1.19), (500.0, 2.4)):
         link: dict[str, Any] = {"round_trip_ms": round_trip_ms, "jitter_ms": 0.25 * round_trip_ms, "loss": 0.05}
-        held = [run_cell(Cell(**wave, **link, stiffness_n_per_m=20.0, seed=seed)) for seed in range(3)]
+        held = [run_cell(Cell(**wave, **link, stiffness_n_per_m=20.0, seed=seed)) for seed in range(9)]
         assert median(result.tip_n or 0.0 for result in held) == pytest.approx(1.0, rel=0.005, abs=0.0)
         assert median(1e3 * (result.apart_m or 0.0) for result in held) == pytest.approx(apart_mm, rel=0.01, abs=0.0)
     for seed in range(4):
         ripples = run_cell(Cell(**wave, round_trip_ms=60.0, jitter_ms=15.0, stiffness_n_per_m=200.0, seed=seed))
-        assert 0.2 < ripples.peak_to_peak_n < 0.45
-    for filter_s, ripple_n, share in ((0.02, 0.10, 0.87), (0.2, 0.045, 0.61)):
+        assert 0.29 < ripples.peak_to_peak_n < 0.45
+    for filter_s, ripple_n, share in ((0.02, 0.14, 0.86), (0.2, 0.05, 0.61)):
         link = {"round_trip_ms": 50.0, "jitter_ms": 12.5, "loss": 0.2, "settings": (("wave.filter_s", filter_s),)}
         for seed in range(3):
             held = [run_cell(Cell(**wave, **link, stiffness_n_per_m=80.0, hand=h, seed=seed)) for h in HANDS[:2]]
