@@ -150,7 +150,9 @@ def test_a_stall_disturbs_and_is_repeated_and_an_outage_of_the_link_is_an_outcom
     found.finish()
     first, *others = found.trials
     assert (first["condition"]["link"], first["status"], first["final"]) == ("none", "disturbed", False)
-    assert "the instrument stood still for" in first["disturbance"]
+    # The guard may have held and withdrawn the tip before the pause itself is seen.
+    words = ("the instrument stood still for", "afm_node@slave held at")
+    assert any(word in first["disturbance"] for word in words), first["disturbance"]
     again = [row for row in others if row["index"] == first["index"]]
     assert again and again[-1]["status"] == "done" and again[-1]["seed"] != first["seed"]
     out = [row for row in others if row["condition"]["link"] == "outage"]
