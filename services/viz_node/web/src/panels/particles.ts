@@ -53,8 +53,11 @@ export class ParticlesPanel implements Panel {
   ];
   private readonly pad = make("div", { class: "pad steer", id: "steer-pad", tabindex: 0, role: "application", "aria-label": "Hand across the sample: drag from the middle, or hold the arrow keys, to move the tip" });
 
+  /** Whether particles were on the image when it was last drawn. */
+  private wasMeant = false;
+
   constructor(
-    root: HTMLElement,
+    private readonly root: HTMLElement,
     private readonly cockpit: Cockpit,
   ) {
     const bar = make("div", { class: "row" }, make("span", { class: "quiet" }, "Travel left"), this.left, this.leftText);
@@ -94,6 +97,14 @@ export class ParticlesPanel implements Panel {
     if (this.ran === "scan" && !runs) this.look();
     this.ran = runs;
     this.follow();
+    if (this.isMeant === this.wasMeant) return;
+    this.wasMeant = this.isMeant;
+    this.cockpit.image.redraw();
+  }
+
+  /** Whether somebody is about particles: their panel is open, one has a target, or one is pushed. The heights of any sample may look like some. */
+  private get isMeant(): boolean {
+    return this.root.offsetParent !== null || this.pushed !== undefined || this.known.some(({ target }) => target);
   }
 
   write(): void {
@@ -284,7 +295,7 @@ export class ParticlesPanel implements Panel {
   /** Begin to drag the target of the particle at a place; none where there is no particle or target. */
   private grab(x: number, y: number): ((x: number, y: number) => void) | undefined {
     const one = this.known.find((other) => Math.hypot(other.x - x, other.y - y) < other.radius || (other.target && Math.hypot(other.target.x - x, other.target.y - y) < other.radius));
-    if (!one || !this.cockpit.commands.may) return undefined;
+    if (!one || !this.cockpit.commands.may || !this.isMeant) return undefined;
     return (toX, toY) => {
       one.target = { x: toX, y: toY };
       this.cockpit.image.redraw();
@@ -292,6 +303,7 @@ export class ParticlesPanel implements Panel {
   }
 
   private draw(pen: CanvasRenderingContext2D, at: (x: number, y: number) => [number, number], scale: number): void {
+    if (!this.isMeant) return;
     const ring = (x: number, y: number, radius: number): void => {
       pen.beginPath();
       pen.arc(...at(x, y), radius * scale, 0, 7);
