@@ -116,8 +116,10 @@ def _schedule(network: str, seed: int, ticks: int, period_s: float) -> Schedule:
 def course_until(course: Trajectory, end_s: float) -> Trajectory:
     """Return the part of a course before a time [s]."""
     count = int(np.searchsorted(course.time_s, end_s - 1e-9))
-    columns = {field.name: getattr(course, field.name) for field in fields(course)}
-    return Trajectory(**{name: None if column is None else column[:count] for name, column in columns.items()})
+    columns: dict[str, Any] = {field.name: getattr(course, field.name) for field in fields(course)}
+    for name, column in columns.items():
+        columns[name] = None if column is None else column[:count]
+    return Trajectory(**columns)
 
 
 def rounded(value: float | None) -> float | None:
