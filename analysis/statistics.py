@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from analysis.intervals import half_width, wilson
 from services.runtime.settings.config import flatten
 
 CONFIDENCE = 0.95
@@ -29,22 +30,17 @@ class Statistic(NamedTuple):
 
 def statistic(values: Sequence[float]) -> Statistic:
     """Return the statistic of one or more numbers; one number has neither deviation nor interval."""
-    from scipy.stats import t
-
     n, mean = len(values), math.fsum(values) / len(values)
     if n < 2:
         return Statistic(n, mean, None, None, None)
     deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / (n - 1))
-    half = float(t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1)) * deviation / math.sqrt(n)
+    half = half_width(deviation, n, CONFIDENCE)
     return Statistic(n, mean, deviation, mean - half, mean + half)
 
 
 def share(count: int, of: int) -> Statistic:
     """Return the statistic of a share: 0 <= count <= of, of > 0. It has no deviation."""
-    from scipy.stats import binomtest
-
-    found = binomtest(count, of).proportion_ci(CONFIDENCE, method="wilson")
-    return Statistic(of, count / of, None, float(found.low), float(found.high))
+    return Statistic(of, count / of, None, *wilson(count, of))
 
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,10 +12,10 @@ import statistics
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from analysis.intervals import wilson
 from services.delay_node.profiles import PROFILES
 from studies.benchmark.plan import TASKS, VERSION, Plan
 from studies.benchmark.run import MEASURES, Outcome, rounded
-from studies.intervals import wilson
 
 # A run is held when its verdict is one of these.
 HELD = ("stable",)

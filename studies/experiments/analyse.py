@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
 from proto.extras import how_to_install
 from studies.experiments.effects import CORRECTIONS, Effects, Factor, Test, as_rows, corrected, effects, mean_interval
 from studies.experiments.psychophysics.methods import replay
 from studies.experiments.table import ANSWER, CONDITION, FIXED, Row, Tables
-from studies.intervals import wilson
 
 PACKAGES = ("telenano", "numpy", "scipy", "pandas", "statsmodels", "matplotlib")
 

@@ -19,6 +19,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from analysis.intervals import half_width
+
 Test = Literal["mixed", "anova"]
 CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
 Matrix = npt.NDArray[np.float64]
@@ -186,12 +188,10 @@ def corrected(ps: Sequence[float], correction: str) -> list[float]:
 
 def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, float, float]:
     """Return the mean of participants' values with its interval by Student's t; the ends are nan of one value."""
-    from scipy import stats
-
     mean, count = float(np.mean(values)), len(values)
     if count < 2:
         return mean, math.nan, math.nan
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, count - 1) * np.std(values, ddof=1) / math.sqrt(count))
+    half = half_width(float(np.std(values, ddof=1)), count, confidence)
     return mean, mean - half, mean + half
 
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from analysis.intervals import wilson
 from services.afm_node.physics.particles.steering import steered
-from studies.intervals import wilson
 from studies.learning.engine import CONTROL_S, D_M, HIGH_M, LOW_M, SPEED_M_PER_S
 from studies.learning.push_env import PushVectorEnv
 

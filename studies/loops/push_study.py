@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from analysis.intervals import wilson
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.particles.push import KINETIC, RADIUS
@@ -27,7 +28,6 @@ from services.haptic_node.config import HapticConfig
 from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings, validate
 from studies.assembly.bench import bench
-from studies.intervals import wilson
 from studies.loops import push_hand as h
 from studies.loops.link import Schedule, schedule_of, symmetric_link
 from studies.loops.lockstep import Rig, build_rig, simulate

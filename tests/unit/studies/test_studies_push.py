@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from analysis.intervals import wilson
 from proto.errors import ConfigError
 from services.afm_node.physics.particles.push import KINETIC, push_step
 from services.afm_node.physics.particles.steering import steered
 from services.afm_node.physics.particles.tip_shape import Spring, tip_shape, touch_distance_m
-from studies.intervals import wilson
 from studies.learning.engine import KIND
 from studies.loops import lockstep, push_hand, push_study
 from studies.loops.push_study import Outcome, Trial, check, read, rows_of, trials_of

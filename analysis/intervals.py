@@ -1,6 +1,19 @@
-"""Intervals of shares that were counted."""
+"""Intervals of shares that were counted, and of means."""
 
 import math
+
+
+def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
+    """Return half the interval of a mean by Student's t.
+
+    Args:
+        deviation: The standard deviation of the values, by n - 1.
+        count: How many values there are, 2 or more.
+        confidence: How often an interval is meant to have the true mean in it.
+    """
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + 0.5 * confidence, count - 1) * deviation / math.sqrt(count))
 
 
 def wilson(successes: int, trials: int, deviations: float = 1.959964) -> tuple[float, float]:
