@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
@@ -16,6 +15,7 @@ from services.runtime.settings.config import flag_overrides, merge, validate
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
 
 if TYPE_CHECKING:
@@ -109,15 +109,13 @@ def assemble(
         config = _config(seed, afm or [])
         targets = places_of(pattern, count, spacing * 1e-9)
         sides = config.sample_sides_m()
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with results_in(out) as folder:
-            with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-                task = bar.add_task("the first image", total=len(targets))
+            with progress("the first image", len(targets), shown=not as_json, counted=True) as show:
                 virtual = None if live else VirtualBench(config, folder)
                 bench: ProgramBench = virtual or LiveBench(config, site_file, lambda report: "")
 
                 def tell(text: str, done: int) -> None:
-                    bar.update(task, description=text, completed=done)
+                    show(done, text=text)
                     if virtual is not None and virtual.recorder is not None:
                         virtual.recorder.say(text)
 

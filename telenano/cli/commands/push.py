@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
@@ -17,6 +15,7 @@ from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption
 
 if TYPE_CHECKING:
@@ -93,13 +92,11 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     particles = {} if lie_elsewhere else {"places": [[keys["push.x0_m"], keys["push.y0_m"]]]}
     config = validate(AfmConfig, merge(bench(particles, disturbances=DISTURBED), given), "--afm")
     instrument = VirtualInstrument(config)
-    columns = (TextColumn("{task.description}"), BarColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=as_json, transient=True) as bar:
-        task = bar.add_task("push", total=1.0)
+    with progress("push", 1.0, shown=not as_json) as show:
         # A bar is drawn ten times a second at most, and a step takes a tenth of a millisecond.
         for number, _ in enumerate(instrument.run(requested(keys))):
             if number % 1000 == 0 and (report := instrument.report()) is not None:
-                bar.update(task, description=report.text, completed=0.01 * report.done_percent)
+                show(0.01 * report.done_percent, text=report.text)
     outcome = instrument.outcome
     if outcome is None or outcome.values is None or outcome.state != "finished":
         raise ConfigError("--from: nothing was pushed" if outcome is None else outcome.text)
