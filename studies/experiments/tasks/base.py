@@ -203,6 +203,16 @@ def common_of(data: TrialData) -> Judged:
     }
 
 
+def steady_force(force_n: float, duration_s: float) -> Course:
+    """Return the target of a force [N] that stays the same over a trial [s]."""
+    return Course(np.array([0.0, duration_s]), np.full(2, force_n), "force")
+
+
+def rms(values: Series) -> float:
+    """Return the root mean square of one or more values."""
+    return math.sqrt(math.fsum((values * values).tolist()) / len(values))
+
+
 def held_from(time_s: Series, inside: npt.NDArray[np.bool_], hold_s: float) -> float | None:
     """Return from when on a condition holds for at least a time without a break [s]; None where it never does.
 

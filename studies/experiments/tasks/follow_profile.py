@@ -15,6 +15,8 @@ from studies.experiments.tasks.base import (
     Parameters,
     Plain,
     common_of,
+    rms,
+    steady_force,
     tip_of,
 )
 from studies.experiments.types import TrialData
@@ -33,11 +35,6 @@ class FollowProfile(Parameters):
         4.0, ge=0.0, le=60.0, description="Time in which the hand takes up the force, not judged [s]"
     )
     contact_n: float = Field(1e-9, gt=0.0, le=1e-6, description="Force below which contact counts as lost [N]")
-
-    @property
-    def speed_m_per_s(self) -> float:
-        """The speed across [m/s]."""
-        return self.way_m / (self.duration_s - self.lead_in_s)
 
 
 class _Task(Plain):
@@ -64,7 +61,7 @@ class _Task(Plain):
         )
 
     def target(self, p: FollowProfile, seed: int) -> Course:
-        return Course(np.array([0.0, p.duration_s]), np.full(2, p.force_n), "force")
+        return steady_force(p.force_n, p.duration_s)
 
     def band(self, p: FollowProfile) -> float:
         return p.band * p.force_n
@@ -99,7 +96,7 @@ class _Task(Plain):
             return found
         error = force_n - p.force_n
         lost = float(np.count_nonzero(force_n < p.contact_n)) / force_n.size
-        found["force_error_n"] = math.sqrt(math.fsum((error * error).tolist()) / error.size)
+        found["force_error_n"] = rms(error)
         found["in_band"] = float(np.count_nonzero(np.abs(error) <= self.band(p))) / error.size
         found["lost_contact"] = lost
         found["height_range_m"] = float(base_m.max() - base_m.min())

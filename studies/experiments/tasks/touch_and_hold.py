@@ -1,8 +1,6 @@
 """Touch the sample and hold a force: how long it takes to settle in a band about it, and how well it is held."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +14,8 @@ from studies.experiments.tasks.base import (
     Plain,
     common_of,
     held_from,
+    rms,
+    steady_force,
     tip_of,
 )
 from studies.experiments.types import TrialData
@@ -56,13 +56,10 @@ class _Task(Plain):
         )
 
     def target(self, p: TouchAndHold, seed: int) -> Course:
-        return Course(np.array([0.0, p.limit_s]), np.full(2, p.force_n), "force")
+        return steady_force(p.force_n, p.limit_s)
 
     def band(self, p: TouchAndHold) -> float:
         return p.band * p.force_n
-
-    def settings(self, p: TouchAndHold, seed: int) -> Mapping[str, Any]:
-        return {}
 
     def judge(self, data: TrialData, p: TouchAndHold, seed: int) -> Judged:
         tip, common = tip_of(data), common_of(data)
@@ -83,7 +80,7 @@ class _Task(Plain):
         if settled_s is not None:
             held_n = tip.force_n[(tip.time_s >= settled_s) & (tip.time_s <= settled_s + p.hold_s)]
             found["mean_force_n"] = math.fsum(held_n.tolist()) / held_n.size
-            found["force_error_n"] = math.sqrt(math.fsum(((held_n - p.force_n) ** 2).tolist()) / held_n.size)
+            found["force_error_n"] = rms(held_n - p.force_n)
         return found
 
 

@@ -16,6 +16,7 @@ from studies.experiments.tasks.base import (
     Plain,
     Series,
     common_of,
+    rms,
     tip_of,
 )
 from studies.experiments.types import TrialData
@@ -127,16 +128,12 @@ class _Task(Plain):
         value = np.interp(grid, tip.time_s, tip.force_n if p.quantity == "force" else tip.base_m)
         target = course.at(grid)
         error, about = value - target, target - p.centre
-        rms = _rms(error)
-        found["rms_force_error_n" if p.quantity == "force" else "rms_position_error_m"] = rms
-        found["relative_error"] = rms / _rms(about)
+        size = rms(error)
+        found["rms_force_error_n" if p.quantity == "force" else "rms_position_error_m"] = size
+        found["relative_error"] = size / rms(about)
         found["on_target"] = float(np.count_nonzero(np.abs(error) <= self.band(p))) / grid.size
         found["lag_s"] = lag_s(target, value, _GRID_S)
         return found
-
-
-def _rms(values: Series) -> float:
-    return math.sqrt(math.fsum((values * values).tolist()) / len(values))
 
 
 TRACK = _Task()
