@@ -23,6 +23,7 @@ from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
 from services.afm_node.physics.disturbed import converted_v, converter_step_v
 from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance, steady_state
 from services.numerics.compiled import compiled, compiled_form
+from studies.instrument.regression import regressed
 from studies.instrument.resonance import fit_resonance
 
 Array = npt.NDArray[np.float64]
@@ -96,22 +97,12 @@ def calibrate_sensitivity(
         state = equilibrium(plant, state, first + way)
         bent_m[i] = zeta = deflection_m(plant, state.distance_m, first + way)
         volts[i] = converted_v(plant.volts_per_m * zeta + noise_v * float(random.standard_normal()), step_v, 10.0)
-    slope, error, scatter = _regressed(bent_m, volts)
+    slope, error, scatter = regressed(bent_m, volts)
     c = config.cantilever
     factor = 4.0 / (c.bridge_supply_v * c.amplifier_gain)
-    by_way = factor * _regressed(ways, volts)[0]
-    share = 1.0 - _regressed(ways, bent_m)[0]
+    by_way = factor * regressed(ways, volts)[0]
+    share = 1.0 - regressed(ways, bent_m)[0]
     return Sensitivity(factor * slope, factor * error, c.sensitivity_per_m, points, scatter, by_way, share)
-
-
-def _regressed(x: Array, y: Array) -> tuple[float, float, float]:
-    """Return slope, its standard error and the scatter about the line."""
-    x = x - x.mean()
-    square = float((x * x).sum())
-    slope = float((x * y).sum()) / square
-    residual = y - y.mean() - slope * x
-    scatter = math.sqrt(float((residual**2).sum()) / (len(x) - 2))
-    return slope, scatter / math.sqrt(square), scatter
 
 
 def _without_defaults(document: dict[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,8 @@ import numpy.typing as npt
 from presets.regular_files import read_regular
 from proto.errors import ConfigError
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
-from studies.instrument.resonance import Resonance, fit_resonance, fit_spectrum
+from studies.instrument.regression import regressed
+from studies.instrument.resonance import Resonance, fit_spectrum, periodogram
 
 Array = npt.NDArray[np.float64]
 
@@ -145,10 +146,10 @@ def stiffness_of_record(deflection_v: Array, known: Thermal) -> Stiffness:
     if known.rate_hz is None:
         raise ConfigError("--rate: a record needs the rate at which it was sampled [Hz]")
     rate_hz, deflection_m = known.rate_hz, deflection_v * known.sensitivity_m_per_v
-    frequency = np.asarray(np.fft.rfftfreq(len(deflection_m), 1.0 / rate_hz), dtype=np.float64)
-    power = np.abs(np.fft.rfft(deflection_m - deflection_m.mean())) ** 2 * (2.0 / (rate_hz * len(deflection_m)))
+    frequency, power = periodogram(deflection_m, rate_hz)
     peak_hz, quality = _peak(frequency[1:], power[1:])
-    return _stiffness(known, lambda: fit_resonance(deflection_m, rate_hz, peak_hz, quality))
+    square = float(np.var(deflection_m))
+    return _stiffness(known, lambda: fit_spectrum(frequency, power, rate_hz, peak_hz, quality, square))
 
 
 def _stiffness(known: Thermal, fit: Any) -> Stiffness:
@@ -232,12 +233,12 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
     chosen = (shares >= low) & (shares <= high)
     _require(int(chosen.sum()), low, high)
     # Points that are chosen by their voltage are chosen by its noise too: their line chooses the ways.
-    slope, error, scatter = _line(way_m[chosen], shares[chosen])
+    slope, error, scatter = regressed(way_m[chosen], shares[chosen])
     if slope > 0.0:
         predicted = shares[chosen].mean() + slope * (way_m - way_m[chosen].mean())
         chosen = (predicted >= low) & (predicted <= high)
         _require(int(chosen.sum()), low, high)
-        slope, error, scatter = (span * part for part in _line(way_m[chosen], shares[chosen]))
+        slope, error, scatter = (span * part for part in regressed(way_m[chosen], shares[chosen]))
     if not slope > 3.0 * error:
         raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
     return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
@@ -246,15 +247,3 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
 def _require(points: int, low: float, high: float) -> None:
     if points < 8:
         raise ConfigError(f"{points} points lie between {low:g} and {high:g} of the span: 8 are needed")
-
-
-def _line(x: Array, y: Array) -> tuple[float, float, float]:
-    """Return the slope of a line, its standard error and the scatter about it."""
-    x = x - x.mean()
-    square = float((x * x).sum())
-    if not square > 0.0:
-        return 0.0, math.inf, math.inf
-    slope = float((x * y).sum()) / square
-    residual = y - y.mean() - slope * x
-    scatter = math.sqrt(float((residual**2).sum()) / (len(x) - 2))
-    return slope, scatter / math.sqrt(square), scatter

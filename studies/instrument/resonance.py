@@ -57,10 +57,16 @@ def fit_resonance(values_m: Array, rate_hz: float, resonance_hz: float, quality:
     Parameters: resonance_hz, quality, near which they are looked for.
     Raises: ValueError naming the bound at which the fit ends.
     """
+    frequency, power = periodogram(values_m, rate_hz)
+    return fit_spectrum(frequency, power, rate_hz, resonance_hz, quality, float(np.var(values_m)))
+
+
+def periodogram(values_m: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Return the lines [Hz] of a record at a rate [Hz], and its one-sided density there [m^2/Hz]."""
     count = len(values_m)
     frequency = np.asarray(np.fft.rfftfreq(count, 1.0 / rate_hz), dtype=np.float64)
     power = np.abs(np.fft.rfft(values_m - values_m.mean())) ** 2 * (2.0 / (rate_hz * count))
-    return fit_spectrum(frequency, power, rate_hz, resonance_hz, quality, float(np.var(values_m)))
+    return frequency, power
 
 
 def fit_spectrum(
