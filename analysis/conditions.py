@@ -71,7 +71,7 @@ def title(found: dict[str, Any]) -> str:
     for key, name in (("link_round_trip_ms", "round trip of the link"), ("round_trip_ms", "round trip")):
         if found[key] is None:
             continue
-        # of a delay that was changed in the session the median says nothing
+        # The median says nothing of a delay that was changed in the session.
         is_changed = name.endswith("link") and greatest_ms - least_ms > max(_CHANGED_MS, _CHANGED_SHARE * found[key])
         words.append(f"{name} {least_ms:g} to {greatest_ms:g} ms" if is_changed else f"{name} {found[key]:g} ms")
         break

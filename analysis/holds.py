@@ -303,7 +303,7 @@ def _judge_swing(series: _Times, tip: Instrument | None, swing: Swing, greatest_
     found = judge(series.tip_s[inside], series.scaled_force_n[inside], greatest_n, known)
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
     if found.kind not in ("diverged", "guarded"):
-        # of a swing of a few turns that the models do not fit, its last turn says what becomes of it
+        # The last turn says what becomes of a swing of a few turns that the models do not fit.
         left_n = float(np.ptp(series.scaled_force_n[inside & (series.tip_s > swing.end_s - 1.0 / swing.frequency_hz)]))
         dies_out = left_n < _LEFT_SHARE * swing.peak_to_peak_n
         reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")

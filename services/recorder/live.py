@@ -72,7 +72,7 @@ class LiveRecording:
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
         self._book = book
-        # what the time of a reception is ahead of the monotonic clock [ns]
+        # The time of a reception is so far ahead of the monotonic clock [ns].
         self.epoch_offset_ns = participant.clock.epoch_offset_ns
         self._listeners = connect(participant, shared=True)
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}

@@ -290,7 +290,7 @@ class Hub:
         self.sessions.add(session)
         session.offer(self.snapshot(session))
         if role is Role.PARTICIPANT:
-            # what is published before its readers have connected reaches nobody
+            # Nothing reaches readers that is published before they have connected.
             with contextlib.suppress(TelenanoError):
                 self._outlet()
         return session

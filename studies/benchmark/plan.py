@@ -31,7 +31,7 @@ HANDS: dict[HandName, str] = {
     "stiff": "an arm of 1000 N/m on its way along a path",
     "reacting": "an operator who moves, waits until the arm stands, and corrects after 0.25 s and the round trip",
 }
-# of the reacting operator: scatter of a move, as a share of it
+# The moves of the reacting operator scatter by this share of them.
 REACTION_S, SCATTER = 0.25, 0.1
 NETWORKS = (
     *("clean", "lan", "wifi", "4g", "5g", "leo_satellite", "satellite", "transatlantic", "lossy_bursts"),

@@ -91,7 +91,7 @@ class NanonisModel:
         self._sum_v, self._count = 0.0, 0
         self.log = Logger()
         self._bridge_v = 0.0
-        # what the external input adds to the base, towards the sample
+        # This is what the external input adds to the base, towards the sample.
         self._external_m = 0.0
         self._move_z(self.z_m)
         self._published = self._now_values()

@@ -69,7 +69,7 @@ def weights_of(points: int, step_m: float, amplitude_m: float) -> Array:
         math.sqrt(amplitude_m) / (8.0 * math.sqrt(math.pi)),
         amplitude_m**1.5 / math.sqrt(2.0) * roots / step_m,
     )
-    # of the beginning and of the end of each interval, by its distance from the closest approach
+    # These are of the beginning and of the end of each interval, by its distance from the closest approach.
     first = 0.5 * step_m + near * (roots - moment / step_m) + slope
     last = 0.5 * step_m + near * moment / step_m - slope
     weights = np.zeros((points, points))
