@@ -83,7 +83,6 @@ def _process_restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     writer = signal.set_wakeup_fd(-1)
     if writer >= 0:
         os.close(writer)
-    gc.unfreeze()
     gc.enable()
 
 
