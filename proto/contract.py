@@ -7,9 +7,10 @@ files that differ. The examples behind the golden bytes are made from the schema
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cache
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -87,7 +88,8 @@ def schema_of(topic: Topic) -> dict[str, Any]:
     }
 
 
-def examples(topic: Topic) -> dict[str, Message]:
+@cache
+def examples(topic: Topic) -> Mapping[str, Message]:
     """Return one valid message a case, by the name of the case; the same ones every time.
 
     Where keys are optional each case is there without them, as before they were added, and then once more for each

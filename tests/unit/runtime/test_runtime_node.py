@@ -5,7 +5,9 @@ import logging
 import os
 import select
 import signal
+from bisect import bisect_right, insort
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 from typing import Any, ClassVar
 
 import pytest
@@ -69,20 +71,20 @@ class FakeBus:
             fields["t_ns"] = at_ns + self.clock.epoch_offset_ns
         fields |= changed
         message = TOPICS[topic].model.model_validate(fields)
-        self.coming.append((at_ns, Received(topic, message, encode(message), at_ns, arrival)))
+        insort(self.coming, (at_ns, Received(topic, message, encode(message), at_ns, arrival)), key=itemgetter(0))
 
     def wait(self, deadline_ns: int) -> None:
         self.waits.append(deadline_ns)
-        until = min([deadline_ns, *(at for at, _ in self.coming)])
+        until = min([deadline_ns, *(at for at, _ in self.coming[:1])])
         if until == deadline_ns:
             until += self.oversleep_ns
         self.clock.advance_ns(max(0, until - self.clock.monotonic_ns()))
 
     def receive(self) -> Iterator[Received]:
         now = self.clock.monotonic_ns()
-        due = [received for at, received in self.coming if at <= now]
-        self.coming = [(at, received) for at, received in self.coming if at > now]
-        yield from due
+        due = bisect_right(self.coming, now, key=itemgetter(0))
+        arrived, self.coming = self.coming[:due], self.coming[due:]
+        yield from (received for _, received in arrived)
 
     def input_health(self) -> tuple[InputHealth, ...]:
         return ()
@@ -99,8 +101,7 @@ class FakeBus:
         return turns_of
 
     def has_arrived(self) -> bool:
-        now = self.clock.monotonic_ns()
-        return any(at <= now for at, _ in self.coming)
+        return any(at <= self.clock.monotonic_ns() for at, _ in self.coming[:1])
 
     def is_batch_due(self, now_ns: int) -> bool:
         return now_ns >= self.batch_due_ns
