@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from annotated_types import Ge
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from proto import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
 from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
@@ -88,10 +87,6 @@ def _records() -> Iterator[type[BaseModel]]:
         yield record
 
 
-def _fields() -> list[tuple[str, str, FieldInfo]]:
-    return [(r.__name__, name, field) for r in _records() for name, field in r.model_fields.items()]
-
-
 def _is_numeric(annotation: object) -> bool:
     """Return whether a number, or a tuple of numbers, stands in a field; maps carry the unit in their keys."""
     if annotation in (int, float):
@@ -140,21 +135,21 @@ def test_no_topic_is_the_beginning_of_another() -> None:
     assert not [(a, b) for a in TOPICS for b in TOPICS if a != b and b.startswith(a)]
 
 
-@pytest.mark.parametrize(("record", "name", "field"), _fields(), ids=lambda part: part if isinstance(part, str) else "")
-def test_every_field_is_described_required_and_named_with_its_unit(record: str, name: str, field: FieldInfo) -> None:
-    assert field.description, f"{record}.{name} has no description"
-    declared = {name: value for module in _DECLARED for name, value in vars(module).items()}
-    added = getattr(declared[record], "additions", {})
-    optional = f"{record}.{name} has a default: a key may be absent only if it was added later"
-    assert field.is_required() != (name in added), optional
-    if _is_numeric(field.annotation):
-        assert bool(UNIT.search(name)) != (name in UNITLESS), f"{record}.{name} has no unit, or one too many"
+@pytest.mark.parametrize("record", list(_records()), ids=lambda record: record.__name__)
+def test_every_field_is_described_required_and_named_with_its_unit(record: type[BaseModel]) -> None:
+    added = getattr(record, "additions", {})
+    for name, field in record.model_fields.items():
+        assert field.description, f"{name} has no description"
+        optional = f"{name} has a default: a key may be absent only if it was added later"
+        assert field.is_required() != (name in added), optional
+        if _is_numeric(field.annotation):
+            assert bool(UNIT.search(name)) != (name in UNITLESS), f"{name} has no unit, or one too many"
 
 
 def test_the_rule_finds_a_field_without_unit_and_knows_no_field_that_is_gone() -> None:
     assert not UNIT.search("force")
     assert UNIT.search("force_n")
-    assert set(UNITLESS) <= {name for _, name, _ in _fields()}
+    assert set(UNITLESS) <= {name for record in _records() for name in record.model_fields}
     assert _is_numeric(messages.TeleopForward.model_fields["wave_sqrt_w"].annotation)
     assert not _is_numeric(messages.LinkDirection.model_fields["settings"].annotation)
 
