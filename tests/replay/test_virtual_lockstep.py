@@ -41,7 +41,7 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.node import SlaveController
-from studies.loops import lockstep
+from studies.loops import sites
 from studies.loops.cells import Cell, rig_of
 from studies.loops.link import schedule_of, symmetric_link
 from studies.loops.lockstep import Trajectory, simulate
@@ -252,9 +252,9 @@ def test_a_changed_wait_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: p
 @pytest.mark.parametrize(
     ("user", "module", "name"),
     [
-        (lockstep, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
+        (sites, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
         (afm_node, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
-        (lockstep, "services.afm_node.physics.step", "command_wait_ns"),
+        (sites, "services.afm_node.physics.step", "command_wait_ns"),
         (afm_node, "services.afm_node.physics.step", "command_wait_ns"),
     ],
 )

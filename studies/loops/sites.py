@@ -1,0 +1,458 @@
+"""The two sites of the closed loop in lockstep: what each half, the hand and the instrument are, and their steps.
+
+The steps are those that the nodes call; `studies.loops.lockstep` calls them in the order of the bus.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from proto.topics import LOOP_DEADLINE_S
+from services.afm_node import safety as afm_safety
+from services.afm_node.physics.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
+from services.afm_node.physics.step import step as instrument_step
+from services.controller.clamp import ClampParams, clamped
+from services.controller.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from services.controller.integration import (
+    GO_ON,
+    Heard,
+    MasterTiming,
+    Settled,
+    SlaveTiming,
+    TimingParams,
+    master_begin,
+    master_heard,
+    master_sampled,
+    master_settled,
+    round_trip_periods,
+    silence_ns,
+    slave_begin,
+    slave_commanded,
+    slave_measured,
+    slave_signalled,
+    slave_stepped,
+)
+from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
+from services.haptic_node import safety as haptic_safety
+from services.haptic_node.physics.step import HapticInputs, HapticParams, found
+from services.haptic_node.physics.step import HapticStepState as HapticChainState
+from services.haptic_node.physics.step import step as haptic_step
+from services.numerics.compiled import inlined
+from services.runtime.loop.freshness import DELAY_STEP_NS
+from studies.loops.across import AcrossPath, Array
+from studies.loops.dispatch import (
+    master_receive,
+    master_send,
+    master_start,
+    slave_receive,
+    slave_send,
+    slave_start,
+)
+from studies.loops.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
+
+# a rate of the hand that is older than the deadline of the loop moves nothing
+_RATE_NS = round(LOOP_DEADLINE_S * 1e9)
+
+
+class Halves(NamedTuple):
+    """Constants of the two halves: the law, the dead band, the clamp behind the slave half, and their timing."""
+
+    law: Any
+    band: DeadbandParams
+    clamp: ClampParams
+    master: TimingParams
+    slave: TimingParams
+    period_s: float
+
+
+@inlined
+def _tip_of(answer: AfmOutputs) -> TipMeasurement:
+    """Return the part of the instrument's answer that the slave half uses."""
+    following = answer.mode == afm_safety.MODE_FOLLOW or answer.mode == afm_safety.MODE_HOLD
+    return TipMeasurement(
+        base_position_m=answer.base_m,
+        force_n=answer.force_n,
+        separation_m=answer.distance_m,
+        separation_valid=True,
+        in_contact=answer.in_contact,
+        following=following,
+        # the instrument carries out each command before the next one comes
+        outstanding_m=0.0,
+    )
+
+
+@inlined
+def _latest(signal: PortSignal, heard: Heard, now_ns: int, round_trip_s: float) -> PortSignal:
+    """Return the newest signal with the two figures that its receiver fills in."""
+    if heard.received_ns < 0:
+        return NO_SIGNAL
+    return PortSignal(
+        position_m=signal.position_m,
+        velocity_m_per_s=signal.velocity_m_per_s,
+        force_n=signal.force_n,
+        wave_sqrt_w=signal.wave_sqrt_w,
+        energy_j=signal.energy_j,
+        separation_m=signal.separation_m,
+        separation_valid=signal.separation_valid,
+        in_contact=signal.in_contact,
+        active=signal.active,
+        silence_s=silence_ns(heard, now_ns) * 1e-9,
+        round_trip_s=round_trip_s,
+    )
+
+
+@inlined
+def _told(delay_ns: int) -> int:
+    """Return the part of a delay that the link tells the guards [ns]."""
+    return delay_ns - delay_ns % DELAY_STEP_NS
+
+
+class HandCommand(NamedTuple):
+    """What the haptic site obeys: mode, x_mr [m], and the times from which its age counts [ns]; -1 for none."""
+
+    mode: int
+    position_m: float
+    sent_ns: int
+    hand_ns: int
+
+
+class Master(NamedTuple):
+    """The master half: timing, law, hand, newest signal and when its sample would have been back without the link [ns].
+
+    band, of the signals that it sends; command, to the hand; rendered_n, the force that the law ascribes to the
+    environment [N].
+    """
+
+    timing: MasterTiming
+    law: Any
+    hand: HandSample
+    signal: PortSignal
+    answered_ns: int
+    band: DeadbandState
+    command: HandCommand
+    rendered_n: float
+
+
+class Slave(NamedTuple):
+    """The slave half: timing, law, newest signal, what the instrument measured, and what it is to do.
+
+    hand_ns, the time that its command counts from: that of the hand's sample, told delay included [ns]; -1 for none.
+    """
+
+    timing: SlaveTiming
+    law: Any
+    signal: PortSignal
+    tip: TipMeasurement
+    reference: SlaveReference
+    hand_ns: int
+
+
+class Lateral(NamedTuple):
+    """The tip over the sample: place [m], speed [m/s] and until when that counts [ns], force on the tip [N]."""
+
+    x_m: float
+    y_m: float
+    speed_x_m_per_s: float
+    speed_y_m_per_s: float
+    until_ns: int
+    force_x_n: float
+    force_y_n: float
+
+
+class Instrument(NamedTuple):
+    """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J].
+
+    reason: why its mode last changed; withdrawn_s: when it last ceased to follow [s], NaN if it never did.
+    """
+
+    state: Any
+    stepped_ns: int
+    due_ns: int
+    armed: bool
+    mode: int
+    energy_j: float
+    reason: int
+    withdrawn_s: float
+    lateral: Lateral
+
+
+@inlined
+def hand_stepped(
+    haptic: HapticParams, state: HapticChainState, command: HandCommand, now_ns: int, session_s: float, dt: float
+) -> tuple[HapticChainState, HandSample]:
+    """Step the haptic site at a tick with the newest command; return its state and the hand's sample."""
+    asked = HapticInputs(
+        command_mode=command.mode,
+        position_reference_m=command.position_m,
+        force_reference_n=0.0,
+        command_age_s=np.inf if command.sent_ns < 0 else (now_ns - min(command.sent_ns, command.hand_ns)) * 1e-9,
+        session_time_s=session_s,
+        estop=False,
+        arm_requested=False,
+    )
+    state, felt = haptic_step(haptic, state, asked, dt)
+    hand = HandSample(
+        felt.reading.position_m,
+        felt.reading.velocity_m_per_s,
+        felt.reading.operator_force_n,
+        felt.applied.mode != haptic_safety.MODE_OFF,
+    )
+    return state, hand
+
+
+@inlined
+def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
+    """Let the master half integrate what is due, and command the hand."""
+    if m.timing.due == 0:
+        return m
+    round_trip_s = round_trip_periods(m.timing, halves.master) * halves.period_s
+    signal = _latest(m.signal, m.timing.heard, now_ns, round_trip_s)
+    law, reference = master_receive(halves.law, m.law, m.hand, signal, m.timing.due * halves.period_s)
+    mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
+    return Master(
+        timing=master_settled(m.timing),
+        law=law,
+        hand=m.hand,
+        signal=m.signal,
+        answered_ns=m.answered_ns,
+        band=m.band,
+        command=HandCommand(mode, reference.position_m, now_ns, m.answered_ns),
+        rendered_n=reference.force_n,
+    )
+
+
+@inlined
+def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int) -> tuple[Master, PortSignal, bool]:
+    """Return the master half after a sample, the signal that it sends, and whether the dead band lets it through."""
+    m = _master_settled(halves, m, now_ns)
+    timing, found = master_sampled(m.timing, halves.master, now_ns, False, False)
+    law = master_start(halves.law, hand) if found.begins else m.law
+    dt = found.periods * halves.period_s
+    law, signal = master_send(halves.law, law, hand, dt)
+    band, sent = deadband(halves.band, m.band, signal, dt)
+    after = Master(
+        timing=timing,
+        law=law,
+        hand=hand,
+        signal=m.signal,
+        answered_ns=m.answered_ns,
+        band=band,
+        command=m.command,
+        rendered_n=m.rendered_n,
+    )
+    return after, signal, sent
+
+
+@inlined
+def master_with_answer(
+    halves: Halves, m: Master, signal: PortSignal, hand_ns: int, there_ns: int, now_ns: int
+) -> Master:
+    """Return the master half after a signal that answers the sample of hand_ns, which was there at there_ns [ns]."""
+    heard = Master(
+        timing=master_heard(m.timing, now_ns, hand_ns),
+        law=m.law,
+        hand=m.hand,
+        signal=signal,
+        answered_ns=hand_ns + _told(there_ns - hand_ns) + _told(now_ns - there_ns),
+        band=m.band,
+        command=m.command,
+        rendered_n=m.rendered_n,
+    )
+    return _master_settled(halves, heard, now_ns)
+
+
+@inlined
+def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> Slave:
+    """Return the slave half after a signal that descends from the sample of hand_ns [ns], with a new command."""
+    timing, begins = slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    law = s.law
+    if s.timing.heard.received_ns < 0:
+        law = slave_start(halves.law, s.tip)
+    elif begins:
+        law, _ = slave_receive(halves.law, law, NO_SIGNAL, s.tip, halves.period_s)
+    told_ns = hand_ns + _told(now_ns - hand_ns)
+    s = Slave(timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=told_ns)
+    return _slave_stepped(halves, s, now_ns, timing.pacing.elapsed, True)
+
+
+@inlined
+def _slave_stepped(halves: Halves, s: Slave, now_ns: int, elapsed: int, answers: bool) -> Slave:
+    """Step the slave half and command the instrument."""
+    timing = slave_stepped(s.timing, halves.slave, now_ns, elapsed)
+    signal = _latest(s.signal, timing.heard, now_ns, 0.0)
+    law, wanted = slave_receive(halves.law, s.law, signal, s.tip, timing.pacing.step * halves.period_s)
+    return Slave(
+        timing=slave_commanded(timing, timing.commands.newest + 1, answers),
+        law=law,
+        signal=s.signal,
+        tip=s.tip,
+        reference=clamped(halves.clamp, wanted, signal, s.tip),
+        hand_ns=s.hand_ns,
+    )
+
+
+@inlined
+def _instrument_stepped(
+    params: Any, i: Instrument, s: Slave, period_ns: int, now_ns: int, commanded: bool
+) -> tuple[Instrument, TipMeasurement]:
+    """Step the instrument, on a command or by itself; return it with what it measured."""
+    action = afm_safety.ACTION_POSITION if s.reference.active else afm_safety.ACTION_HOLD
+    # the operator arms the instrument once, when commands are there; a guard that trips later stays tripped
+    arm = commanded and not i.armed and s.reference.active
+    age_s = np.inf if s.hand_ns < 0 else (now_ns - s.hand_ns) * 1e-9
+    dt, lateral = min(max(now_ns - i.stepped_ns, 1), LONGEST_STEP_NS) * 1e-9, i.lateral
+    x_m, y_m = lateral.x_m, lateral.y_m
+    if i.armed and now_ns <= lateral.until_ns:
+        x_m, y_m = x_m + lateral.speed_x_m_per_s * dt, y_m + lateral.speed_y_m_per_s * dt
+    asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, x_m, y_m)
+    state, felt = instrument_step(params, i.state, asked, dt)
+    moved = felt.base_m - s.tip.base_position_m if i.armed else 0.0
+    tip = _tip_of(felt)
+    after = Instrument(
+        state=state,
+        stepped_ns=now_ns,
+        due_ns=now_ns + (command_wait_ns(period_ns) if commanded else period_ns),
+        armed=i.armed or felt.mode == afm_safety.MODE_FOLLOW,
+        mode=felt.mode,
+        energy_j=i.energy_j + 0.5 * (felt.force_n + s.tip.force_n) * moved,
+        reason=felt.reason,
+        withdrawn_s=now_ns * 1e-9 if s.tip.following and not tip.following else i.withdrawn_s,
+        lateral=Lateral(
+            x_m=x_m,
+            y_m=y_m,
+            speed_x_m_per_s=lateral.speed_x_m_per_s,
+            speed_y_m_per_s=lateral.speed_y_m_per_s,
+            until_ns=lateral.until_ns,
+            force_x_n=felt.lateral_x_n,
+            force_y_n=felt.lateral_y_n,
+        ),
+    )
+    return after, tip
+
+
+@inlined
+def driven(i: Instrument, lateral: Lateral) -> Instrument:
+    """Return the instrument that is elsewhere over the sample, or goes on from there."""
+    return Instrument(
+        state=i.state,
+        stepped_ns=i.stepped_ns,
+        due_ns=i.due_ns,
+        armed=i.armed,
+        mode=i.mode,
+        energy_j=i.energy_j,
+        reason=i.reason,
+        withdrawn_s=i.withdrawn_s,
+        lateral=lateral,
+    )
+
+
+@inlined
+def by_rate(was: Lateral, speed: Array, now_ns: int) -> Lateral:
+    """Return the way at a speed [m/s], until its deadline."""
+    return Lateral(was.x_m, was.y_m, speed[0], speed[1], now_ns + _RATE_NS, was.force_x_n, was.force_y_n)
+
+
+@inlined
+def put_answer(row: Array, lateral: Lateral) -> None:
+    """Put what is known of the tip across into an answer."""
+    row[0], row[1], row[2], row[3] = lateral.x_m, lateral.y_m, lateral.force_x_n, lateral.force_y_n
+
+
+@inlined
+def counts(m: Master, path: AcrossPath, now_ns: int) -> bool:
+    """Return whether the newest answer tells where the tip is."""
+    heard = m.timing.heard
+    return heard.received_ns >= 0 and m.signal.active and silence_ns(heard, now_ns) * 1e-9 <= path.silence_s
+
+
+@inlined
+def goes_on(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
+    """Return whether a signal follows the one before while the instrument follows, and how much later it is [s]."""
+    timing, begins = slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    follows = not begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
+    return follows, timing.pacing.elapsed * halves.period_s
+
+
+@inlined
+def noted(state: Array, i: Instrument) -> None:
+    """Write down the largest forces on the tip [N], and where its particle really is [m]."""
+    across = np.sqrt(i.lateral.force_x_n * i.lateral.force_x_n + i.lateral.force_y_n * i.lateral.force_y_n)
+    state[PEAK_ACROSS], state[PEAK_ALONG] = max(state[PEAK_ACROSS], across), max(state[PEAK_ALONG], i.state.force_n)
+    state[TRUE_X], state[TRUE_Y] = i.state.plant.moving[0, 0], i.state.plant.moving[0, 1]
+
+
+@inlined
+def carried_out(
+    halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int
+) -> tuple[Slave, Instrument, PortSignal]:
+    """Let the instrument carry out the command of the slave half, and that account for it; return its answer."""
+    i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, True)
+    s, settled = _slave_measured(halves, s, tip, now_ns)
+    law, signal = slave_send(halves.law, s.law, tip, settled.periods * halves.period_s)
+    s = Slave(timing=s.timing, law=law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
+    return s, i, signal
+
+
+@inlined
+def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -> tuple[Slave, Instrument]:
+    """Let the instrument step by itself, and the slave half with it, where its last signal still counts."""
+    i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, False)
+    s, settled = _slave_measured(halves, s, tip, now_ns)
+    if settled.what == GO_ON:
+        s = _slave_stepped(halves, s, now_ns, 0, False)
+        s, i, _ = carried_out(halves, params, s, i, now_ns)
+    return s, i
+
+
+@inlined
+def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) -> tuple[Slave, Settled]:
+    """Return the slave half after what the instrument measured, and what it does about that."""
+    follows = s.signal.active and tip.following
+    timing, settled = slave_measured(s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows)
+    s = Slave(timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
+    return s, settled
+
+
+@inlined
+def instrument_at(state: Any, period_ns: int) -> Instrument:
+    """Return the instrument before the first command."""
+    return Instrument(
+        state=state,
+        stepped_ns=0,
+        due_ns=period_ns,
+        armed=False,
+        mode=afm_safety.MODE_RETRACTED,
+        energy_j=0.0,
+        reason=afm_safety.REASON_START,
+        withdrawn_s=np.nan,
+        lateral=Lateral(0.0, 0.0, 0.0, 0.0, -1, 0.0, 0.0),
+    )
+
+
+@inlined
+def master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainState) -> Master:
+    """Return the master half before the first sample."""
+    hand = HandSample(found(haptic.plant, haptic_state.plant)[0], 0.0, 0.0, False)
+    return Master(
+        timing=master_begin(),
+        law=master_start(halves.law, hand),
+        hand=hand,
+        signal=NO_SIGNAL,
+        answered_ns=-1,
+        band=initial_deadband_state(NO_SIGNAL),
+        command=HandCommand(haptic_safety.MODE_OFF, 0.0, -1, -1),
+        rendered_n=0.0,
+    )
+
+
+@inlined
+def slave_at(halves: Halves) -> Slave:
+    """Return the slave half before the first signal."""
+    return Slave(
+        timing=slave_begin(),
+        law=slave_start(halves.law, NO_TIP),
+        signal=NO_SIGNAL,
+        tip=NO_TIP,
+        reference=SlaveReference(0.0, False),
+        hand_ns=-1,
+    )
