@@ -42,7 +42,7 @@ from services.runtime.settings.config import Settings
 from services.runtime.settings.device_drivers import drivers_of
 
 if TYPE_CHECKING:
-    from services.afm_node.physics.dynamic import DynamicPlant
+    from services.afm_node.physics.dynamic_plant import DynamicPlant
 
 # The contact table reaches this multiple of the force limit, so that a tick that overshoots is still on it.
 _TABLE_REACH = 2.0
@@ -472,7 +472,7 @@ class _OwnSections(Settings):
             ValueError: The values admit no model; the message names value and unit.
         """
         # a node that asks for no dynamics does not import them
-        from services.afm_node.physics.dynamic import FINEST, Damping, build_dynamic
+        from services.afm_node.physics.dynamic_plant import FINEST, Damping, build_dynamic
 
         c, t = self.cantilever, self.tip_sample
         damping = Damping(t.liquid_viscosity_pa_s, t.liquid_thickness_m, t.sample_viscosity_pa_s, t.sample_thickness_m)

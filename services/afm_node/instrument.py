@@ -63,7 +63,7 @@ def _layers(config: AfmConfig) -> dict[str, Any]:
 def dynamic_afm(config: AfmConfig) -> SimulatedInstrument:
     """Return the instrument with the dynamic cantilever; ConfigError, if there is no compiler or no such model."""
     try:
-        from services.afm_node.physics.dynamic import FINEST
+        from services.afm_node.physics.dynamic_plant import FINEST
         from services.afm_node.physics.dynamic_sim import dynamic_params, require_steps, resting_steps
     except ImportError as error:
         raise ConfigError(f"afm_node.model: dynamic needs numba: {how_to_install('studies')}") from error

@@ -21,7 +21,8 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import deflection_m, equilibrium, initial_state
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
 from services.afm_node.physics.disturbed import converted_v, converter_step_v
-from services.afm_node.physics.dynamic import KICKS_PER_PERIOD, DynamicPlant, DynamicState, advance, steady_state
+from services.afm_node.physics.dynamic import DynamicState, advance, steady_state
+from services.afm_node.physics.dynamic_plant import KICKS_PER_PERIOD, DynamicPlant
 from services.numerics.compiled import compiled, compiled_form
 from studies.instrument.regression import regressed
 from studies.instrument.resonance import fit_resonance

@@ -13,7 +13,8 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import Plant, initial_state
 from services.afm_node.physics.contact.friction import FrictionState
 from services.afm_node.physics.contact.tip_sample import branch_force
-from services.afm_node.physics.dynamic import NO_NOISE, NORMALS_PER_PERIOD, free_amplitude_m, steady_state
+from services.afm_node.physics.dynamic import NO_NOISE, free_amplitude_m, steady_state
+from services.afm_node.physics.dynamic_plant import NORMALS_PER_PERIOD
 from services.afm_node.physics.dynamic_sim import require_steps
 from services.afm_node.physics.sample.surface import Surface, dilated, height_at
 from services.afm_node.programs.feedback import gain_fault, remaining

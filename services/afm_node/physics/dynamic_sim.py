@@ -14,16 +14,8 @@ import numpy.typing as npt
 
 from services.afm_node.physics.cantilever import Plant, initial_state
 from services.afm_node.physics.contact.electrostatic import electrostatic_strength_n_m2
-from services.afm_node.physics.dynamic import (
-    KICKS_PER_PERIOD,
-    NO_NOISE,
-    NORMALS_PER_PERIOD,
-    DynamicPlant,
-    DynamicState,
-    Reading,
-    advance,
-    free_amplitude_m,
-)
+from services.afm_node.physics.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m
+from services.afm_node.physics.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
 from services.afm_node.physics.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register
 from services.numerics.compiled import always_compiled
 

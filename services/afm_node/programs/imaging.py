@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from services.afm_node.physics.cantilever import Plant, PlantState, deflection_m, equilibrium
 from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, friction_step
-from services.afm_node.physics.dynamic import NORMALS_PER_PERIOD, DynamicPlant, DynamicState, advance
+from services.afm_node.physics.dynamic import DynamicState, advance
+from services.afm_node.physics.dynamic_plant import NORMALS_PER_PERIOD, DynamicPlant
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.programs.feedback import carried_out, feedback_step
 from services.numerics.compiled import always_compiled, compiled

@@ -10,17 +10,14 @@ from services.afm_node.physics.cantilever import equilibrium, initial_state
 from services.afm_node.physics.contact.force_grid import build_force_grid, grid_force
 from services.afm_node.physics.contact.tip_sample import branch_force
 from services.afm_node.physics.dynamic import (
-    BOLTZMANN_J_PER_K,
     NO_NOISE,
-    NORMALS_PER_PERIOD,
-    Damping,
     DynamicState,
     advance,
-    build_dynamic,
     drive_work_j,
     free_amplitude_m,
     steady_state,
 )
+from services.afm_node.physics.dynamic_plant import BOLTZMANN_J_PER_K, NORMALS_PER_PERIOD, Damping, build_dynamic
 from services.numerics.compiled import compiled_form
 from studies.instrument.instrument_calibration import _thermal_motion
 
