@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "pdf", "svg")
 STYLES = ("screen", "paper")
-# one and two columns of most journals of the field [inch]
-COLUMN_IN, PAGE_IN = 3.5, 7.16
+# one column of most journals of the field [inch]
+COLUMN_IN = 3.5
 # print needs 600 for lines; text and lines of PDF and SVG have no resolution
 _DOTS_PER_INCH = {"screen": 130, "paper": 600}
 _PAPER: Mapping[str, Any] = {

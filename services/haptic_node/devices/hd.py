@@ -18,7 +18,6 @@ from services.haptic_node.driver import Capabilities, DeviceError, Quaternion
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
 from services.haptic_node.servo import DeviceSample
 
-RATES_HZ = (500, 1000)
 _BUTTONS, _POSITION, _TRANSFORM, _FORCE = 0x2000, 0x2050, 0x2052, 0x2700
 _MODEL, _SERIAL, _USABLE, _STYLE = 0x2501, 0x2504, 0x2551, 0x2555
 _STIFFNESS_N_PER_MM, _MAX_FORCE_N = 0x2602, 0x2603

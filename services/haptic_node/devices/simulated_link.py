@@ -6,7 +6,7 @@ three axes, on a spring and a damper, and lets go where a pair of times says so.
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 from services.haptic_node.coupling import ZERO, Vector
@@ -196,19 +196,3 @@ class SimulatedLink:
 
 def _times(vector: Vector, factor: float) -> Vector:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
-
-
-def waypoints(points: Sequence[tuple[float, Vector]]) -> Callable[[float], Vector]:
-    """Return the place of a hand that goes straight from point to point, each a time [s] and a place [m]."""
-
-    def at(time_s: float) -> Vector:
-        before = points[0]
-        for point in points:
-            if point[0] > time_s:
-                share = (time_s - before[0]) / (point[0] - before[0]) if point[0] > before[0] else 1.0
-                a, b = before[1], point[1]
-                return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
-            before = point
-        return before[1]
-
-    return at
