@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
@@ -16,6 +15,7 @@ from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
 from services.viz_node.metrics import metrics_text
+from services.viz_node.page_session import REQUESTS_PER_S, Session
 from services.viz_node.participant import ParticipantPicture
 from services.viz_node.requests import (
     AnswerRequest,
@@ -33,17 +33,12 @@ from services.viz_node.streams import described
 TICK_S = 1.0 / 30.0
 # without a page only what a page that comes later needs is collected
 IDLE_S = 0.25
-# two seconds: a page that is further behind begins anew
-MOST_QUEUED = 60
-# of a page that reads nothing the oldest go
-_MOST_ANSWERS = 256
 # A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
 # for a tenth of a second and more. What it said last holds for this long, and is repeated to the haptic node, which
 # waits for less.
 HAND_DEADLINE_S = 0.25
 # Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
 _LONGEST_LOOK_S = 3.0 * TICK_S
-_REQUESTS_PER_S = 200
 # Of one page, with the one that is being carried out.
 MOST_COMMANDS = 4
 # As of a session/control (ADR 0014); a page that means it sends it again.
@@ -101,7 +96,7 @@ class HandOutlet(Protocol):
 class Wish:
     """A command of a page from its arrival to its answer; an emergency stop or the end of its page makes it void."""
 
-    def __init__(self, session: "Session", command: str, arrived_s: float) -> None:
+    def __init__(self, session: Session, command: str, arrived_s: float) -> None:
         self.session = session
         self.arrived_s = arrived_s
         self.reason = ""
@@ -125,51 +120,6 @@ class Wish:
         if self._command != _STOP and waited_s > VALIDITY_S:
             text = f"it waited for {waited_s:.1f} s behind other commands and was valid for {VALIDITY_S:.1f} s"
             raise RefusedError(f"{self._command} expired: {text}")
-
-
-class Session:
-    """One page: its role, and the frames that wait to be sent to it."""
-
-    def __init__(self, role: Role) -> None:
-        self.role = role
-        self.ready = asyncio.Event()
-        self._frames: deque[bytes] = deque()
-        # What a page was told once is not in the snapshot with which it begins anew.
-        self._answers: deque[bytes] = deque(maxlen=_MOST_ANSWERS)
-        self._times_s: deque[float] = deque(maxlen=_REQUESTS_PER_S)
-
-    def offer(self, frame: bytes) -> bool:
-        """Queue a frame; false when the page is so far behind that it has to begin anew."""
-        if len(self._frames) >= MOST_QUEUED:
-            return False
-        self._frames.append(frame)
-        self.ready.set()
-        return True
-
-    def answer(self, frame: bytes) -> None:
-        """Queue an answer, which comes before what changes and is not dropped with it."""
-        self._answers.append(frame)
-        self.ready.set()
-
-    def restart(self, frame: bytes) -> None:
-        """Drop the changes that wait, and queue a snapshot."""
-        self._frames.clear()
-        self._frames.append(frame)
-        self.ready.set()
-
-    async def next_frame(self) -> bytes:
-        """Wait for the next frame."""
-        while not (self._frames or self._answers):
-            self.ready.clear()
-            await self.ready.wait()
-        return (self._answers or self._frames).popleft()
-
-    def may_ask(self, now_s: float) -> bool:
-        """Return whether a request comes within the rate that a page may have."""
-        if len(self._times_s) == _REQUESTS_PER_S and now_s - self._times_s[0] < 1.0:
-            return False
-        self._times_s.append(now_s)
-        return True
 
 
 class Hub:
@@ -352,7 +302,7 @@ class Hub:
         document, counted = self._document, 0
         try:
             if not session.may_ask(time.monotonic()):
-                raise RefusedError(f"this page asks more than {_REQUESTS_PER_S} times a second")
+                raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
             if document is None:
                 raise RefusedError("a running rig is no document: only a recording can be read in")
             if self._reads >= _MOST_READS:
@@ -370,7 +320,7 @@ class Hub:
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
-            raise RefusedError(f"this page asks more than {_REQUESTS_PER_S} times a second")
+            raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
         if isinstance(request, AnswerRequest) and session.role is not Role.OBSERVER:
             return await self._answer(session, request)
         may_stop = session.role is Role.PARTICIPANT and isinstance(request, EstopRequest)

@@ -17,8 +17,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from services.runtime.loop.clock import SystemClock
 from services.viz_node.access import Access, Role
 from services.viz_node.connections import SILENCE_S, Connections
-from services.viz_node.hub import Hub, Session
+from services.viz_node.hub import Hub
 from services.viz_node.metrics import MEDIA_TYPE
+from services.viz_node.page_session import Session
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 
 MOST_PAGES = 16

@@ -25,8 +25,9 @@ from services.runtime.loop.participant import open_participant
 from services.viz_node.access import Role
 from services.viz_node.commander import RigHand
 from services.viz_node.feed import Seen
-from services.viz_node.hub import Hub, Session
+from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
+from services.viz_node.page_session import Session
 
 
 @pytest.fixture(autouse=True)

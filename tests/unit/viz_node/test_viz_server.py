@@ -24,6 +24,7 @@ from services.viz_node import server
 from services.viz_node.access import Access
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
+from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest
 from services.viz_node.source import NoTransport
 
@@ -351,7 +352,7 @@ def test_a_page_queues_a_few_commands_and_is_told_when_there_are_more(
 
 def asked(rig: Rig, name: str, arrived_s: float) -> dict[str, Any]:
     """Return the answer to a command that arrived at a time [s]."""
-    session = hubs.Session(server.Role.OPERATOR)
+    session = Session(server.Role.OPERATOR)
     rig.hub.sessions.add(session)
     request = CommandRequest("a", name, "controller", {})
     asyncio.run(rig.hub.handle(session, request, arrived_s))
@@ -399,7 +400,7 @@ def test_who_holds_the_key_down_stops_a_few_times_and_once_more(rig: Rig, monkey
         return {"afm_node@slave": ("ack", "latched")}
 
     monkeypatch.setattr(rig.commander, "estop", estop)
-    session = hubs.Session(server.Role.OPERATOR)
+    session = Session(server.Role.OPERATOR)
 
     async def press() -> None:
         asking = [asyncio.create_task(rig.hub.handle(session, EstopRequest(str(i)), 0.0)) for i in range(50)]
@@ -487,7 +488,7 @@ def test_a_server_that_stood_still_does_not_take_that_for_silence_of_the_page(
 ) -> None:
     now_s = 50.0
     monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
-    rig.hub._push(hubs.Session(server.Role.OPERATOR), HandRequest(1.5, True))
+    rig.hub._push(Session(server.Role.OPERATOR), HandRequest(1.5, True))
     now_s += 20.0 * hubs.HAND_DEADLINE_S
     rig.hub.tick()
     assert changes(rig) == [1.5]
@@ -517,37 +518,37 @@ def test_a_hand_that_pushes_without_end_is_passed_on_no_faster_than_a_page_may_a
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hubs.time, "monotonic", lambda: 50.0)
-    session = hubs.Session(server.Role.OPERATOR)
+    session = Session(server.Role.OPERATOR)
     for i in range(1000):
         rig.hub._push(session, HandRequest(float(i), True))
     assert rig.hand == [float(i) for i in range(200)]
 
 
 def test_a_page_that_does_not_read_holds_up_nobody_and_begins_anew(rig: Rig) -> None:
-    slow, quick = hubs.Session(server.Role.OBSERVER), hubs.Session(server.Role.OBSERVER)
+    slow, quick = Session(server.Role.OBSERVER), Session(server.Role.OBSERVER)
     rig.hub.sessions = {slow, quick}
-    for i in range(hubs.MOST_QUEUED + 1):
+    for i in range(MOST_QUEUED + 1):
         fields = {"kind": "mode", "level": "info", "text": str(i), "seq": i, "data": {}}
         rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
         rig.hub.tick()
         quick._frames.clear()
     assert len(slow._frames) == 1
     snapshot = msgpack.unpackb(slow._frames[0])
-    assert (snapshot["k"], snapshot["events"][-1]["text"]) == ("snapshot", str(hubs.MOST_QUEUED))
+    assert (snapshot["k"], snapshot["events"][-1]["text"]) == ("snapshot", str(MOST_QUEUED))
 
 
 def test_an_answer_is_not_dropped_with_what_a_page_has_not_read(rig: Rig) -> None:
-    session = hubs.Session(server.Role.OPERATOR)
+    session = Session(server.Role.OPERATOR)
     rig.hub.sessions = {session}
-    for i in range(2 * hubs.MOST_QUEUED):
+    for i in range(2 * MOST_QUEUED):
         fields = {"kind": "mode", "level": "info", "text": str(i), "seq": i, "data": {}}
         rig.source.waiting.append(Seen("session/event", "afm_node@slave", 10**18, fields))
         rig.hub.tick()
-        if i in (hubs.MOST_QUEUED // 2, hubs.MOST_QUEUED):
+        if i in (MOST_QUEUED // 2, MOST_QUEUED):
             # one before the page begins anew, one while no more changes fit in
             asyncio.run(rig.hub.handle(session, CommandRequest(str(i), "arm", "controller", {}), time.monotonic()))
     frames = [msgpack.unpackb(asyncio.run(asyncio.wait_for(session.next_frame(), 5.0))) for _ in range(3)]
-    assert [frame.get("id") for frame in frames[:2]] == [str(hubs.MOST_QUEUED // 2), str(hubs.MOST_QUEUED)]
+    assert [frame.get("id") for frame in frames[:2]] == [str(MOST_QUEUED // 2), str(MOST_QUEUED)]
     assert all(frame["ok"] for frame in frames[:2])
     assert frames[2]["k"] == "snapshot"
 
