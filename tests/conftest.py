@@ -64,3 +64,20 @@ def recording_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pa
         return path
 
     return recorded
+
+
+@pytest.fixture
+def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the closed loop as plain Python: the same bits, and one session takes less time than compiling the loop."""
+    monkeypatch.setattr("studies.loops.lockstep.compiled_form", lambda step: step)
+
+
+@pytest.fixture
+def loop(request: pytest.FixtureRequest) -> None:
+    """Compile the closed loop for each law over the sample and for one law on a spring; the other laws run plain there.
+
+    So a law or an environment that cannot be compiled is noticed, and no pair of them costs a compilation of its own.
+    """
+    given = request.node.callspec.params
+    if given.get("environment", "spring") == "spring" and given["law"] != "virtual_impedance":
+        request.getfixturevalue("plain_loop")

@@ -170,6 +170,7 @@ def worst(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
     return found
 
 
+@pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree_in_any_weather(tmp_path: Path, law: str, seed: int) -> None:

@@ -184,6 +184,7 @@ def differences(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
     return found
 
 
+@pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("contact", 4.0)])
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree(
@@ -200,6 +201,7 @@ def test_the_nodes_and_lockstep_agree(
     assert set(expected.instrument_mode) == {MODE_FOLLOW}
 
 
+@pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("law", LAWS)
 def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
     """Through the first pause the instrument steps by itself, and in the second one it holds."""
@@ -215,6 +217,7 @@ def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
     assert (held_s > (SECOND_PAUSE - SETTLE_TICKS) * PERIOD_S).all()
 
 
+@pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("law", LAWS)
 def test_a_changed_gain_is_seen(undisturbed: Callable[[Cell], Trajectory], law: str) -> None:
     """One per cent of a law's force gain, or where it has none of its force scale, is no rounding."""
@@ -227,6 +230,7 @@ def test_a_changed_gain_is_seen(undisturbed: Callable[[Cell], Trajectory], law: 
     assert found["tip_force_n"] > 1e-4
 
 
+@pytest.mark.usefixtures("plain_loop")
 def test_a_changed_longest_pause_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the slave half has a memory: one that starts anew at every signal begins without energy to press."""
     cell = cell_of("passivity", "spring", 4.0)

@@ -12,7 +12,6 @@ from services.afm_node.config import SafetyConfig
 from services.afm_node.physics import body as model
 from services.afm_node.physics.body import BodyParams, body_params
 from services.afm_node.safety import SafetyParams
-from studies.loops import lockstep
 from studies.loops.cells import Cell, run_cell
 
 DT = 1e-3
@@ -76,12 +75,6 @@ def test_body_that_the_period_cannot_show_is_refused() -> None:
         body(mass_kg=1e-6)
 
 
-@pytest.fixture
-def plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the loop without the compiler: no law has to be compiled into it."""
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
-
-
 def cell(law: str, delay_ms: float, mass_kg: float) -> Cell:
     return Cell(
         law=law,
@@ -94,13 +87,13 @@ def cell(law: str, delay_ms: float, mass_kg: float) -> Cell:
     )
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_hand_presses_on_a_light_body_as_on_a_wall() -> None:
     light = run_cell(cell("position_force", 20.0, 1e-4))
     assert light.verdict == "stable"
     assert light.tip_n == pytest.approx(1.0, rel=1e-3, abs=0.0)
 
 
-@pytest.mark.usefixtures("plain")
+@pytest.mark.usefixtures("plain_loop")
 def test_smith_predicts_no_mass() -> None:
     assert run_cell(cell("smith", 50.0, 0.01)).verdict != "stable"

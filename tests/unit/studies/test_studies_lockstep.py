@@ -75,10 +75,9 @@ def test_contact_loop_is_the_loop_written_out(delay_ms: int) -> None:
         assert ratio.mean() == pytest.approx(1.05, rel=1e-6, abs=0.0)
 
 
+@pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("law", list(LAWS))
-def test_every_law_holds_the_hand_against_the_spring(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    # without the compiler the loop calls the same steps, and no law has to be compiled into it
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+def test_every_law_holds_the_hand_against_the_spring(law: str) -> None:
     course = trajectory_of(cell(law, delay_ms=5.0, session_s=3.0))
     assert (course.instrument_mode == MODE_FOLLOW).all()
     assert course.hand_following.all()
@@ -87,9 +86,9 @@ def test_every_law_holds_the_hand_against_the_spring(law: str, monkeypatch: pyte
     assert np.ptp(ratio) < 0.05
 
 
-def test_compiled_and_plain_loop_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_and_plain_loop_are_the_same(request: pytest.FixtureRequest) -> None:
     compiled = trajectory_of(cell(delay_ms=12.3, jitter_ms=2.0, loss=0.1, session_s=2.0))
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    request.getfixturevalue("plain_loop")
     plain = trajectory_of(cell(delay_ms=12.3, jitter_ms=2.0, loss=0.1, session_s=2.0))
     for name in ("tip_force_n", "reference_m", "hand_position_m"):
         np.testing.assert_allclose(getattr(plain, name), getattr(compiled, name), rtol=1e-9, atol=1e-18)

@@ -32,6 +32,7 @@ def no_withdrawn_tip(session: SimulatedSession) -> None:
         assert session.reason.startswith("the instrument's guard acted at ")
 
 
+@pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("law", LAWS)
 def test_fig12_is_stable_without_delay_and_at_50_ms_as_theory_has_it(law: str, environment: str) -> None:
@@ -86,6 +87,7 @@ def test_a_spring_that_also_pulls_begins_at_its_rest_position_and_nowhere_else()
     assert given.verdict == "stable"
 
 
+@pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 def test_a_law_that_moves_no_tip_is_said_to_have_lost_contact(environment: str) -> None:
     session = telenano.simulate("fig12", law="tactile", environment=environment)
@@ -106,6 +108,7 @@ def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:
     assert {path.stem for path in SCENARIO_DIRECTORY.glob("*.yaml")} == {"assembly", "fig10", "fig12", "image", "touch"}
 
 
+@pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("scenario", ["touch", "image"])
 @pytest.mark.parametrize("law", LAWS)
 def test_with_an_operator_that_can_be_simulated_so_can_the_others_on_a_spring(scenario: str, law: str) -> None:
@@ -131,6 +134,7 @@ def test_every_law_touches_the_sample_of_the_image(law: str) -> None:
     no_withdrawn_tip(session)
 
 
+@pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("law", ["passivity", "model_mediated"])
 def test_a_session_over_dots_that_ends_soon_after_the_touch_is_judged_before_it_is_at_rest(law: str) -> None:
     short = telenano.simulate("image", law=law, operator=PRESS, duration_s=4.0)
@@ -158,6 +162,7 @@ def test_a_disturbance_is_simulated_or_refused_and_never_left_out(settings: dict
         telenano.simulate(settings=settings)
 
 
+@pytest.mark.usefixtures("plain_loop")
 def test_a_disturbed_cantilever_is_simulated() -> None:
     quiet = telenano.simulate(duration_s=0.5)
     vibrating = telenano.simulate(duration_s=0.5, settings={"afm_node.disturbances.vibration.enabled": True})

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from proto.errors import ConfigError
 from services.controller.config import LAWS
 from studies import option_values
-from studies.loops import advice
+from studies.loops import advice, transparency
 from studies.loops.advice import Candidate, Question, cells_of
 from studies.loops.cells import CellResult
 from studies.loops.sweep import Sweep
@@ -94,6 +94,7 @@ def test_bad_options_end_in_a_sentence_and_code_2(tmp_path: Path, options: list[
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("plain_loop")
 def test_a_sample_that_is_too_stiff_for_a_law_is_named(tmp_path: Path) -> None:
     options = [
         "stability",
@@ -161,7 +162,9 @@ def test_transparency_prints_one_object(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} >= {"impedances.png", "hybrid-0ms.png", "spectra.parquet"}
 
 
-def test_compare_puts_laws_on_one_page(tmp_path: Path) -> None:
+def test_compare_puts_laws_on_one_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # 400 s of a random link take long to draw; `test_studies_drift.py` has the drift of so many cycles
+    monkeypatch.setattr(transparency, "_LONG_CYCLES", 20)
     options = ["--law", "virtual_impedance", "--delay", "60", "--map-delay", "0,100", "--stiffness", "20"]
     options += ["--hand", "force", "--sample", "contact", "--seeds", "1", "--frequency", "5"]
     result = RUN.invoke(app, ["compare", *options, "--workers", "1", "--out", str(tmp_path), "--json"])
