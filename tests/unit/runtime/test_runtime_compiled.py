@@ -289,10 +289,15 @@ print(hashlib.sha256(done["scaled_tip_force_n"].tobytes() + done["time_s"].tobyt
 """
 
 
+def run_simulation(folder: Path, before: str = "") -> str:
+    """Run a simulation after something, without a package: with one its compiled code would replace that of others."""
+    return run_step(folder, f"{before}\n{LOCKSTEP}", installed=False, XDG_CACHE_HOME=USERS_CACHE)
+
+
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return the digest of a simulation in a process of its own."""
-    return run_step(tmp_path_factory.mktemp("simulated"), LOCKSTEP, XDG_CACHE_HOME=USERS_CACHE)
+    return run_simulation(tmp_path_factory.mktemp("simulated"))
 
 
 @pytest.mark.parametrize(
@@ -304,7 +309,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
     ],
 )
 def test_a_simulation_does_not_depend_on_what_was_imported_before(tmp_path: Path, simulated: str, before: str) -> None:
-    assert run_step(tmp_path, f"{before}\n{LOCKSTEP}", XDG_CACHE_HOME=USERS_CACHE) == simulated
+    assert run_simulation(tmp_path, before) == simulated
 
 
 def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path, simulated: str) -> None:
