@@ -10,10 +10,6 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Workers and the hundreds of processes that tests start would each compile again what they import.
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-
 # derandomize: the same examples every run, and no database of them on disk
 settings.register_profile(
     "telenano",
@@ -28,14 +24,17 @@ settings.load_profile("telenano")
 def pytest_collection() -> Iterator[None]:
     """Collect the tests without looking for garbage, which takes a third of the time, and leave them out of it later.
 
-    Modules and tests are half a million objects that stay: one collection of all of them takes seconds.
+    Modules and tests are half a million objects that stay: one collection of all of them takes seconds. Their bytecode
+    is kept, also where the environment forbids it: other workers, runs and the processes that tests start read it.
     """
+    forbidden, sys.dont_write_bytecode = sys.dont_write_bytecode, False
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
         gc.enable()
+        sys.dont_write_bytecode = forbidden
 
 
 @pytest.fixture(scope="session")
