@@ -48,17 +48,17 @@ def answers(text: str, name: str) -> list[Answer]:
     return found
 
 
-def delay_lines(text: str, name: str) -> list[tuple[float, float]]:
-    """Return time since the first packet and delay [s] of each answer; ConfigError where the log has no times."""
-    return [(time_s, answer.delay_s) for time_s, answer in _timed(text, name)]
+def delays(text: str, name: str) -> list[tuple[int, float, float]]:
+    """Return line, time since the first packet and delay [s] of each answer; ConfigError where the log has no times."""
+    return [(answer.line, time_s, answer.delay_s) for time_s, answer in _timed(text, name)]
 
 
-def loss_lines(text: str, name: str) -> list[tuple[float, bool]]:
-    """Return time since the first packet [s], and whether a packet was lost, for each packet by its number.
+def losses(text: str, name: str) -> list[tuple[int, float, bool]]:
+    """Return line, time since the first packet [s], and whether a packet was lost, for each packet by its number.
 
-    A packet without an answer left between its neighbours, at even distances.
+    A packet without an answer left between its neighbours, at even distances; its line is that of the next answer.
     """
-    found: list[tuple[float, bool]] = []
+    found: list[tuple[int, float, bool]] = []
     before: tuple[float, Answer] | None = None
     for time_s, answer in _timed(text, name):
         if answer.number is None:
@@ -66,8 +66,8 @@ def loss_lines(text: str, name: str) -> list[tuple[float, bool]]:
         if before is not None and before[1].number is not None:
             gap = answer.number - before[1].number
             step_s = (time_s - before[0]) / max(gap, 1)
-            found += [(before[0] + n * step_s, True) for n in range(1, gap)]
-        found.append((time_s, False))
+            found += [(answer.line, before[0] + n * step_s, True) for n in range(1, gap)]
+        found.append((answer.line, time_s, False))
         before = (time_s, answer)
     return found
 

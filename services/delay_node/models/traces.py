@@ -6,12 +6,14 @@ nothing of what is there: whoever may set the link could otherwise read any file
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 from proto.errors import ConfigError
 from services.delay_node.models import ping_log
+
+T = TypeVar("T")
 
 LARGEST_FILE_BYTES = 32_000_000
 # delays, and samples of a jitter in its own unit; times of a trace
@@ -63,21 +65,17 @@ def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> Delay
     Raises:
         ConfigError: A line is wrong; the message names file and line.
     """
-    times_ns: list[int] = []
-    delays_ns: list[int] = []
-    for number, words in _lines(_delays_of(text, name, by_number=by_number)):
-        place = f"{name}, line {number}"
-        if len(words) != 2:
+
+    def delay_ns(words: Sequence[str], place: str) -> int:
+        if len(words) != 1:
             raise ConfigError(f"{place}: is not a pair `time_s delay_s`")
-        time_ns = _place_ns(words[0], place, by_number=by_number)
-        delay_ns = round(_number(words[1], place, 0.0, _LONGEST_DELAY_S) * 1e9)
-        if times_ns and time_ns <= times_ns[-1]:
-            raise ConfigError(f"{place}: the time is not later than the one before it")
-        times_ns.append(time_ns)
-        delays_ns.append(delay_ns)
-    if not times_ns:
-        raise ConfigError(f"{name}: holds no line `time_s delay_s`")
-    return DelayCourse(tuple(times_ns), tuple(delays_ns))
+        return round(_number(words[0], place, 0.0, _LONGEST_DELAY_S) * 1e9)
+
+    if ping_log.is_ping_log(text) and not by_number:
+        rows = _logged(ping_log.delays(text, name), name, lambda delay_s: round(delay_s * 1e9))
+    else:
+        rows = _rows(text, name, delay_ns, by_number=by_number)
+    return DelayCourse(*_course(rows, name, "time_s delay_s"))
 
 
 def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCourse:
@@ -88,20 +86,17 @@ def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCo
     Raises:
         ConfigError: A line is wrong; the message names file and line.
     """
-    times_ns: list[int] = []
-    lost: list[bool] = []
-    for number, words in _lines(_losses_of(text, name, by_number=by_number)):
-        place = f"{name}, line {number}"
-        if len(words) != 2 or words[1] not in ("0", "1"):
+
+    def lost(words: Sequence[str], place: str) -> bool:
+        if len(words) != 1 or words[0] not in ("0", "1"):
             raise ConfigError(f"{place}: is not a pair `time_s lost`, with 1 for lost and 0 for not")
-        time_ns = _place_ns(words[0], place, by_number=by_number)
-        if times_ns and time_ns <= times_ns[-1]:
-            raise ConfigError(f"{place}: the time is not later than the one before it")
-        times_ns.append(time_ns)
-        lost.append(words[1] == "1")
-    if not times_ns:
-        raise ConfigError(f"{name}: holds no line `time_s lost`")
-    return LossCourse(tuple(times_ns), tuple(lost))
+        return words[0] == "1"
+
+    if ping_log.is_ping_log(text) and not by_number:
+        rows = _logged(ping_log.losses(text, name), name, bool)
+    else:
+        rows = _rows(text, name, lost, by_number=by_number)
+    return LossCourse(*_course(rows, name, "time_s lost"))
 
 
 def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]:
@@ -147,16 +142,38 @@ def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
     return samples
 
 
-def _delays_of(text: str, name: str, *, by_number: bool) -> str:
-    if by_number or not ping_log.is_ping_log(text):
-        return text
-    return "\n".join(f"{time_s!r} {delay_s!r}" for time_s, delay_s in ping_log.delay_lines(text, name))
+def _rows(
+    text: str, name: str, value_of: Callable[[Sequence[str], str], T], *, by_number: bool
+) -> Iterator[tuple[int, int, T]]:
+    """Yield line, time [ns] and value of each record of two words; value_of takes the words after the first."""
+    for number, words in _lines(text):
+        place = f"{name}, line {number}"
+        value = value_of(words[1:], place)
+        yield number, _place_ns(words[0], place, by_number=by_number), value
 
 
-def _losses_of(text: str, name: str, *, by_number: bool) -> str:
-    if by_number or not ping_log.is_ping_log(text):
-        return text
-    return "\n".join(f"{time_s!r} {int(lost)}" for time_s, lost in ping_log.loss_lines(text, name))
+def _logged(
+    rows: Iterable[tuple[int, float, float]], name: str, value_of: Callable[[float], T]
+) -> Iterator[tuple[int, int, T]]:
+    """Yield line, time [ns] and value of what a log of ping has, within the bounds of a trace."""
+    for number, time_s, value in rows:
+        place = f"{name}, line {number}"
+        _within(time_s, place, 0.0, _LONGEST_TRACE_S)
+        yield number, round(time_s * 1e9), value_of(_within(value, place, 0.0, _LONGEST_DELAY_S))
+
+
+def _course(rows: Iterable[tuple[int, int, T]], name: str, wanted: str) -> tuple[tuple[int, ...], tuple[T, ...]]:
+    """Return times [ns] and values of rows; ConfigError names the line whose time is not later than the one before."""
+    times_ns: list[int] = []
+    values: list[T] = []
+    for number, time_ns, value in rows:
+        if times_ns and time_ns <= times_ns[-1]:
+            raise ConfigError(f"{name}, line {number}: the time is not later than the one before it")
+        times_ns.append(time_ns)
+        values.append(value)
+    if not times_ns:
+        raise ConfigError(f"{name}: holds no line `{wanted}`")
+    return tuple(times_ns), tuple(values)
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -179,6 +196,10 @@ def _number(word: str, place: str, low: float, high: float) -> float:
     except ValueError:
         # The cause is left out because it holds the word itself.
         raise ConfigError(f"{place}: is not a number") from None
+    return _within(value, place, low, high)
+
+
+def _within(value: float, place: str, low: float, high: float) -> float:
     if not low <= value <= high:
         raise ConfigError(f"{place}: is not a number from {low:g} to {high:g}")
     return value

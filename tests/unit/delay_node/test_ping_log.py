@@ -52,3 +52,16 @@ def test_delay_and_loss_over_time_stand_at_the_times_of_sending():
 def test_a_log_that_cannot_serve_is_refused_with_its_line(parse, text, reason):
     with pytest.raises(ConfigError, match=reason):
         parse(text, "p")
+
+
+@pytest.mark.parametrize("parse", [parse_delay_trace, parse_loss_trace])
+def test_a_fault_of_a_log_is_told_by_its_own_line(parse):
+    # header, a duplicate and a line of another kind stand before it: line 6 of the log is its third answer
+    at_once = LINUX.replace("[1700000000.630000]", "[1700000000.240000]").replace("time=30.0", "time=40.0")
+    with pytest.raises(ConfigError, match=r"^ping.txt, line 6: the time is not later than the one before it$"):
+        parse(at_once, "ping.txt")
+
+
+def test_a_delay_of_a_log_beyond_an_hour_is_refused_with_its_line():
+    with pytest.raises(ConfigError, match=r"^ping.txt, line 3: is not a number from 0 to 3600$"):
+        parse_delay_trace(LINUX.replace("time=40.0", "time=40000000.0"), "ping.txt")
