@@ -7,7 +7,6 @@ import os
 import select
 import signal
 import sys
-import time
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -29,11 +28,20 @@ from telenano.cli.commands.device_controllers import (
 )
 from telenano.cli.commands.device_files import run_ahead, write_document
 from telenano.cli.commands.device_impedance import (
+    DEVICES,
     KindOption,
     SetOption,
     known_devices,
     probe_impedance,
     simulate_haply,
+)
+from telenano.cli.commands.device_monitor import (
+    BaudOption,
+    PortOption,
+    instrument_of,
+    monitor,
+    package_rows,
+    probe_package,
 )
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -43,6 +51,7 @@ simulate = command_group()
 calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
 app.command("accept")(accept)
+app.command()(monitor)
 simulate.command("haply")(simulate_haply)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 simulate.command("gwyscope")(simulate_gwyscope)
@@ -53,10 +62,7 @@ app.command("approach")(approach_nanonis)
 app.add_typer(guard, name="guard", help="Retract the tip of an AFM controller when the rig is silent.")
 
 _BY_ID = Path("/dev/serial/by-id")
-_PERIOD_S = 1e-3
 
-PortOption = Annotated[str | None, typer.Option("--port", metavar="DEVICE", help="Serial port of a handle.")]
-BaudOption = Annotated[int, typer.Option("--baud", min=115_200, help="Bits a second of the serial port.")]
 CalibrationOption = Annotated[
     Path | None, typer.Option("--calibration", metavar="FILE", help="stage.yaml of the instrument.")
 ]
@@ -75,17 +81,19 @@ class BoardName(StrEnum):
 
 @app.command("list")
 def list_devices(as_json: JsonOption = False) -> None:
-    """List the serial ports, by names that stay, and which devices that take a force can be driven here."""
+    """List the serial ports, by names that stay, the devices that take a force, and the drivers of packages."""
     with report_errors(as_json):
-        rows, known = serial_ports(), known_devices()
+        rows, known, packages = serial_ports(), known_devices(), package_rows()
     if as_json:
-        print_json({"ports": rows, "devices": known})
+        print_json({"ports": rows, "devices": known, "packages": packages})
         return
     if rows:
         print_rows(rows)
     else:
         typer.echo("no serial port is plugged in")
     print_rows(known)
+    if packages:
+        print_rows(packages)
 
 
 def serial_ports() -> list[dict[str, Any]]:
@@ -117,18 +125,19 @@ def probe(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ask a handle (--port), an instrument (--calibration) or a device that takes a force (--device) who it is.
+    """Ask a handle (--port), an instrument (--calibration) or what a driver drives (--device) who it is.
 
-    An instrument is retracted; a device gets no force.
+    An instrument is retracted; a device gets no force. The driver is that of a device that takes a force, or one of an
+    installed package, for either node.
     """
     with report_errors(as_json):
         if (port is not None) + (calibration is not None) + (kind is not None) != 1:
             raise ConfigError(
-                "give --port for a handle, or --calibration for an instrument, or --device haply, dhd, hd or"
-                " simulated_impedance"
+                "give --port for a handle, or --calibration for an instrument, or --device haply, dhd, hd,"
+                " simulated_impedance or the driver of a package"
             )
         if kind is not None:
-            facts = probe_impedance(kind, settings or [])
+            facts = (probe_impedance if kind in DEVICES else probe_package)(kind, settings or [])
         else:
             facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
     if as_json:
@@ -171,16 +180,8 @@ def _probe_handle(port: str, baud: int) -> dict[str, Any]:
     }
 
 
-def _instrument(calibration: Path) -> Any:
-    from services.afm_node.config import AfmConfig
-    from services.afm_node.instrument import driver_of_file
-
-    # A person looks at it, and it stays retracted.
-    return driver_of_file(calibration, AfmConfig(attended=True))
-
-
 def _probe_instrument(calibration: Path) -> dict[str, Any]:
-    driver = _instrument(calibration)
+    driver = instrument_of(calibration)
     try:
         driver.open()
         sample = driver.exchange(driver.safe_position_m)
@@ -193,96 +194,6 @@ def _probe_instrument(calibration: Path) -> dict[str, Any]:
         }
     finally:
         driver.close()
-
-
-@app.command()
-def monitor(
-    calibration: Annotated[
-        Path, typer.Option("--calibration", metavar="FILE", help="handle.yaml of a handle, or stage.yaml.")
-    ],
-    port: PortOption = None,
-    baud: BaudOption = 1_000_000,
-    duration: Annotated[float, typer.Option("--duration", min=0.1, metavar="S", help="How long to look [s].")] = 2.0,
-    as_json: JsonOption = False,
-) -> None:
-    """Read a device a thousand times a second, undriven, and tell age of its samples, losses and bad frames."""
-    with report_errors(as_json):
-        facts = _watch(_opened_handle(port, baud, calibration) if port else _opened_instrument(calibration), duration)
-    if as_json:
-        print_json(facts)
-    else:
-        print_rows([{"": name, "found": value} for name, value in facts.items()])
-
-
-def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Any]:
-    from services.haptic_node.config import LimitsConfig
-    from services.haptic_node.devices.calibration import read_calibration
-    from services.haptic_node.devices.serial_driver import SerialHandle
-    from services.haptic_node.driver import DriveCommand
-    from services.haptic_node.safety import MODE_OFF
-
-    driver = SerialHandle(port, baud, read_calibration(calibration), LimitsConfig())
-    driver.open()
-
-    def tick() -> dict[str, Any]:
-        driver.write(DriveCommand(MODE_OFF, 0.0, 0.0))
-        reading = driver.read(-1.0, _PERIOD_S)
-        return {
-            "position_m": reading.position_m,
-            "operator_force_n": reading.operator_force_n,
-            "frames_missing": driver.missed,
-            "frames_bad": sum(driver.reader.errors.values()),
-            "commands_dropped": driver.dropped,
-        }
-
-    return driver, tick
-
-
-def _opened_instrument(calibration: Path) -> tuple[Any, Any]:
-    driver = _instrument(calibration)
-    driver.open()
-
-    def tick() -> dict[str, Any]:
-        sample = driver.exchange(driver.safe_position_m)
-        return {
-            "base_m": sample.base_m,
-            "input_v": sample.bridge_voltage_v,
-            "exchanges": driver.exchanges,
-            **{name: getattr(driver, name) for name in ("late_answers", "refused_answers") if hasattr(driver, name)},
-        }
-
-    return driver, tick
-
-
-def _watch(opened: tuple[Any, Any], duration_s: float) -> dict[str, Any]:
-    driver, tick = opened
-    ages: list[float] = []
-    spent_s: list[float] = []
-    statuses: dict[str, int] = {}
-    last: dict[str, Any] = {}
-    try:
-        began = due = time.monotonic()
-        while due < began + duration_s:
-            due += _PERIOD_S
-            time.sleep(max(0.0, due - time.monotonic()))
-            before = time.perf_counter()
-            last = tick()
-            spent_s.append(time.perf_counter() - before)
-            ages.append(driver.report.age_s)
-            statuses[driver.report.status] = statuses.get(driver.report.status, 0) + 1
-    finally:
-        driver.close()
-    ages.sort()
-    spent_s.sort()
-    return {
-        "ticks": len(ages),
-        **{f"ticks_{status}": count for status, count in sorted(statuses.items())},
-        "sample_age_p50_s": ages[len(ages) // 2],
-        "sample_age_p99_s": ages[len(ages) * 99 // 100],
-        "driver_p50_s": spent_s[len(spent_s) // 2],
-        "driver_p99_s": spent_s[len(spent_s) * 99 // 100],
-        **last,
-    }
 
 
 @calibrate.command("handle")

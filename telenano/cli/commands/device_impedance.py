@@ -2,7 +2,6 @@
 
 import asyncio
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,27 +10,22 @@ import typer
 from telenano.cli.commands.device_files import run_ahead
 from telenano.cli.output import report_errors
 
-
-class DeviceName(StrEnum):
-    """The drivers of devices that take a force."""
-
-    HAPLY = "haply"
-    DHD = "dhd"
-    HD = "hd"
-    SIMULATED = "simulated_impedance"
-
-
 KindOption = Annotated[
-    DeviceName | None,
+    str | None,
     typer.Option(
-        "--device", help="haply: Inverse3; dhd: Force Dimension and Falcon; hd: Touch; or simulated_impedance."
+        "--device",
+        metavar="DRIVER",
+        help="haply: Inverse3; dhd: Force Dimension and Falcon; hd: Touch; simulated_impedance; or one of a package.",
     ),
 ]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the device, such as haptic_node.haply.service."),
 ]
+_SIMULATED = "simulated_impedance"
 _WHAT = {"haply": "Haply Inverse3", "dhd": "Force Dimension, Novint Falcon", "hd": "3D Systems Touch"}
+# the drivers of devices that take a force
+DEVICES = (*_WHAT, _SIMULATED)
 
 
 def known_devices() -> list[dict[str, Any]]:
@@ -46,18 +40,18 @@ def known_devices() -> list[dict[str, Any]]:
     return rows
 
 
-def probe_impedance(kind: DeviceName, settings: list[str]) -> dict[str, Any]:
+def probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
     """Open a device without force and return what it declares, with the coupling and its two bounds."""
     from services.haptic_node.config import HapticConfig
     from services.haptic_node.devices.servo_process import wire_of
     from services.runtime.settings.config import flag_overrides, validate
 
-    chosen = flag_overrides([f"haptic_node.driver={kind.value}", *settings])
+    chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
     config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
-    if kind is DeviceName.SIMULATED:
+    if kind == _SIMULATED:
         found = config.impedance.capabilities()
     else:
-        wire = wire_of(kind.value, getattr(config, kind.value).model_dump())
+        wire = wire_of(kind, getattr(config, kind).model_dump())
         try:
             found = wire.open()
         finally:

@@ -81,6 +81,23 @@ for model, document in ((ControllerConfig, {"filtered": {"filter_s": -1.0}}), (A
         model.model_validate(document)
     except ValidationError as error:
         found["refused"] += [".".join(map(str, fault["loc"])) for fault in error.errors()]
+
+from typer.testing import CliRunner
+from telenano.cli.commands.device import app
+
+def said(*words):
+    done = CliRunner().invoke(app, [*words, "--json"])
+    return {"code": done.exit_code, **json.loads(done.stdout)}
+
+found["list"] = said("list")["packages"]
+found["probe"] = [
+    said("probe", "--device", "stub_handle"),
+    said("probe", "--device", "stub_afm", "--set", "afm_node.stub_afm.stiffness_n_per_m=20"),
+    said("probe", "--device", "stub_amf"),
+    said("probe", "--device", "stub_afm", "--set", "haptic_node.stub_handle.force_n=1"),
+    said("probe", "--device", "stub_afm", "--set", "afm_node.stub_afm.stiffness_n_per_m=0"),
+]
+found["monitor"] = [said("monitor", "--device", name, "--duration", "0.1") for name in ("stub_handle", "stub_afm")]
 print(json.dumps(found))
 """
 
@@ -131,6 +148,30 @@ def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found:
     assert found["handle_survives"]
     # 40 N/m and 10 N/m in series, pressed by 5 nm
     assert found["own_instrument_n"] == pytest.approx(4e-8, rel=1e-9)
+
+
+def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, Any]) -> None:
+    rows = {row["driver"]: row for row in found["list"]}
+    assert {name: (row["node"], row["found"]) for name, row in rows.items()} == {
+        "stub_handle": ("haptic_node", "can be used"),
+        "stub_afm": ("afm_node", "can be used"),
+    }
+    assert all(row["package"].startswith("telenano-") for row in rows.values())
+    handle, instrument, misspelt, elsewhere, soft = found["probe"]
+    assert (handle["code"], handle["kind"], handle["position_m"]) == (0, "admittance", 0.0)
+    assert (instrument["code"], instrument["status"], instrument["force_n"]) == (0, "ok", 0.0)
+    assert instrument["base_m"] == instrument["safe_position_m"] < 0.0
+    assert (misspelt["code"], elsewhere["code"], soft["code"]) == (2, 2, 2)
+    assert misspelt["error"].startswith("--device stub_amf: known are haply, dhd, hd, simulated_impedance, stub_")
+    assert misspelt["error"].endswith("; did you mean stub_afm?")
+    assert elsewhere["error"] == "--set haptic_node: the driver stub_afm has keys afm_node.stub_afm.* only"
+    assert soft["error"].startswith("--set: afm_node.stub_afm.stiffness_n_per_m: ")
+    for watched in found["monitor"]:
+        assert watched["code"] == 0
+        assert watched["ticks"] > 10
+        assert watched["driver_p99_s"] >= watched["driver_p50_s"] > 0.0
+    assert "sample_age_p50_s" in found["monitor"][1]
+    assert "sample_age_p50_s" not in found["monitor"][0]
 
 
 def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:
