@@ -5,11 +5,14 @@ Each function returns spring constant k [N/m] and speed of the approach [m/s] by
 """
 
 import logging
-import zipfile
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from services.afm_node.physics.sample.map_libraries import blocks_of, refuse_large_archive, ways_of
 
 # of a curve; at a megahertz that is a quarter of a minute
 _MOST_POINTS = 1 << 24
@@ -54,27 +57,65 @@ def _number(group: Any, name: str) -> float:
     return float(np.asarray(value).reshape(()))
 
 
-def load_afmformats(path: str) -> Found:
-    """Return the first curve of a file that afmformats reads."""
+def load_afmformats(path: str, number: str = "0") -> Found:
+    """Return a curve of a file that afmformats reads, by its number; the first is 0."""
     import afmformats
     from afmformats.errors import MissingMetaDataError
 
-    # it reports with a traceback what it raises as well
-    logging.getLogger("afmformats").setLevel(logging.CRITICAL)
-    if path.lower().endswith(".jpk-force"):
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(each.file_size for each in archive.infolist())
-        if unpacked > _MOST_UNPACKED_BYTES:
-            raise ValueError(f"it unpacks to {unpacked} bytes, at most {_MOST_UNPACKED_BYTES} are read")
+    _prepare(path)
+    wanted = int(number)
     try:
-        found = afmformats.load_data(path)[0]
-        if "spring constant" not in found.metadata:
-            raise ValueError("its metadata lack the spring constant")
-        facts = {"k": float(found.metadata["spring constant"]), "speed": float(found.metadata.get("speed approach", 1))}
-        height = found["height (measured)"] if "height (measured)" in found else found["height (piezo)"]
-        columns = [np.asarray(column, dtype=np.float64) for column in (found["force"], height, found["segment"])]
+        with tempfile.TemporaryDirectory() as folder:
+            for block, _ in blocks_of(path, Path(folder)):
+                curves = afmformats.load_data(block)
+                if wanted < len(curves):
+                    return _columns_of(curves[wanted])
+                wanted -= len(curves)
     except MissingMetaDataError as error:
         raise ValueError(f"its metadata lack {', '.join(map(str, error.meta_keys))}") from error
+    raise ValueError(f"it has no curve {number}; it has {int(number) - wanted}, and the first is 0")
+
+
+def _columns_of(found: Any) -> Found:
+    if "spring constant" not in found.metadata:
+        raise ValueError("its metadata lack the spring constant")
+    facts = {"k": float(found.metadata["spring constant"]), "speed": float(found.metadata.get("speed approach", 1))}
+    height = found["height (measured)"] if "height (measured)" in found else found["height (piezo)"]
+    columns = [np.asarray(column, dtype=np.float64) for column in (found["force"], height, found["segment"])]
     if len({len(column) for column in columns}) != 1 or not len(columns[0]):
         raise ValueError(f"its columns have {', '.join(str(len(column)) for column in columns)} points")
     return facts, columns
+
+
+def load_deflections(path: str) -> Found:
+    """Return the approaches of a file of curves, of a large map those of its first block.
+
+    Arrays: how many points each has; then, of all one after another, height [m] and deflection as it was read [V].
+    """
+    import afmformats
+
+    _prepare(path)
+    # The forces of other formats were computed before, by constants that stand in the file.
+    is_raw = ".jpk-" in path.lower()
+    counts, heights, volts = [], [], []
+    with tempfile.TemporaryDirectory() as folder:
+        block, _ = next(blocks_of(path, Path(folder)))
+        # With constants of 1 the force of a file of JPK is the voltage itself.
+        given = {"spring constant": 1.0, "sensitivity": 1.0} if is_raw else {}
+        for curve in afmformats.load_data(block, meta_override=given):
+            if lacks := [key for key in ("spring constant", "sensitivity") if key not in curve.metadata]:
+                raise ValueError(f"its metadata lack {', '.join(lacks)}: the voltage that was read cannot be told")
+            height, force = ways_of(curve)[0]
+            counts.append(len(height))
+            heights.append(height)
+            volts.append(force / (curve.metadata["spring constant"] * curve.metadata["sensitivity"]))
+    return {}, [np.array(counts), np.concatenate(heights), np.concatenate(volts)]
+
+
+def _prepare(path: str) -> None:
+    # afmformats reports with a traceback what it raises as well
+    logging.getLogger("afmformats").setLevel(logging.CRITICAL)
+    if path.lower().endswith(".jpk-force"):
+        refuse_large_archive(path, _MOST_UNPACKED_BYTES)
+    else:
+        refuse_large_archive(path)

@@ -9,6 +9,7 @@ the pull-off, which is the strongest pull on the way back, and where the force p
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from services.afm_node.physics.cantilever import deflection_m, equilibrium, init
 from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
 from services.afm_node.physics.dynamic_sim import require_steps
 from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
+from services.afm_node.physics.sample.map_files import CURVE_MAPS, limits_of_curves
 from services.afm_node.programs.curve import CurveSettings
 from services.runtime.untrusted.limited_child import read_in_child
 
@@ -260,13 +262,17 @@ def write_hdf5(path: Path, curve: Curve) -> None:
         group.attrs.update(metadata)
 
 
-def read_measured(path: Path) -> Curve:
+def read_measured(path: Path, number: int = 0) -> Curve:
     """Return a measured curve: an Igor wave of Asylum's (Defl, and ZSnsr or Raw), HDF5, or a file of JPK or a table.
 
-    HDF5 is as `write_hdf5` makes it, a table (.tab) as afmformats does. Of a file with several curves it is the first.
+    HDF5 is as `write_hdf5` makes it, a table (.tab) as afmformats does. Of a force map or QI data of JPK it is the
+    curve of a number, the first being 0; of another file with several curves it is the first.
     Raises: ConfigError naming the file and what is wrong with it.
     """
     readers = {".ibw": _read_ibw, ".h5": _read_hdf5, ".jpk-force": _read_afmformats, ".tab": _read_afmformats}
+    readers |= dict.fromkeys(CURVE_MAPS, partial(_read_afmformats, number=number))
+    if number and path.suffix.lower() not in CURVE_MAPS:
+        raise ConfigError(f"{path}: a curve is chosen by its number in a map, which is {', '.join(CURVE_MAPS)}")
     if path.suffix.lower() not in readers:
         raise ConfigError(f"{path}: is no curve that can be read; these are {', '.join(readers)}")
     try:
@@ -315,9 +321,11 @@ def _read_hdf5(path: Path) -> Curve:
     return _measured(-height, force / k, k, turn, facts["speed"])
 
 
-def _read_afmformats(path: Path) -> Curve:
-    """Return the first curve of a file that afmformats reads; its height rises away from the sample."""
-    facts, (force, height, segment) = read_in_child("studies.instrument.curve_files:load_afmformats", path)
+def _read_afmformats(path: Path, number: int = 0) -> Curve:
+    """Return a curve of a file that afmformats reads; its height rises away from the sample."""
+    limits = limits_of_curves(path) if path.suffix.lower() in CURVE_MAPS else None
+    reader = "studies.instrument.curve_files:load_afmformats"
+    facts, (force, height, segment) = read_in_child(reader, path, str(number), limits=limits)
     k, speed = facts["k"], facts["speed"]
     first, last = segment == segment[0], segment == segment[-1]
     if not 0.0 < k < math.inf or segment[0] == segment[-1]:

@@ -20,9 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from presets.regular_files import read_regular
+from presets.regular_files import open_regular, read_regular
 from proto.errors import ConfigError
+from proto.extras import how_to_install
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
+from services.afm_node.physics.sample.map_files import CURVE_MAPS, limits_of_curves
+from services.runtime.untrusted.limited_child import read_in_child
 from studies.instrument.regression import regressed
 from studies.instrument.resonance import Resonance, fit_spectrum, periodogram
 
@@ -33,6 +36,9 @@ BY_ANGLE = 0.971 / 1.09**2
 # air at 20 degrees Celsius and 1013 hPa
 AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
 _LARGEST_BYTES = 256_000_000
+_DEFLECTIONS = "studies.instrument.curve_files:load_deflections"
+# what is read as curves, and not as text
+CURVES = (".jpk-force", *CURVE_MAPS, ".ibw", ".h5", ".tab")
 # numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
 _REAL = (
     (0.91324, -0.48274, 0.46842, -0.12886, 0.044055, -0.0035117, 0.00069085),
@@ -242,6 +248,37 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
     if not slope > 3.0 * error:
         raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
     return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
+
+
+def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> tuple[list[Sensitivity], int]:
+    """Return the sensitivity by each curve of a file of curves, and how many of its curves are none on a hard sample.
+
+    Of a force map or QI data with many curves it is the first block of them. `low` and `high` are those of
+    `sensitivity_of_curve`.
+
+    Raises:
+        ConfigError: The file cannot be read, or no curve of it will do; the message names it and the reason.
+    """
+    try:
+        open_regular(path).close()
+        _, (counts, heights, volts) = read_in_child(_DEFLECTIONS, path, limits=limits_of_curves(path))
+    except ImportError as error:
+        raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ConfigError(f"{path}: is no file of curves: {error}") from error
+    found, reason = [], ""
+    ends = np.cumsum(counts)[:-1]
+    for height, volt in zip(np.split(heights, ends), np.split(volts, ends), strict=True):
+        try:
+            # the height rises away from the sample
+            found.append(sensitivity_of_curve(-height, volt, low, high))
+        except ConfigError as error:
+            reason = str(error)
+    if not found:
+        raise ConfigError(f"{path}: none of its {len(counts)} curves will do: {reason}")
+    return found, len(counts) - len(found)
 
 
 def _require(points: int, low: float, high: float) -> None:

@@ -28,7 +28,11 @@ def sensitivity(
     seed: SeedOption = 0,
     curve: Annotated[
         Path | None,
-        typer.Option("--curve", metavar="FILE", help="An own curve on a hard sample: way [nm] and deflection [V]."),
+        typer.Option(
+            "--curve",
+            metavar="FILE",
+            help="An own curve on a hard sample: way [nm] and deflection [V], or a file of JPK, .ibw, .h5 or .tab.",
+        ),
     ] = None,
     part: Annotated[
         tuple[float, float], typer.Option("--part", metavar="LOW HIGH", help="Shares of its span of voltage to use.")
@@ -104,10 +108,28 @@ def stiffness(
 
 
 def _own_sensitivity(curve: Path, part: tuple[float, float], *, as_json: bool) -> None:
-    from studies.instrument.own_calibration import columns_of, sensitivity_of_curve
+    from studies.instrument.own_calibration import CURVES, columns_of, sensitivities_of_file, sensitivity_of_curve
 
-    way_nm, volts = columns_of(curve, 2)
-    found = sensitivity_of_curve(1e-9 * way_nm, volts, *part)
+    if curve.suffix.lower() in CURVES:
+        several, refused = sensitivities_of_file(curve, *part)
+    else:
+        way_nm, volts = columns_of(curve, 2)
+        several, refused = [sensitivity_of_curve(1e-9 * way_nm, volts, *part)], 0
+    if len(several) + refused > 1:
+        from analysis.statistics import statistic
+
+        over = statistic([1e9 * one.m_per_v for one in several])
+        document = {
+            "sensitivity_nm_per_v": over.mean,
+            "deviation_nm_per_v": over.deviation,
+            "low_nm_per_v": over.low,
+            "high_nm_per_v": over.high,
+            "curves": over.n,
+            "curves_without_hard_contact": refused,
+        }
+        print_document(document, str(curve), as_json=as_json)
+        return
+    (found,) = several
     document = {
         "sensitivity_nm_per_v": 1e9 * found.m_per_v,
         "standard_error_nm_per_v": 1e9 * found.standard_error_m_per_v,

@@ -41,9 +41,14 @@ def curve(
     overlay: Annotated[
         Path | None,
         typer.Option(
-            "--overlay", metavar="FILE", help="Measured curve to draw beside it (.ibw, .jpk-force, .h5, .tab)."
+            "--overlay",
+            metavar="FILE",
+            help="Measured curve to draw beside it (.ibw, .jpk-force, .h5, .tab; a map or QI data of JPK).",
         ),
     ] = None,
+    number: Annotated[
+        int, typer.Option("--number", min=0, metavar="N", help="Which curve of a map to overlay; the first is 0.")
+    ] = 0,
     reduced_modulus: Annotated[
         float | None,
         typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
@@ -62,7 +67,7 @@ def curve(
         from studies.instrument.force_curve_figure import curve_figure
 
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
-        measured = None if overlay is None else curves.read_measured(overlay)
+        measured = None if overlay is None else curves.read_measured(overlay, number)
         if live:
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
             found = _live(site_file, CurveSettings(**given), given, as_json)

@@ -1,18 +1,30 @@
 """Force curves against what the tip-sample force says about them, and in the field's own reader."""
 
 import dataclasses
+import json
 import math
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from proto.errors import ConfigError, RigError
 from services.afm_node.config import AfmConfig
 from studies.instrument.curve_models import compare_models
-from studies.instrument.force_curve import curve_of_samples, force_curve, marks_of, read_measured, write_hdf5
+from studies.instrument.force_curve import (
+    Curve,
+    Half,
+    curve_of_samples,
+    force_curve,
+    marks_of,
+    read_measured,
+    write_hdf5,
+)
 from studies.instrument.force_curve_figure import curve_figure
+from studies.instrument.own_calibration import sensitivities_of_file
+from telenano.cli.root import app
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 
@@ -96,8 +108,8 @@ def test_the_fields_reader_opens_the_file_and_ours_reads_it_back(tmp_path):
     assert np.allclose(back.retract.base_m, curve.retract.base_m, rtol=1e-12, atol=0)
 
 
-def write_jpk(path, curve, *, sensitivity_m_per_v=5e-8, k=40.0):
-    """Write a curve as an instrument of JPK does: a ZIP of property files and big-endian integers."""
+def write_jpk(path, *curves, sensitivity_m_per_v=5e-8, k=40.0):
+    """Write a curve, or several as a map, as an instrument of JPK does: a ZIP of properties and big-endian integers."""
 
     def channel(name, unit, slots, scale):
         lines = [
@@ -120,11 +132,11 @@ def write_jpk(path, curve, *, sensitivity_m_per_v=5e-8, k=40.0):
             base = slot
         return lines
 
-    with zipfile.ZipFile(path, "w") as file:
-        file.writestr("header.properties", "force-scan-series.header.position-index=0\n")
-        file.writestr("segments/", "")
+    def write(file, within, place, curve):
+        file.writestr(f"{within}header.properties", f"force-scan-series.header.position-index={place}\n")
+        file.writestr(f"{within}segments/", "")
         for number, (style, half) in enumerate((("extend", curve.approach), ("retract", curve.retract))):
-            folder = f"segments/{number}/"
+            folder = f"{within}segments/{number}/"
             file.writestr(folder, "")
             properties = [
                 f"force-segment-header.num-points={len(half.base_m)}",
@@ -150,6 +162,19 @@ def write_jpk(path, curve, *, sensitivity_m_per_v=5e-8, k=40.0):
                 raw = np.round(values).astype(">i4").tobytes()
                 file.writestr(f"{folder}channels/{name}.dat", raw)
 
+    with zipfile.ZipFile(path, "w") as file:
+        if len(curves) == 1:
+            write(file, "", 0, curves[0])
+            return
+        grid = {"ulength": 1e-6, "vlength": 1e-6, "xcenter": 0.0, "ycenter": 0.0, "ilength": len(curves), "jlength": 1}
+        place = "force-scan-map.position-pattern.grid"
+        lines = [f"{place}.{name}={value!r}" for name, value in grid.items()]
+        file.writestr("header.properties", "\n".join(["type=force-scan-map", *lines]) + "\n")
+        file.writestr("index/", "")
+        for number, curve in enumerate(curves):
+            file.writestr(f"index/{number}/", "")
+            write(file, f"index/{number}/", number, curve)
+
 
 def test_curves_of_other_instruments_are_read_as_they_were_written(tmp_path):
     afmformats = pytest.importorskip("afmformats")
@@ -169,6 +194,55 @@ def test_curves_of_other_instruments_are_read_as_they_were_written(tmp_path):
         again = marks_of(found)
         assert again.pull_off_base_m == pytest.approx(marks.pull_off_base_m, rel=0, abs=1e-12)
         assert again.hysteresis_j == pytest.approx(marks.hysteresis_j, rel=1e-3, abs=0)
+
+
+def hard(seed, sensitivity_m_per_v=5e-8, k=40.0, nearest_m=1e-7):
+    """Return a curve on a sample that does not give way: the deflection follows the base, with noise of 1 mV."""
+    base = np.linspace(nearest_m - 3e-7, nearest_m, 400)
+    noise = 1e-3 * sensitivity_m_per_v * np.random.default_rng(seed).standard_normal((2, 400))
+    ways = []
+    for way, own in zip((base, base[::-1]), noise, strict=True):
+        zeta = np.maximum(way, 0.0) + own
+        ways.append(Half(way, zeta, k * zeta))
+    return Curve(*ways, k, 0.0, 1e-6, "made")
+
+
+def test_a_map_gives_any_of_its_curves_and_the_sensitivity_of_each(tmp_path):
+    pytest.importorskip("afmformats")
+    path = tmp_path / "grid.jpk-force-map"
+    far = hard(3, nearest_m=-1e-8)
+    write_jpk(path, *map(hard, range(3)), far)
+    assert np.allclose(read_measured(path, 3).retract.base_m, far.retract.base_m, rtol=0, atol=1e-13)
+    with pytest.raises(ConfigError, match="it has no curve 4; it has 4, and the first is 0"):
+        read_measured(path, 4)
+    write_jpk(tmp_path / "one.jpk-force", hard(5))
+    run = CliRunner().invoke
+    for name, key in (("one.jpk-force", "standard_error_nm_per_v"), ("grid.jpk-force-map", "deviation_nm_per_v")):
+        said = run(app, ["calibrate", "sensitivity", "--curve", str(tmp_path / name), "--json"])
+        assert said.exit_code == 0, said.output
+        document = json.loads(said.stdout)
+        # the voltages are those that were read, whatever constants stand in the file
+        assert document["sensitivity_nm_per_v"] == pytest.approx(50.0, rel=2e-3)
+        assert document[key] > 0.0
+    # the last curve of the map never meets the sample
+    assert (document["curves"], document["curves_without_hard_contact"]) == (3, 1)
+    write_hdf5(tmp_path / "no_sensitivity.h5", far)
+    with pytest.raises(ConfigError, match=r"no_sensitivity\.h5: is no file of curves: its metadata lack sensitivity"):
+        sensitivities_of_file(tmp_path / "no_sensitivity.h5")
+    with pytest.raises(ConfigError, match="a curve is chosen by its number in a map"):
+        read_measured(tmp_path / "one.jpk-force", 1)
+
+
+@pytest.mark.parametrize(
+    "name", ["fmt-jpk-fd_map2x2_extracted.jpk-force-map", "fmt-jpk-fd_2020.02.07-16.29.05.036.jpk-qi-data"]
+)
+def test_public_maps_give_their_curves_and_sensitivities(name):
+    path = DATA.parent / name
+    if not path.exists():
+        pytest.skip("measured data are not beside the project: ../shared/data")
+    assert read_measured(path, 1).stiffness_n_per_m > 0.0
+    found, refused = sensitivities_of_file(path)
+    assert len(found) >= 1 and refused >= 0
 
 
 def test_a_curve_without_spring_constant_or_way_back_is_refused_by_file(tmp_path):

@@ -29,7 +29,9 @@ from services.runtime.untrusted.limited_child import Limits, limits_for, read_in
 
 _LONGEST_3DS_HEADER = 1 << 18
 _MOST_SIDE, _LEAST_POINTS = 4096, 8
-_CURVE_SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".h5", ".tab")
+# force maps and quantitative imaging of JPK: many curves in an archive
+CURVE_MAPS = (".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series")
+_CURVE_SUFFIXES = (".jpk-force", *CURVE_MAPS, ".h5", ".tab")
 MAP_SUFFIXES = (".npz", ".3ds", *_CURVE_SUFFIXES)
 _LIBRARIES = "services.afm_node.physics.sample.map_libraries"
 Watch = Callable[[float], None]
@@ -122,14 +124,17 @@ def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
     return _on_one_grid(_read_curves(path, wanted, watch), wanted, source)
 
 
+def limits_of_curves(path: Path) -> Limits:
+    """Return what reading curves may take: one takes some 25 ms, however small it is, and has 13 kB and more."""
+    size = limits_for(path.stat().st_size)
+    return Limits(size.memory_bytes + (1 << 30), size.cpu_s + 10 + path.stat().st_size // 50_000, size.wall_s + 60.0)
+
+
 def _read_curves(path: Path, wanted: Wanted, watch: Watch) -> _Curves:
     given = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
-    size = limits_for(path.stat().st_size)
-    # A curve takes some 25 ms, however small it is, and has 13 kB and more.
-    limits = Limits(size.memory_bytes + (1 << 30), size.cpu_s + 10 + path.stat().st_size // 50_000, size.wall_s + 60.0)
     texts = [None if value is None else repr(float(value)) for value in given]
     facts, (places, counts, heights, forces) = read_in_child(
-        f"{_LIBRARIES}:load_curves", path, *texts, limits=limits, watch=watch
+        f"{_LIBRARIES}:load_curves", path, *texts, limits=limits_of_curves(path), watch=watch
     )
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]

@@ -59,11 +59,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
 
     # it reports with a traceback what it raises as well
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(each.file_size for each in archive.infolist())
-        if unpacked > _MOST_UNPACKED_BYTES:
-            raise ValueError(f"it unpacks to {unpacked} bytes, at most {_MOST_UNPACKED_BYTES} are read")
+    refuse_large_archive(path)
     names = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}
     given = {"spring constant": stiffness, "sensitivity": sensitivity}
     # other formats have forces that were computed before
@@ -82,7 +78,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
             for curve in curves:
                 facts = facts or _facts(curve.metadata)
                 places.append([int(curve.metadata.get(f"grid index {axis}", 0)) for axis in "xy"])
-                ways = _ways(curve)
+                ways = ways_of(curve)
                 counts.append([len(way[0]) for way in ways])
                 columns += [np.stack(way) for way in ways]
             _tell(report, share)
@@ -90,6 +86,15 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
         raise ValueError(f"it has {len(places)} curves; 1 to {_MOST_CURVES} are read")
     heights, forces = np.concatenate(columns, axis=1)
     return facts, [np.array(places), np.array(counts), heights, forces]
+
+
+def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> None:
+    """Raise ValueError for an archive that unpacks to too many bytes; what is no archive is left to its reader."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(each.file_size for each in archive.infolist())
+        if unpacked > most_bytes:
+            raise ValueError(f"it unpacks to {unpacked} bytes, at most {most_bytes} are read")
 
 
 def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:
@@ -135,7 +140,7 @@ def _facts(metadata: Any) -> dict[str, Any]:
     }
 
 
-def _ways(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
+def ways_of(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
     """Return heights [m] and forces [N] of the approach and of the retraction, with the points in order of height."""
     height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
     force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
