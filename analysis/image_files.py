@@ -1,4 +1,4 @@
-"""Images for other programs: .gwy and .gsf of Gwyddion, PNG for the eye.
+"""Images for other programs: .gwy and .gsf of Gwyddion, PNG for the eye (`nexus_files` has NeXus).
 
 Rows are given with y rising, as everywhere here; in the files the first row is the top of the picture.
 """
@@ -14,6 +14,8 @@ from services.afm_node.physics.sample.surface_files import GSF_MAGIC
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from services.console.live_program import LiveImage
 
 
 class Image(NamedTuple):
@@ -33,6 +35,31 @@ class Image(NamedTuple):
     def caption(self) -> str:
         """Return the title, which says of a part of an image that it is one."""
         return f"{self.title} (partial: {self.partial})" if self.partial else self.title
+
+
+def images_of_lines(image: "LiveImage", count: int) -> dict[str, Image]:
+    """Return the channels of the first lines of an image that came line by line; each is whole, both ways."""
+
+    def named(title: str, unit: str, values: npt.NDArray[np.float64]) -> Image:
+        return Image(title, unit, values, image.width_m, depth_m, image.partial)
+
+    # an AFM knows no absolute height
+    level = float(image.trace_m[:count].mean())
+    depth_m = image.depth_m * count / len(image.trace_m)
+    images = {
+        "height": named("Height", "m", image.trace_m[:count] - level),
+        "retrace": named("Height retrace", "m", image.retrace_m[:count] - level),
+    }
+    for name, title, unit, values in (
+        ("amplitude", "Amplitude", "m", image.amplitude_m[:count]),
+        ("phase", "Phase", "rad", image.phase_rad[:count]),
+        ("dissipated", "Dissipated energy in a period", "J", image.dissipated_j[:count]),
+        ("lateral", "Lateral force", "N", image.trace_n[:count]),
+        ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
+    ):
+        if np.isfinite(values).all():
+            images[name] = named(title, unit, values)
+    return images
 
 
 def write_gsf(path: Path, image: Image) -> None:

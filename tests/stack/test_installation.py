@@ -137,6 +137,7 @@ VERBS = {
     "bag export REFERENCE --to csv --out csv": "base",
     "bag export REFERENCE --to parquet --out parquet": "export studies",
     "bag export REFERENCE --to hdf5 --out h5": "export",
+    "bag export REFERENCE --to nexus --out s.nxs": "export instrument",
     "bag export REFERENCE --to mcap-json --out json.mcap": "base",
     "bag export REFERENCE --to mcap-protobuf --out protobuf.mcap": "export",
     "bag export REFERENCE --to ros2 --out ros2.mcap": "ros2",

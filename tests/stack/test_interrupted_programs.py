@@ -50,7 +50,7 @@ def test_a_live_image_that_is_ended_keeps_its_lines_and_the_instrument_does_not_
     assert document["lines"] >= 2
     assert document["partial"] == f"{document['lines']} of 60 lines"
     assert f"interrupted: {document['partial']} are kept" in stderr
-    assert sorted(path.name for path in out.iterdir()) == ["scan.gsf", "scan.gwy", "scan.png"]
+    assert sorted(path.name for path in out.iterdir()) == ["scan.gsf", "scan.gwy", "scan.nxs", "scan.png"]
     assert read_surface(out / "scan.gsf").height_m.shape == (document["lines"], 16)
     assert states_of_programs(rig)[-1] == "ended"
     rig.wait_until(lambda: is_away(rig), "a retracted tip")

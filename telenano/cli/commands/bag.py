@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from enum import StrEnum
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from pydantic import BaseModel
@@ -13,10 +13,10 @@ from pydantic import BaseModel
 from analysis.plot import draw, read_traces, save_png
 from analysis.rerun import rerun as run_again
 from presets import TWO_SITES_FILE
-from proto.errors import RecordingError
+from proto.errors import RecordingError, known_names
 from recording.channel_filter import Selection
 from recording.diff import diff_recordings
-from recording.export import export_recording
+from recording.export import Format, export_recording
 from recording.info import RecordingInfo
 from recording.merge_sites import merge_sites
 from recording.multi_file import open_recordings
@@ -70,6 +70,7 @@ class ExportFormat(StrEnum):
     MCAP_JSON = "mcap-json"
     MCAP_PROTOBUF = "mcap-protobuf"
     ROS2 = "ros2"
+    NEXUS = "nexus"
 
 
 @app.command()
@@ -146,7 +147,7 @@ def echo(
         recording = Recording(file)
         known = [channel.channel_topic for channel in recording.channels]
         if topic not in known:
-            raise RecordingError(f"{file}: has no channel {topic}, it has {', '.join(dict.fromkeys(known))}")
+            raise RecordingError(f"{file}: has no channel {topic}, {known_names(topic, dict.fromkeys(known))}")
         bounds = _bounds(recording.span_ns[0], start, end)
         _print_lines(map(plain, islice(recording.messages([topic], *bounds), count)))
 
@@ -297,9 +298,15 @@ def export(
     exclude: ExcludeOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf, ROS 2 ros2."""
+    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf, ROS 2 ros2, archives nexus."""
     with report_errors(as_json):
-        _print_model(export_recording(file, out, to.value, Selection.of(topics or (), exclude or ())), as_json)
+        chosen = Selection.of(topics or (), exclude or ())
+        if to is ExportFormat.NEXUS:
+            from analysis.nexus_files import export_session
+
+            _print_model(export_session(file, out, chosen), as_json)
+        else:
+            _print_model(export_recording(file, out, cast(Format, to.value), chosen), as_json)
 
 
 @app.command()

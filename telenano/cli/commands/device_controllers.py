@@ -151,7 +151,9 @@ def approach_nanonis(
 
 def image_nanonis(
     calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE", help="nanonis.yaml of the controller.")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.nxs, scan.png.")
+    ],
     setpoint: Annotated[
         float, typer.Option("--setpoint", metavar="X", help="Set-point, in the unit of the controller's signal.")
     ],
@@ -179,8 +181,8 @@ def image_nanonis(
             client.close()
         with results_in(out) as folder:
             height = -found.z.towards_sample * (z_m - z_m.mean())
-            write_images(folder, {"height": Image("Height", "m", height, side_m, side_m)})
-        typer.echo(f"wrote {out / 'scan.gwy'}, scan.gsf and scan.png")
+            write_images(folder, {"height": Image("Height", "m", height, side_m, side_m)}, "contact", "Nanonis")
+        typer.echo(f"wrote {out / 'scan.gwy'}, scan.gsf, scan.nxs and scan.png")
 
 
 @guard.command("nanonis")

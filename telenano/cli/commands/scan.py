@@ -33,10 +33,9 @@ if TYPE_CHECKING:
 
     from analysis.image_files import Image
     from proto.messages import Scalar
-    from services.console.live_program import LiveImage
     from studies.instrument.scan import ScanResult
 
-_FILES = ("scan.gwy", "scan.gsf", "scan.png")
+_FILES = ("scan.gwy", "scan.gsf", "scan.nxs", "scan.png")
 
 
 # fields of the model for which the command has options of its own
@@ -45,7 +44,9 @@ _OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "
 
 @with_options(ScanSettings, _OWN)
 def scan(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.nxs, scan.png.")
+    ],
     given: dict[str, Any],
     name: SampleOption = "dots",
     size: SampleSizeOption = None,
@@ -66,7 +67,7 @@ def scan(
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
     with report_errors(as_json):
-        require("gwyfile")
+        require("gwyfile", "h5py")
         mode = given.get("mode") or (ScanSettings() if live else ScanSettings.in_simulated_time()).mode
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
@@ -93,7 +94,7 @@ def scan(
             with progress("lines", request.lines, shown=not as_json, counted=True) as show:
                 result = scans.scan(surface, request, config, lambda n, of: _shown(show, n), noise)
             _say_if_interrupted(result.partial)
-            write_images(folder, _images(result, mode))
+            write_images(folder, _images(result, mode), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
@@ -116,6 +117,7 @@ def _scan_live(
     out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
 ) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
+    from analysis.image_files import images_of_lines
     from services.console.live_program import LiveImage
 
     image = LiveImage()
@@ -130,7 +132,7 @@ def _scan_live(
             failure = error
         if count := image.finished:
             _say_if_interrupted(image.partial)
-            write_images(folder, _live_images(image, count))
+            write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
     if failure is not None:
         raise RigError(f"{failure}; {out} has {count} lines") if count else failure
     document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
@@ -141,34 +143,6 @@ def _scan_live(
     _exit_if_interrupted()
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
-
-
-def _live_images(image: "LiveImage", count: int) -> "dict[str, Image]":
-    """Return the channels of the finished lines of an image."""
-    import numpy as np
-
-    from analysis.image_files import Image
-
-    def named(title: str, unit: str, values: "npt.NDArray[np.float64]") -> Image:
-        return Image(title, unit, values, image.width_m, depth_m, image.partial)
-
-    # an AFM knows no absolute height
-    level = float(image.trace_m[:count].mean())
-    depth_m = image.depth_m * count / len(image.trace_m)
-    images = {
-        "height": named("Height", "m", image.trace_m[:count] - level),
-        "retrace": named("Height retrace", "m", image.retrace_m[:count] - level),
-    }
-    for name, title, unit, values in (
-        ("amplitude", "Amplitude", "m", image.amplitude_m[:count]),
-        ("phase", "Phase", "rad", image.phase_rad[:count]),
-        ("dissipated", "Dissipated energy in a period", "J", image.dissipated_j[:count]),
-        ("lateral", "Lateral force", "N", image.trace_n[:count]),
-        ("lateral_retrace", "Lateral force retrace", "N", image.retrace_n[:count]),
-    ):
-        if np.isfinite(values).all():
-            images[name] = named(title, unit, values)
-    return images
 
 
 def _say_if_interrupted(partial: str) -> None:
@@ -221,10 +195,18 @@ def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
     }
 
 
-def write_images(out: Path, images: "dict[str, Image]") -> None:
-    """Write the files of an image into a folder; its height is the channel `height`."""
+def write_images(
+    out: Path, images: "dict[str, Image]", mode: str, instrument: str = "simulated AFM", *, sample: str = ""
+) -> None:
+    """Write the files of an image into a folder; its height is the channel `height`, its mode contact or tapping."""
+    from analysis import nexus_files
     from analysis.image_files import write_gsf, write_gwy, write_png
+    from services.recorder.provenance import versions
 
+    found = versions()
+    version = f"{found['package telenano']}, commit {found['commit']}"
+    facts = nexus_files.Facts(images["height"].caption, f"{mode} mode", instrument, version, sample)
+    nexus_files.write_images(out / "scan.nxs", images, facts)
     write_gsf(out / "scan.gsf", images["height"])
     write_gwy(out / "scan.gwy", images)
     write_png(out / "scan.png", images)

@@ -140,7 +140,7 @@ def check_end(ended: Ended, number: signal.Signals, template: str, folder: Path)
     left = files_below(folder)
     assert not [name for name in left if name.endswith(".part")], said
     if template.startswith("scan") and left:
-        assert left == ["out/scan.gsf", "out/scan.gwy", "out/scan.png"], said
+        assert left == ["out/scan.gsf", "out/scan.gwy", "out/scan.nxs", "out/scan.png"], said
         image = (folder / "out" / "scan.gsf").read_bytes()
         rows = read_surface(folder / "out" / "scan.gsf").height_m.shape[0]
         wanted = int(template.split()[template.split().index("--lines") + 1])
@@ -220,7 +220,7 @@ def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signa
     document = json.loads(ended.stdout)
     assert document["partial"] == f"{document['lines']} of 4000 lines"
     assert f"interrupted: {document['partial']} are kept" in ended.stderr
-    assert files_below(tmp_path) == ["out/scan.gsf", "out/scan.gwy", "out/scan.png"]
+    assert files_below(tmp_path) == ["out/scan.gsf", "out/scan.gwy", "out/scan.nxs", "out/scan.png"]
     kept = read_surface(tmp_path / "out" / "scan.gwy", "Height (partial")
     assert kept.height_m.shape == (document["lines"], 64)
     assert kept.depth_m == pytest.approx(kept.width_m * document["lines"] / 4000, rel=1e-6)
