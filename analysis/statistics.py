@@ -19,13 +19,21 @@ _SECTIONS = ("recorder", "viz_node")
 
 
 class Statistic(NamedTuple):
-    """Number of values, their mean, standard deviation (n - 1), and the ends of the interval of the mean."""
+    """Number of values, their mean, standard deviation (n - 1), and the ends of the interval of the mean.
+
+    As text it is `mean ± deviation [low, high]`, of a share without the deviation.
+    """
 
     n: int
     mean: float
     deviation: float | None
     low: float | None
     high: float | None
+
+    def __str__(self) -> str:
+        spread = "" if self.deviation is None else f" ± {self.deviation:.2g}"
+        between = "" if self.low is None or self.high is None else f" [{self.low:.3g}, {self.high:.3g}]"
+        return f"{self.mean:.3g}{spread}{between}"
 
 
 def statistic(values: Sequence[float]) -> Statistic:

@@ -23,7 +23,7 @@ def table_formats(text: str) -> tuple[str, ...]:
 def table_files(name: str, rows: Rows, formats: Sequence[str] = ("csv",)) -> dict[str, bytes]:
     """Return a table as the content of its files, by name. The columns are those of all rows, in their order."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    whole = [{column: row.get(column) for column in columns} for row in rows]
+    whole = [{column: _plain(row.get(column)) for column in columns} for row in rows]
     return {f"{name}.{form}": FORMATS[form](whole) for form in formats}
 
 
@@ -40,7 +40,7 @@ def _parquet(rows: Rows) -> bytes:
     import pyarrow.parquet as pq
 
     sink = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist([{key: _plain(value) for key, value in row.items()} for row in rows]), sink)
+    pq.write_table(pa.Table.from_pylist(list(rows)), sink)
     return sink.getvalue()
 
 
@@ -67,6 +67,8 @@ def _mat(rows: Rows) -> bytes:
 
 
 def _plain(value: Any) -> Any:
+    # a number of NumPy is a number
+    value = value.item() if hasattr(value, "item") else value
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 

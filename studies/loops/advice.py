@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
+from analysis.statistics import Statistic, share, statistic
 from services.controller.config import LAWS
 from services.runtime.settings.config import Settings as StrictSettings
 from services.runtime.settings.option import Option
@@ -112,6 +113,26 @@ class Candidate:
         free = FREE_PRICE * (self.free_n_s_per_m / _FREE_N_S_PER_M - 1.0)
         return abs(self.force_share() - 1.0) + max(self.peak_share() - 1.0, 0.0) + free
 
+    def over_seeds(self) -> dict[str, Statistic]:
+        """Return the figures over the seeds of a random network, of each seed the worst of its hands; empty for one."""
+        seeds = dict.fromkeys(result.cell.seed for result in self.results)
+        if len(seeds) < 2:
+            return {}
+        parts = [
+            Candidate(self.law, self.clamp, self.settings, tuple(r for r in self.results if r.cell.seed == seed))
+            for seed in seeds
+        ]
+        return {
+            "stable_share": share(sum(not part.failed for part in parts), len(parts)),
+            "force_share": statistic([part.force_share() for part in parts]),
+            "peak_share": statistic([part.peak_share() for part in parts]),
+            "lowest_energy_j": statistic([part.lowest_energy_j() for part in parts]),
+        }
+
+    def over_seeds_as_dict(self) -> dict[str, dict[str, Any]]:
+        """Return `over_seeds` for JSON and tables."""
+        return {name: found._asdict() for name, found in self.over_seeds().items()}
+
     def as_dict(self) -> dict[str, Any]:
         price = self.price()
         return {
@@ -126,6 +147,7 @@ class Candidate:
             "peak_share": self.peak_share(),
             "free_n_s_per_m": self.free_n_s_per_m,
             "lowest_energy_j": self.lowest_energy_j(),
+            "over_seeds": self.over_seeds_as_dict(),
             "reason": self.failed[0].reason if self.failed else "",
         }
 

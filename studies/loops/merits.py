@@ -3,8 +3,8 @@
 Every law is tuned for the network by the rule of `tuning` and run with the force clamp off and on. Of each run:
 greatest force at the tip, F_s/F_m and x_m - x_s/alpha_p in the later half of the last hold, work of the hand, least
 energy at the device, share of the session in which a guard had taken over; and how far a hand of constant force walks
-in a cycle of 1 +- 0.3 N at 0.5 Hz. Over a random link each figure is the median of the seeds, with the least and the
-greatest.
+in a cycle of 1 +- 0.3 N at 0.5 Hz. Over a random link each figure has its mean over the seeds with standard deviation
+and interval, and its median with the least and the greatest, which the figures show.
 """
 
 import math
@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from analysis.statistics import Statistic, statistic
 from studies.loops.advice import WALLS_N_PER_M, Candidate, Question, cells_of
 from studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Environment, Hand
 from studies.loops.sweep import Sweep
@@ -55,18 +56,19 @@ SAMPLES = {
 
 
 class Spread(NamedTuple):
-    """Median, least and greatest of the runs that have the figure."""
+    """Median, least and greatest of the runs that have the figure, and their mean with deviation and interval."""
 
     median: float
     least: float
     most: float
+    over: Statistic
 
     def __str__(self) -> str:
-        if f"{self.least:.3g}" == f"{self.most:.3g}":
-            return f"{self.median:.3g}"
-        return f"{self.median:.3g} ({self.least:.3g} to {self.most:.3g})"
+        same = f"{self.least:.3g}" == f"{self.most:.3g}"
+        return f"{self.median:.3g}" if same else str(self.over)
 
 
+_PARTS = ("median", "least", "most", "n", "mean", "deviation", "low", "high")
 # name of the figure, its title with unit
 FIGURES: dict[str, str] = {
     "peak_n": "greatest force [N]",
@@ -116,8 +118,8 @@ class Merit:
         }
         for name in FIGURES:
             spread = self.figures[name]
-            for part, value in zip(("median", "least", "most"), spread or (None, None, None), strict=True):
-                row[f"{name}_{part}"] = value
+            found = {} if spread is None else {**spread._asdict(), **spread.over._asdict()}
+            row |= {f"{name}_{part}": found.get(part) for part in _PARTS}
         return row
 
 
@@ -184,7 +186,7 @@ def _times(factor: float, value: float | None) -> float | None:
 
 def _spread(values: Sequence[float | None]) -> Spread | None:
     known = [value for value in values if value is not None and math.isfinite(value)]
-    return Spread(statistics.median(known), min(known), max(known)) if known else None
+    return Spread(statistics.median(known), min(known), max(known), statistic(known)) if known else None
 
 
 def ranked(merits: Sequence[Merit], sample: Sample, network: Network) -> list[Candidate]:

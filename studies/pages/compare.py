@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 from pydantic import Field
 
+from analysis.statistics import Statistic
 from recording.whole_files import whole_results
 from services.controller.config import LAWS
 from services.runtime.settings.config import Settings
@@ -31,12 +32,15 @@ from studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency,
 from studies.loops.tuning import tuned
 from studies.option_values import Jitter, chosen, delays, frequencies, stiffnesses
 from studies.pages.figures import hybrid_figure, impedance_figure, merits_figure
-from studies.pages.page import Page, text, write_images, write_parquet
+from studies.pages.page import Page, text, write_images, write_tables
 from studies.pages.stability_page import SAMPLE_PERIOD, VERDICT_WORDS, broken_assumption
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+OVER_SEEDS_HEAD = ("sample", "network", "take", "seeds that hold", "force in the worst hold", "peak force")
+OVER_SEEDS_KEYS = ("stable_share", "force_share", "peak_share")
+OVER_SEEDS = "Over the seeds of a random link: mean ± standard deviation and, in brackets, the interval of 95 %."
 LIGHT_LOSS = 0.03
 HARD_LOSS = 0.2
 HARD_JITTER = Jitter(0.5, relative=True)
@@ -169,8 +173,14 @@ def spectra_of(
     return [spectrum(cell, frequencies_hz) for cell in _cells(axes, delays_ms, for_delay=for_delay)]
 
 
-def write_comparison(result: Comparison, out: Path, command: str, options: FigureOptions = ON_SCREEN) -> dict[str, Any]:
-    """Write compare.html, .json, .parquet and the figures into a folder; gives the object of the JSON file."""
+def write_comparison(
+    result: Comparison,
+    out: Path,
+    command: str,
+    options: FigureOptions = ON_SCREEN,
+    tables: Sequence[str] = ("parquet",),
+) -> dict[str, Any]:
+    """Write compare.html, .json, tables and the figures into a folder; gives the object of the JSON file."""
     summary = summarise(result)
     with styled(options):
         figures = {
@@ -184,9 +194,10 @@ def write_comparison(result: Comparison, out: Path, command: str, options: Figur
         }
         with whole_results(out) as folder:
             images = write_images(folder, figures, command, options)
-            write_parquet(folder / "compare.parquet", [cell.as_dict() for cell in (*result.good, *result.bad)])
-            write_parquet(folder / "merits.parquet", [merit.as_dict() for merit in result.merits])
-            write_parquet(folder / "spectra.parquet", [row for found in result.spectra for row in found.rows()])
+            write_tables(folder, "compare", [cell.as_dict() for cell in (*result.good, *result.bad)], tables)
+            write_tables(folder, "merits", [merit.as_dict() for merit in result.merits], tables)
+            write_tables(folder, "spectra", [row for found in result.spectra for row in found.rows()], tables)
+            write_tables(folder, "take", summary["take"], tables)
             document = json.dumps(summary, indent=2, allow_nan=False) + "\n"
             (folder / "compare.json").write_text(document, encoding="utf-8")
             _page(result, images, command).write(folder / "compare.html")
@@ -245,10 +256,25 @@ def _best(result: Comparison) -> list[dict[str, Any]]:
             "peak_share": best.peak_share() if best else None,
             "free_n_s_per_m": best.free_n_s_per_m if best else None,
             "price": best.price() if best else None,
+            "over_seeds": best.over_seeds_as_dict() if best else {},
             "next": suited[1].name if suited[1:] else None,
             "suited": len(suited),
         })  # fmt: skip
     return rows
+
+
+def over_seeds_rows(best: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return sample, network, law, and its figures over the seeds, where a network is random."""
+    return [
+        (
+            row["sample"],
+            row["network"],
+            row["take"],
+            *(str(Statistic(**row["over_seeds"][key])) for key in OVER_SEEDS_KEYS),
+        )
+        for row in best
+        if row["over_seeds"]
+    ]
 
 
 def z_width_of(found: Spectrum) -> dict[str, float | None]:
@@ -326,8 +352,12 @@ def _page(result: Comparison, images: dict[str, bytes], command: str) -> Page:
             "next",
             "suited",
         ),
-        [tuple(row.values()) for row in best],
+        [tuple(value for key, value in row.items() if key != "over_seeds") for row in best],
     )
+    over_seeds = over_seeds_rows(best)
+    if over_seeds:
+        page.paragraph(OVER_SEEDS)
+        page.table(OVER_SEEDS_HEAD, over_seeds)
     page.heading("Delay that each law bears (round trip, ms)")
     names = [f"spring {k:g} N/m" for k in result.request.spring_n_per_m]
     page.table(

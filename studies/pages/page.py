@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from analysis.table_files import table_files
 from analysis.verdict import KINDS
 from services.recorder.provenance import versions
 from services.runtime.settings.config import flatten
@@ -131,13 +132,9 @@ def write_images(
     return {f"{stem}.png": png_of(figure) for stem, figure in figures.items()}
 
 
-def write_parquet(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows that all have the same keys as a Parquet table; nested keys become columns with dots."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = [
-        {key: str(value) if isinstance(value, list | tuple) else value for key, value in flatten(row).items()}
-        for row in rows
-    ]
-    pq.write_table(pa.Table.from_pylist(table), path)
+def write_tables(
+    folder: Path, name: str, rows: Sequence[Mapping[str, Any]], formats: Sequence[str] = ("parquet",)
+) -> None:
+    """Write rows as NAME.FORMAT, in formats of `analysis.table_files`; nested keys become columns with dots."""
+    for file, content in table_files(name, [flatten(row) for row in rows], formats).items():
+        (folder / file).write_bytes(content)

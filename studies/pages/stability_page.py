@@ -14,7 +14,7 @@ from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, s
 from studies.loops.cells import Cell, CellResult, energies_of, scales_of, trajectory_of
 from studies.loops.stability import LineResult
 from studies.loops.theory import hybrid_of, llewellyn
-from studies.pages.page import Page, write_images, write_parquet
+from studies.pages.page import Page, write_images, write_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as PlotAxes
@@ -49,9 +49,13 @@ TWO_PORTS = (
 
 
 def write_stability(
-    results: Sequence[LineResult], out: Path, command: str, options: FigureOptions = ON_SCREEN
+    results: Sequence[LineResult],
+    out: Path,
+    command: str,
+    options: FigureOptions = ON_SCREEN,
+    tables: Sequence[str] = ("parquet",),
 ) -> dict[str, Any]:
-    """Write stability.png, .parquet, .json and .html into a folder and give the summary that the JSON file holds."""
+    """Write stability.png, tables, .json and .html into a folder and give the summary that the JSON file holds."""
     summary = summarise(results)
     with styled(options):
         figures = {"stability": map_figure(results), "growth": growth_figure(results)}
@@ -60,7 +64,8 @@ def write_stability(
         figures["energy"] = energy_figure(results)
         with whole_results(out) as folder:
             images = write_images(folder, figures, command, options)
-            write_parquet(folder / "stability.parquet", [row.as_dict() for result in results for row in result.cells])
+            rows = [row.as_dict() for result in results for row in result.cells]
+            write_tables(folder, "stability", rows, tables)
             text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
             (folder / "stability.json").write_text(text, encoding="utf-8")
             _page(results, images, command).write(folder / "stability.html")

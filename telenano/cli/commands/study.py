@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from analysis.table_files import table_formats
 from services.viz_node.figure_style import figure_options, styled
 from studies.loops import advice
 from studies.loops.advice import Question
 from studies.loops.sample import drawn_cells
 from studies.loops.stability import Axes, LineResult, run_stability
 from studies.pages.compare import (
+    OVER_SEEDS,
+    OVER_SEEDS_HEAD,
     Feel,
     Request,
     measure_all,
+    over_seeds_rows,
     run_comparison,
     spectra_of,
     spectrum_figures,
@@ -34,8 +38,8 @@ from telenano.cli.commands.study_push import push
 from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, warn_of, write_study
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, command_group
-from telenano.cli.output import report_errors, results_folder
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group
+from telenano.cli.output import print_rows, report_errors, results_folder
 from telenano.cli.sample_options import results_in
 
 if TYPE_CHECKING:
@@ -63,17 +67,18 @@ def stability(
     scheduler: SchedulerOption = None,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
+    table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
     """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
     with report_errors(as_json, INTERRUPTED):
         from studies.pages.stability_page import write_stability
 
-        axes = validated(Axes, given)
+        axes, tables = validated(Axes, given), table_formats(table)
         axes.check()
         with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
             results = run_stability(axes, sweep)
-        summary = write_stability(results, out, command_line(), figure_options(formats, style))
+        summary = write_stability(results, out, command_line(), figure_options(formats, style), tables)
         over_seeds = ("link, over seeds [ms]",) if axes.seeds > 1 else ()
         head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]", *over_seeds)
         rows = [
@@ -97,11 +102,12 @@ def transparency(
     out: OutOption,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
+    table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
     with report_errors(as_json):
-        axes = validated(Feel, given)
+        axes, tables = validated(Feel, given), table_formats(table)
         warn_of(*axes.check())
         rows = measure_all(axes, axes.delays_ms, for_delay=axes.tuned)
         spectra = spectra_of(axes, axes.delays_ms, axes.frequencies_hz, for_delay=axes.tuned)
@@ -118,7 +124,7 @@ def transparency(
             write_transparency(page, rows)
             write_spectra(page, spectra, images)
             lines = [line for found in spectra for line in found.rows()]
-            write_study(folder, page, summary, transparency=records, spectra=lines)
+            write_study(folder, page, summary, tables, transparency=records, spectra=lines)
         head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]",
                 "passive to [N/m]", "Z-width [dB]")  # fmt: skip
         print_result(summary, head, [
@@ -137,17 +143,21 @@ def compare(
     scheduler: SchedulerOption = None,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
+    table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
     """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
     with report_errors(as_json, INTERRUPTED):
-        request = validated(Request, given)
+        request, tables = validated(Request, given), table_formats(table)
         with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
             result = run_comparison(request, sweep)
-        summary = write_comparison(result, out, command_line(), figure_options(formats, style))
+        summary = write_comparison(result, out, command_line(), figure_options(formats, style), tables)
         if not as_json:
             for sentence in summary["advice"]:
                 typer.echo(sentence)
+            if over_seeds := over_seeds_rows(summary["take"]):
+                typer.echo(OVER_SEEDS)
+                print_rows([dict(zip(OVER_SEEDS_HEAD, row, strict=True)) for row in over_seeds])
         head = ("law", *(f"spring {k:g} N/m" for k in request.spring_n_per_m), "contact")
         print_result(summary, head, [
             (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
@@ -163,31 +173,38 @@ def advise(
         Path, typer.Option("--out", metavar="DIR", help="Folder for page, table and journal; resumes a journal.")
     ] = Path("out/advice"),
     workers: WorkersOption = None,
+    table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
     """Say which law to take for a network and a sample: every law, tuned for them, tried with a force and with arms."""
     with report_errors(as_json, INTERRUPTED):
-        question = validated(Question, given)
+        question, tables = validated(Question, given), table_formats(table)
         with sweep_in(out, workers, None, shown=not as_json) as sweep:
             candidates = advice.advise(question, sweep)
         words = advice.in_words(question, candidates)
         records = [candidate.as_dict() for candidate in candidates]
         summary = {"study": "advise", "take": records[0]["law"] if records[0]["suited"] else None, "advice": words,
                    "candidates": records}  # fmt: skip
-        head = ("law", "stable runs", "force in a hold", "peak force", "free [N s/m]", "least energy [mJ]", "price")
+        over_seeds = [candidate.over_seeds() for candidate in candidates]
+        repeated = ("force over seeds", "peak over seeds") if over_seeds[0] else ()
+        head = ("law", "stable runs", "force in a hold", "peak force", "free [N s/m]", "least energy [mJ]", "price",
+                *repeated)  # fmt: skip
         rows = [
             (c.name, f"{r['stable_runs']}/{r['runs']}", r["force_share"], r["peak_share"], r["free_n_s_per_m"],
-             1e3 * r["lowest_energy_j"], r["price"]) for c, r in zip(candidates, records, strict=True)
+             1e3 * r["lowest_energy_j"], r["price"], *([str(o["force_share"]), str(o["peak_share"])] if o else []))
+            for c, r, o in zip(candidates, records, over_seeds, strict=True)
         ]  # fmt: skip
         page = Page("Which law to take")
         page.code(command_line())
         for sentence in words:
             page.paragraph(sentence)
         page.table(head, rows)
+        if repeated:
+            page.paragraph(OVER_SEEDS)
         with results_in(out) as folder:
-            write_study(folder, page, summary)
+            write_study(folder, page, summary, tables, advise=records)
         if not as_json:
-            for sentence in words:
+            for sentence in [*words, *([OVER_SEEDS] if repeated else [])]:
                 typer.echo(sentence)
             typer.echo(f"set: {candidates[0].as_flags()}")
         print_result(summary, head, rows, out, as_json=as_json)
@@ -208,13 +225,14 @@ def validate(
     site_file: Annotated[
         Path | None, typer.Option("--site-file", metavar="FILE", help="Address book of the rig; default: this machine.")
     ] = None,
+    table: TableOption = "parquet",
     as_json: JsonOption = False,
 ) -> None:
     """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
     with report_errors(as_json, _BUS_INTERRUPTED):
         from studies.loops.validate import SEEDS, TOLERANCE_SHARE, Bus, bus_edges, scenario_of, validate_cells
 
-        axes = validated(Axes, given)
+        axes, tables = validated(Axes, given), table_formats(table)
         warn_of(*axes.check())
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
@@ -254,7 +272,7 @@ def validate(
                 " included: it compares with the continuous theory and with lockstep."
             )
         with results_in(out) as folder:
-            write_study(folder, page, summary, validate=records)
+            write_study(folder, page, summary, tables, validate=records)
         print_result(summary, head, rows, out, as_json=as_json)
     if not summary["agree"]:
         raise typer.Exit(EXIT_FAILED)

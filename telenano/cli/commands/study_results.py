@@ -4,7 +4,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import typer
 from rich.table import Column, Table
 
 from studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
-from studies.pages.page import Page, text, write_parquet
+from studies.pages.page import Page, text, write_tables
 from telenano.cli.output import console, print_json, results_folder
 from telenano.cli.progress import progress
 
@@ -46,13 +46,19 @@ def command_line() -> str:
     return " ".join(["telenano", *(() if sys.argv[1:2] == ["study"] else ("study",)), *sys.argv[1:]])
 
 
-def write_study(folder: Path, page: Page, summary: dict[str, Any], **tables: list[dict[str, Any]]) -> None:
+def write_study(
+    folder: Path,
+    page: Page,
+    summary: dict[str, Any],
+    formats: Sequence[str] = ("parquet",),
+    **tables: list[dict[str, Any]],
+) -> None:
     """Write page, summary and tables of a study into a folder, the first two by the name of the study."""
     document = json.dumps(summary, indent=2) + "\n"
     (folder / f"{summary['study']}.json").write_text(document, encoding="utf-8")
     page.write(folder / f"{summary['study']}.html")
     for name, rows in tables.items():
-        write_parquet(folder / f"{name}.parquet", rows)
+        write_tables(folder, name, rows, formats)
 
 
 def print_result(

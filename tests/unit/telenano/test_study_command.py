@@ -1,5 +1,6 @@
 """The command line of the studies: what it reads, what it refuses and with which message."""
 
+import csv
 import json
 import subprocess
 import sys
@@ -14,8 +15,10 @@ from studies import option_values
 from studies.loops import advice, transparency
 from studies.loops.advice import Candidate, Question, cells_of
 from studies.loops.cells import CellResult
+from studies.loops.merits import FIGURES, SAMPLES, Merit, Network, figures_of
 from studies.loops.sweep import Sweep
 from studies.option_values import Jitter
+from studies.pages.compare import over_seeds_rows
 from telenano.cli.commands.study import app
 
 RUN = CliRunner()
@@ -201,14 +204,19 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
         found = []
         for law, verdict in (("model_mediated", "stable"), ("smith", "diverged")):
             cells = cells_of(question, law, clamp=False)
-            held = ("it grows", 1.1, 0.97, 1.0, 0.0, 0.0)
-            results = [CellResult(cell, verdict, None, 0.0, 0.0, 1.0, 0.0, False, *held) for cell in cells]
+            results = [
+                CellResult(
+                    cell, verdict, None, 0.0, 0.0, 1.0, 0.0, False, "it grows", 1.1, 0.97 + 0.01 * cell.seed, 1.0, 0.0
+                )
+                for cell in cells
+            ]
             found.append(Candidate(law, False, cells[0].settings, tuple(results)))
         return found
 
     asked: list[Question] = []
     monkeypatch.setattr(advice, "advise", told)
     network = ["advise", "--delay", "120", "--loss", "3%", "--sample", "stiff", "--out", str(tmp_path)]
+    network += ["--table", "csv,parquet,mat"]
     result = RUN.invoke(app, network)
     assert result.exit_code == 0, result.output
     assert asked == [Question(round_trip_ms=120.0, loss=0.03, sample="stiff")]
@@ -222,6 +230,41 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
     assert summary["take"] == "model_mediated"
     assert summary["candidates"][1]["price"] is None
     assert "take model_mediated" in (tmp_path / "advise.html").read_text()
+    # three seeds: 0.97, 0.98 and 0.99 of the force; 4.303 is Student's t of 95 % for them
+    force = summary["candidates"][0]["over_seeds"]["force_share"]
+    assert (force["n"], force["mean"], force["deviation"]) == pytest.approx((3, 0.98, 0.01), rel=1e-9)
+    assert (force["high"] - force["low"]) / 2.0 == pytest.approx(4.3027 * 0.01 / 3.0**0.5, rel=1e-4)
+    assert summary["candidates"][1]["over_seeds"]["stable_share"]["mean"] == 0.0
+    assert "0.98 ± 0.01 [0.955, 1]" in result.stdout
+    assert "0.98 ± 0.01 [0.955, 1]" in (tmp_path / "advise.html").read_text()
+    rows = list(csv.DictReader((tmp_path / "advise.csv").read_text().splitlines()))
+    assert float(rows[0]["over_seeds.force_share.mean"]) == pytest.approx(0.98, rel=1e-9)
+    assert {path.suffix for path in tmp_path.glob("advise.*")} == {".html", ".json", ".csv", ".parquet", ".mat"}
+    refused = RUN.invoke(app, [*network, "--table", "xlsx"])
+    assert (refused.exit_code, "--table xlsx: name one or more of csv, parquet, mat" in refused.output) == (2, True)
+
+
+def test_figures_of_merit_have_mean_deviation_and_interval_over_the_seeds() -> None:
+    cells = cells_of(Question(round_trip_ms=60.0, loss=0.03, hands=("force",)), "wave", clamp=False)
+    results = [
+        CellResult(cell, "stable", None, 0.0, 0.0, 1.0, 0.0, False, "", 1.0 + 0.1 * cell.seed, 1.0, 1.0, 0.0, 0.0)
+        for cell in cells
+    ]
+    spread = figures_of(results, None)["peak_n"]
+    assert spread is not None
+    assert (spread.median, spread.least, spread.most) == pytest.approx((1.1, 1.0, 1.2), rel=1e-12)
+    assert str(spread) == "1.1 ± 0.1 [0.852, 1.35]"
+    merit = Merit(SAMPLES["contact"], "wave", False, Network(60.0, loss=0.03), "force", tuple(results), {
+        **dict.fromkeys(FIGURES), "peak_n": spread
+    })  # fmt: skip
+    row = merit.as_dict()
+    assert (row["peak_n_n"], row["peak_n_mean"], row["peak_n_deviation"]) == pytest.approx((3, 1.1, 0.1), rel=1e-9)
+    assert (row["drift_mm_mean"], row["drift_mm_low"]) == (None, None)
+    best = Candidate("wave", False, cells[0].settings, tuple(results))
+    (told,) = over_seeds_rows(
+        [{"sample": "s", "network": "n", "take": "wave", "over_seeds": best.over_seeds_as_dict()}]
+    )
+    assert told == ("s", "n", "wave", "1 [0.439, 1]", "1 ± 0 [1, 1]", "1.1 ± 0.1 [0.852, 1.35]")
 
 
 @pytest.mark.parametrize(
