@@ -19,7 +19,7 @@ def benchmark(
     out: Annotated[
         Path,
         typer.Option("--out", metavar="DIR", help="Folder for page, tables and journal; resumes a journal."),
-    ] = Path("benchmark"),
+    ] = Path("out/benchmark"),
     law: Annotated[
         str,
         typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to run, also of packages.", autocompletion=law_names),

@@ -48,7 +48,7 @@ def accept(
     ] = None,
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for the take, the page and the verdicts.")
-    ] = Path("accept"),
+    ] = Path("out/accept"),
     as_json: JsonOption = False,
 ) -> None:
     """Lead through a motion of a minute, and tell of each of its checks: pass, fail, retake or cannot say.

@@ -29,7 +29,7 @@ _SECTION = "delay_node.yaml"
 
 def probe(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for traces, figure and verdicts.")] = Path(
-        "probe"
+        "out/probe"
     ),
     duration: Annotated[
         float, typer.Option("--duration", metavar="S", min=2.0, max=1e6, help="How long to measure [s].")

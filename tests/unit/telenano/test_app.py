@@ -74,6 +74,20 @@ def test_a_group_lists_its_commands_with_whole_sentences(path: str) -> None:
     assert "..." not in listed
 
 
+def test_results_go_below_out_where_no_folder_is_given() -> None:
+    places = {
+        path: parameter.default
+        for path, command in COMMANDS.items()
+        for parameter in getattr(command, "params", [])
+        if "--out" in parameter.opts and parameter.default is not None
+    }
+    assert {path: place for path, place in places.items() if Path(place).parts[:1] != ("out",)} == {}
+    assert {"telenano device accept", "telenano link probe", "telenano benchmark"} <= set(places)
+    # what people did is kept, and is no result that the same command makes again
+    (kept,) = (p for p in getattr(COMMANDS["telenano experiment run"], "params", []) if "--out" in p.opts)
+    assert "default: experiments/NAME" in kept.help
+
+
 def test_arguments_and_bounded_numbers_are_named_by_their_metavars() -> None:
     assert "{FILE}..." in run("bag", "merge", "--help")[1]
     assert "<x>=0>" not in run("up", "--help")[1]
