@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.image_files import Image, images_of_lines
 from analysis.report import scenario_in
-from proto.errors import ConfigError, RecordingError
+from proto.errors import ConfigError, ExistsError, RecordingError
 from proto.extras import missing
 from proto.messages import AfmScanline
 from recording.arrays import columns, last_programme
@@ -113,8 +113,7 @@ def export_session(source: Path, target: Path, selection: Selection = ALL) -> Co
         with whole_file(target, replace=False) as part:
             write(part, facts._replace(raster=raster, ramp=ramp), plots)
     except FileExistsError as error:
-        reason = "already exists and is not overwritten" if target.exists() else f"cannot be created: {error.strerror}"
-        raise RecordingError(f"{target}: {reason}") from error
+        raise ExistsError(f"{target}: already exists and is not overwritten") from error
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from error
     return CopyResult(path=str(target), messages=count)

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from analysis.forwarded import Forwarded, compare_forwarded
 from analysis.plugins import differences, recorded_plugins
 from proto import TOPICS, Message, encode
-from proto.errors import ConfigError, RecordingError, TelenanoError
+from proto.errors import ConfigError, RecordingError, TelenanoError, known_names
 from proto.journal_messages import NodeJournal
 from proto.messages import SessionControl
 from proto.nodes import LINK, RERUN_NODES, endpoints_of, name_of, no_rerun_reason, site_of
@@ -107,7 +107,7 @@ def rerun(
         RecordingError: The recording lacks the scenario, the journal or the inputs of the node.
     """
     if reason := no_rerun_reason(key):
-        raise ConfigError(f"node {key}: cannot be run again: {reason}; those that can are {', '.join(RERUN_NODES)}")
+        raise ConfigError(f"node {key}: cannot be run again: {reason}; {known_names(key, RERUN_NODES)}")
     batches, states = _journal(recording, key)
     if not batches:
         raise RecordingError(

@@ -1,9 +1,10 @@
 """The sites, scenarios and networks that come with the project, and the way from a name to their files."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from presets.plugins import scenario_files
-from proto.errors import ConfigError, known_names
+from proto.errors import ConfigError, probably_meant
 
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
@@ -36,7 +37,12 @@ def find_scenario(name: str) -> Path:
     path = Path(name)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
-    raise ConfigError(f"unknown scenario {name!r}: {known_names(name, known_scenarios())}, or give a .yaml file")
+    raise ConfigError(f"unknown scenario {name!r}: {_known(name, known_scenarios())}")
+
+
+def _known(name: str, names: Iterable[str]) -> str:
+    names = list(names)
+    return f"known are {', '.join(names)}, or give a .yaml file{probably_meant(name, names)}"
 
 
 def find_experiment(name: str) -> Path:
@@ -48,7 +54,7 @@ def find_experiment(name: str) -> Path:
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
     known = sorted(file.stem for file in EXPERIMENT_DIRECTORY.glob("*.yaml"))
-    raise ConfigError(f"unknown experiment {name!r}: {known_names(name, known)}, or give a .yaml file")
+    raise ConfigError(f"unknown experiment {name!r}: {_known(name, known)}")
 
 
 def site_file_named(given: Path | None) -> Path | None:

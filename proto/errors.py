@@ -42,6 +42,10 @@ class NoRecordingError(RecordingError):
     """A recording that was named is not there."""
 
 
+class ExistsError(RecordingError):
+    """The result that was named is there already, and is not overwritten."""
+
+
 class ReportError(RecordingError):
     """The files of a report cannot be written; `summary` is their content, as plain values."""
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RecordingError
+from proto.errors import RecordingError, probably_meant
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 
@@ -50,7 +50,8 @@ def columns(
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
         known = ", ".join(sorted(names)) or "none"
-        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}")
+        near = probably_meant(channel_topic, names)
+        raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}{near}")
     paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
     values: dict[str, list[Any]] = {field: [] for field in fields}
     pieces: dict[str, list[Column]] = {field: [] for field in fields}
@@ -118,7 +119,8 @@ def _append_fields(
                 value = None if value is None else value[part]
         except (KeyError, IndexError, TypeError) as error:
             where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
-            raise RecordingError(f"{where}: has no field {field}, its fields are {', '.join(decoded)}") from error
+            known = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
+            raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
         values[field].append(value)
 
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from proto import TOPICS
-from proto.errors import ConfigError, RecordingError
+from proto.errors import ConfigError, ExistsError, RecordingError
 from proto.extras import how_to_install
 from proto.messages import Record
 from recording.channel_filter import ALL, Selection
@@ -57,8 +57,9 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
         return _export(recording, target, kind, selection)
     except FileExistsError as error:
         # A file that stands in the place of the folder exists already as well.
-        reason = "already exists and is not overwritten" if target.exists() else f"cannot be created: {error.strerror}"
-        raise RecordingError(f"{target}: {reason}") from error
+        if target.exists():
+            raise ExistsError(f"{target}: already exists and is not overwritten") from error
+        raise RecordingError(f"{target}: cannot be created: {error.strerror}") from error
     except (OverflowError, ValueError) as error:
         # a stranger's file may have whole numbers that no format holds
         raise RecordingError(f"{target}: cannot be written: {error}") from error

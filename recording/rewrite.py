@@ -10,7 +10,7 @@ from typing import IO, Any
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
 
-from proto.errors import ConfigError, RecordingError
+from proto.errors import ConfigError, ExistsError, RecordingError
 from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import describe_damage
 from recording.messages import RawChannel, RawMessage
@@ -44,7 +44,7 @@ class CopyWriter:
             self._file.__exit__(type(error), error, error.__traceback__)
             # If a file has the name of the folder, the file is what exists.
             if isinstance(error, FileExistsError) and path.exists():
-                raise RecordingError(f"{path}: already exists and is not overwritten") from error
+                raise ExistsError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
         # The type is Any because the package carries no types.
         self._mcap: Any = Writer(
@@ -66,7 +66,7 @@ class CopyWriter:
                     raise error
                 self._mcap.finish()
         except FileExistsError as fault:
-            raise RecordingError(f"{self.path}: already exists and is not overwritten") from fault
+            raise ExistsError(f"{self.path}: already exists and is not overwritten") from fault
         except OSError as fault:
             raise RecordingError(f"{self.path}: cannot be written: {fault.strerror}") from fault
 
@@ -208,7 +208,7 @@ def split_recording(
                         writer.add(message)
                 copies.append(CopyResult(path=str(target), messages=writer.messages))
     except FileExistsError as error:
-        raise RecordingError(f"{error.filename}: already exists and is not overwritten") from error
+        raise ExistsError(f"{error.filename}: already exists and is not overwritten") from error
     except OSError as error:
         raise RecordingError(f"{folder}: cannot be written: {error.strerror}") from error
     return copies

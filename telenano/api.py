@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from proto.errors import RecordingError
+from proto.errors import RecordingError, known_names
 from proto.messages import Message
 from recording.column_table import Column, ColumnTable
 from recording.export import topic_of
@@ -113,7 +113,9 @@ class RecordedSession:
         """
         sources = self.channels.get(channel)
         if sources is None:
-            raise RecordingError(f"{self._source.path}: has no channel {channel}; it has {', '.join(self.channels)}")
+            raise RecordingError(
+                f"{self._source.path}: has no channel {channel}; {known_names(channel, self.channels)}"
+            )
         if src is None and len(sources) > 1:
             raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}")
         if src is not None and src not in sources:

@@ -13,8 +13,9 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, field_v
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from proto.codec import MAX_MESSAGE_BYTES
+from proto.errors import known_names
 from proto.messages import MAX_KEYS
-from services.delay_node.profiles import PROFILES, known_profiles
+from services.delay_node.profiles import PROFILES
 from services.runtime.settings.config import Settings, flatten, merge, nested, validate
 
 Setting = float | int | str | bool
@@ -357,7 +358,7 @@ class LinkSettings(Settings):
     @classmethod
     def _known(cls, name: str) -> str:
         if name not in PROFILES:
-            raise ValueError(f"unknown profile {name!r}; known are {known_profiles()}")
+            raise ValueError(f"unknown profile {name!r}; {known_names(name, PROFILES)}")
         return name
 
     @model_validator(mode="before")

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from presets import NETWORK_DIRECTORY
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from services.runtime.settings.config import Settings, read_yaml, validate
 
 Milliseconds = Annotated[float, Field(ge=0.0)]
@@ -92,10 +92,5 @@ PROFILES: Mapping[str, Profile] = _Profiles()
 def profile_named(name: str) -> Profile:
     """Return a profile by its name in any case; ConfigError names the profiles that there are."""
     if name.lower() not in PROFILES:
-        raise ConfigError(f"unknown profile {name!r}; known are {known_profiles()}")
+        raise ConfigError(f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}")
     return PROFILES[name.lower()]
-
-
-def known_profiles() -> str:
-    """Return the profile names for an error text."""
-    return ", ".join(PROFILES)

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from analysis.intervals import wilson
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.particles.push import KINETIC, RADIUS
 from services.afm_node.physics.particles.tip_shape import touch_distance_m
@@ -104,7 +104,7 @@ def _sources() -> str:
 def check(trial: Trial) -> None:
     """Raise ConfigError for a law that is not known."""
     if trial.law not in LAWS:
-        raise ConfigError(f"--law: unknown law {trial.law!r}, known are {', '.join(LAWS)}")
+        raise ConfigError(f"--law: unknown law {trial.law!r}, {known_names(trial.law, LAWS)}")
 
 
 @functools.lru_cache(maxsize=8)

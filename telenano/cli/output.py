@@ -4,6 +4,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,7 +15,14 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from proto.errors import ConfigError, NoRecordingError, ReportError, TelenanoError
+from proto.errors import (
+    ConfigError,
+    ExistsError,
+    NoRecordingError,
+    ReportError,
+    TelenanoError,
+    probably_meant,
+)
 from recording.whole_files import new_folder
 from services.runtime.untrusted.printable import printable
 from services.signals import interrupts
@@ -36,7 +44,9 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
     try:
         yield
     except TelenanoError as error:
-        code = EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError) else EXIT_FAILED
+        code = (
+            EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError | ExistsError) else EXIT_FAILED
+        )
         fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
     except BrokenPipeError:
         # the reader of the pipe, such as `head`, has closed it: nothing more can be printed
@@ -77,9 +87,20 @@ def system_error_text(error: OSError) -> str:
 
 def usage_text(error: Any) -> str:
     """Return a usage error of the command line as a sentence."""
-    message = " ".join(error.format_message().split()).rstrip(".")
+    message = _suggested(" ".join(error.format_message().split()).rstrip("."))
     path = error.ctx.command_path.removeprefix(error.ctx.find_root().command_path) if error.ctx else ""
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
+
+
+def _suggested(message: str) -> str:
+    """Return a usage error with its suggestion in the words of all others, and with one where a choice has none."""
+    if near := re.search(
+        r"^(No such .+?)(?: \(Possible options?: ([^,)]+).*\)|\.? Did you mean '?([^'?]+)'?\??)$", message
+    ):
+        return f"{near[1]}; did you mean {near[2] or near[3]}?"
+    if choice := re.search(r"'([^']*)' is not one of ('.*')", message):
+        return message + probably_meant(choice[1], re.findall(r"'([^']*)'", choice[2]))
+    return message
 
 
 def _discard_output() -> None:
@@ -90,12 +111,12 @@ def _discard_output() -> None:
 
 @contextlib.contextmanager
 def results_folder(out: Path) -> Iterator[None]:
-    """Make a folder for results, and remove it if nothing came to be in it; ConfigError when it cannot be made."""
+    """Make a folder for results, and remove it if nothing came to be in it; TelenanoError when it cannot be made."""
     with contextlib.ExitStack() as folder:
         try:
             folder.enter_context(new_folder(out))
         except OSError as error:
-            raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+            raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
         yield
 
 

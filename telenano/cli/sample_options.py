@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, TelenanoError
 from proto.extras import how_to_install
 from recording.whole_files import whole_results
 from services.runtime.settings.config import flag_overrides, validate
@@ -68,11 +68,11 @@ def results_in(out: Path) -> Iterator[Path]:
     """Yield a temporary folder whose files go into `out` when the block ends, and nowhere if it fails.
 
     Raises:
-        ConfigError: The folder cannot be made.
+        TelenanoError: The folder cannot be made.
     """
     with contextlib.ExitStack() as results:
         try:
             folder = results.enter_context(whole_results(out))
         except OSError as error:
-            raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
+            raise TelenanoError(f"--out {out}: cannot be made: {error.strerror}") from error
         yield folder

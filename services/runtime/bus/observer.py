@@ -12,7 +12,7 @@ import numpy as np
 import zmq
 
 from proto import TOPICS
-from proto.errors import ConfigError, RigError
+from proto.errors import ConfigError, RigError, probably_meant
 from proto.nodes import is_visitor, site_of
 from proto.sequence import SequenceTracker
 from services.runtime.bus.address_book import AddressBook
@@ -38,7 +38,8 @@ def known_name(name: str) -> tuple[str, str | None]:
     """Split topic or topic@site; ConfigError lists the topics that there are."""
     topic, _, site = name.partition("@")
     if topic not in TOPICS:
-        raise ConfigError(f"unknown topic {name!r}: known are {', '.join(TOPICS)}, with @site for what left the link")
+        known = f"known are {', '.join(TOPICS)}, with @site for what left the link"
+        raise ConfigError(f"unknown topic {name!r}: {known}{probably_meant(topic, TOPICS)}")
     if site and TOPICS[topic].bridged is None:
         raise ConfigError(f"{name}: {topic} does not cross the link, so there is no copy at {site}")
     return topic, site or None

@@ -6,7 +6,7 @@ import typer
 import yaml
 
 from presets import find_scenario
-from proto.errors import ConfigError
+from proto.errors import ConfigError, probably_meant
 from telenano.cli.completion import scenario_names, scenario_sections
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -38,7 +38,9 @@ def list_all(
 
         keys = [key for key in all_keys() if key.name.startswith(prefix)]
         if not keys:
-            raise ConfigError(f"{prefix}: no key begins so; `telenano param list` has them all")
+            parts = {".".join(key.name.split(".")[: prefix.count(".") + 1]) for key in all_keys()}
+            near = probably_meant(prefix, parts)
+            raise ConfigError(f"{prefix}: no key begins so; `telenano param list` has them all{near}")
     rows: list[dict[str, Any]] = [
         {
             "key": key.name,

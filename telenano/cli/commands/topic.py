@@ -197,9 +197,10 @@ for _name, _measure, _about in (
 @contextlib.contextmanager
 def open_observer(site_file: Path, topic: str | None = None) -> Iterator[Observer]:
     """Connect to the rig of a site file, for one topic or all of them; ConfigError for an unknown topic."""
+    wanted = (known_name(topic)[0],) if topic else None
     book = load_site(site_file)
     require_rig(book, site_file)
-    with contextlib.closing(Observer(book, (known_name(topic)[0],)) if topic else Observer(book)) as observer:
+    with contextlib.closing(Observer(book, wanted) if wanted else Observer(book)) as observer:
         # Sockets that a killed rig left behind, or a machine that is switched off, are not noticed before.
         said = threading.Timer(_SILENCE_S, _say_silence, (observer, topic or "any topic"))
         said.daemon = True

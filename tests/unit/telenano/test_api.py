@@ -47,7 +47,7 @@ def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSessio
     assert [half["round_trip_valid"].any() for half in halves] == [True, False]
     with pytest.raises(RecordingError, match="law/status: recorder@master published nothing on it"):
         session.table("law/status", "recorder@master")
-    with pytest.raises(RecordingError, match="has no channel afm; it has afm/command, afm/state"):
+    with pytest.raises(RecordingError, match="has no channel afm; known are afm/command, afm/state"):
         session.table("afm")
 
 

@@ -71,7 +71,7 @@ def test_filter_split_merge_recover_and_diff(make_file: MakeFile, tmp_path: Path
     recovered = run_json("recover", path, "--out", tmp_path / "r.mcap")
     assert recovered["skipped"]
     assert Recording(tmp_path / "r.mcap").closed
-    run("recover", path, "--out", tmp_path / "r.mcap", exit_code=1)
+    run("recover", path, "--out", tmp_path / "r.mcap", exit_code=2)
 
 
 def test_verify_gives_its_verdict_as_exit_code(make_file: MakeFile) -> None:

@@ -16,6 +16,7 @@ from proto.nodes import LAUNCHER, LINK, START_ORDER, name_of
 from services.controller.clamp import NO_LIMIT_N
 from services.controller.config import OWN_LAWS, ControllerConfig
 from services.controller.laws.passivity import PassivityConfig
+from services.delay_node.profiles import PROFILES
 from studies.loops.theory import critical_delay_s, loop_model
 
 ROOT = Path(__file__).parents[3]
@@ -350,6 +351,10 @@ def test_numbers_of_things_are_those_that_there_are() -> None:
     assert len(OWN_LAWS) == 6
     assert len({*START_ORDER, LAUNCHER}) == 7
     assert [node for node in START_ORDER if name_of(node) == LINK] == ["delay_node@master"]
+    networks = re.search(r"(\d+) networks are ready, most of them from published measurements", flat("docs/howto.md"))
+    assert networks is not None
+    assert int(networks[1]) == len(PROFILES)
+    assert 2 * sum(bool(profile.source) for profile in PROFILES.values()) > len(PROFILES)
 
 
 def test_two_laws_come_with_the_clamp() -> None:

@@ -151,7 +151,7 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
         (("up",), "missing option '--scenario' (`telenano up --help` explains)"),
         (("upp",), "no such command 'upp'; did you mean up? (`telenano --help` explains)"),
         (("up", "--scenario", "fig12", "--duration", "x"), "invalid value for '--duration': "),
-        (("bag", "infoo", "x"), "no such command 'infoo'. Did you mean 'info'? (`telenano bag --help` explains)"),
+        (("bag", "infoo", "x"), "no such command 'infoo'; did you mean info? (`telenano bag --help` explains)"),
         (
             ("session",),
             "missing argument 'COMMAND'. Choose from: arm, start, stop, estop, set, mark (`tele",

@@ -121,7 +121,7 @@ def test_a_sample_that_is_too_stiff_for_a_law_is_named(tmp_path: Path) -> None:
 def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "file" / "out")])
-    assert result.exit_code == 2
+    assert result.exit_code == 1
     assert "cannot be made" in result.stderr
 
 

@@ -21,10 +21,9 @@ from services.afm_node.physics.sample.surface import (
     grating,
     plane_levelled,
 )
-from services.afm_node.physics.sample.surface_files import read_surface
+from services.afm_node.physics.sample.surface_files import SHAPES, read_surface
 from services.runtime.settings.config import Settings
 
-SHAPES = ("flat", "dots", "grating")
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {
     "centre": centred,
     "plane": plane_levelled,

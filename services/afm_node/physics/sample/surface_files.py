@@ -17,7 +17,7 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from presets.regular_files import open_regular
-from proto.errors import ConfigError
+from proto.errors import ConfigError, probably_meant
 from proto.extras import how_to_install
 from services.afm_node.physics.sample.foreign_images import load_image, load_nanonis
 from services.afm_node.physics.sample.gwy_reader import read_gwy
@@ -31,6 +31,8 @@ _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header
 # metres in a unit of length, as files write it
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 _LIBRARIES_BYTES = 2 << 30
+# samples that are made, and no files
+SHAPES = ("flat", "dots", "grating")
 _HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
 
 
@@ -72,7 +74,8 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
             ) from error
         raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+        near = "" if path.suffix or path.name != str(path) else probably_meant(path.name, SHAPES)
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}{near}") from error
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from error
     # damage may lead a reader anywhere
