@@ -106,7 +106,12 @@ class RecordedSession:
         return Timeline(self._source)
 
     def table(self, channel: str, src: str | None = None) -> Table:
-        """Return the messages of a channel, from one of its publishers where there are several.
+        """Return the messages of a channel in the order of sending, on one clock.
+
+        Args:
+            channel: The topic, with the site of its reception after an `@` where it crossed the link.
+            src: One of its publishers; `*` takes those of all, each row with its own in the column `src`. None is for
+                a channel that has one publisher.
 
         Raises:
             RecordingError: There is no such channel or publisher; the message names those there are.
@@ -117,13 +122,17 @@ class RecordedSession:
                 f"{self._source.path}: has no channel {channel}; {known_names(channel, self.channels)}"
             )
         if src is None and len(sources) > 1:
-            raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}")
-        if src is not None and src not in sources:
+            raise RecordingError(f"{channel}: has several publishers, give one of {', '.join(sources)}, or '*' for all")
+        if src not in (None, "*", *sources):
             raise RecordingError(f"{channel}: {src} published nothing on it; {', '.join(sources)} did")
-        messages = [message for message in self._source.messages([channel]) if src in (None, message.src)]
-        stamps = np.array([message.publish_ns for message in messages], dtype=np.int64)
-        times = self._timeline.times_ns(src or sources[0], stamps).tolist()
-        rows = [(time_ns, row(message)) for time_ns, message in zip(times, messages, strict=True)]
+        sent: dict[str, list[Any]] = {}
+        for message in self._source.messages([channel]):
+            if src in (None, "*", message.src):
+                sent.setdefault(message.src, []).append(message)
+        rows: list[tuple[int, dict[str, Any]]] = []
+        for publisher, messages in sent.items():
+            stamps = np.array([message.publish_ns for message in messages], dtype=np.int64)
+            rows += zip(self._timeline.times_ns(publisher, stamps).tolist(), map(row, messages), strict=True)
         return _table(topic_of(channel), rows, self.start_ns)
 
     def df(self, channel: str, src: str | None = None) -> Any:

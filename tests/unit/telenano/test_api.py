@@ -45,6 +45,10 @@ def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSessio
     assert [set(half["src"]) for half in halves] == [{"controller@master"}, {"controller@slave"}]
     # only the master has a round trip
     assert [half["round_trip_valid"].any() for half in halves] == [True, False]
+    both = session.table("law/status", "*")
+    assert set(both["src"]) == {"controller@master", "controller@slave"}
+    assert len(both["time_s"]) == sum(len(half["time_s"]) for half in halves)
+    assert (np.diff(both["time_s"]) >= 0.0).all()
     with pytest.raises(RecordingError, match="law/status: recorder@master published nothing on it"):
         session.table("law/status", "recorder@master")
     with pytest.raises(RecordingError, match="has no channel afm; known are afm/command, afm/state"):
