@@ -100,7 +100,7 @@ site: setup
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
-	$(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/release
+	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
 lock: $(BIN)/uv

@@ -2,8 +2,9 @@
 
 In the folder that is given: wheel and source distribution, an inventory of all packages that the extra `rig` brings
 (CycloneDX), the list of their licences, and SHA256SUMS. Each is made from the commit, dated by it, so that the same
-commit gives the same bytes. The wheel is then installed without an extra, from the index that pip knows, with every
-Python from 3.11 to 3.14 that the machine has, and has to read the recording that is given and to simulate.
+commit gives the same bytes. The recording that is given is left beside them, for `tests/releases`. The wheel is then
+installed without an extra, from the index that pip knows, with every Python from 3.11 to 3.14 that the machine has, and
+has to read that recording and to simulate.
 """
 
 import argparse
@@ -63,6 +64,7 @@ def release(out: Path, recording: Path) -> None:
     run([*inventory, "--of", "JSON", "-o", str(out / "sbom.json")])
     (out / "licences.md").write_text(licences(distributions(path=[site_of(rig)])), encoding="utf-8")
     shutil.rmtree(out / "rig")
+    shutil.copy(recording, out / f"{wheel.name.split('-py3')[0]}.mcap")
     tried = [tried_with(python, wheel, out, recording) for python in PYTHONS if starts(python)]
     names = sorted(path for path in out.iterdir() if path.is_file())
     sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in names)

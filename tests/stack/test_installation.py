@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
-from importlib.metadata import distribution
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
@@ -204,6 +204,55 @@ def test_the_library_reads_a_recording_and_simulates_without_any_extra(
     assert int(read.split()[0]) > 100
     assert read.split()[-1] in ("stable", "settling")
     assert frame.startswith("(") or re.search(r"pandas is not installed: pip install '[^']+\[export\]'", frame)
+
+
+# what each extra is for, done with that extra alone: a command, or a program
+ALONE = {
+    "haptic": "device list",
+    "afm": "-c import services.afm_node.devices.modbus_driver, services.afm_node.devices.t7_server",
+    "controller": "-c import services.runtime.datagram.sealing, services.controller.__main__",
+    "delay": "-c import services.runtime.datagram.sealing, services.delay_node.__main__",
+    "relay": "-c import services.relay.__main__",
+    "recorder": "-c import services.recorder.__main__",
+    "instrument": "sample --sample dots --out dots",
+    "images": "-c import SurfaceTopography, nanonispy2, services.afm_node.physics.sample.foreign_images",
+    "export": "bag export REFERENCE --to hdf5 --out s.h5",
+    "viz": "bag plot REFERENCE afm/state.tip_force_n.2 --out plot.png",
+    "view": "-c import services.viz_node.server",
+    "foxglove": "-c import telenano.foxglove_bridge, services.viz_node.server",
+    "ros2": "bag export REFERENCE --to ros2 --out ros2.mcap",
+    "launcher": "report REFERENCE --out report",
+    "studies": "study transparency --law wave --delay 0 --out study",
+    "experiments": "-c import pylsl, statsmodels.api, studies.experiments.analyse",
+    "learn": "-c import gymnasium, telenano.learn; gymnasium.make('telenano/Push-v0').reset(seed=0)",
+    "rig": "curve --out curve",
+    "peers": "-c import zenoh, iceoryx2",
+    "site": "-c import mkdocs, material, mkdocstrings",
+    # all that the tests need: the environment in which they run
+    "dev": "",
+}
+
+
+def test_each_extra_has_what_it_is_for() -> None:
+    assert set(ALONE) == set(SETTINGS["project"]["optional-dependencies"])
+
+
+@pytest.mark.parametrize("extra", [extra for extra, line in ALONE.items() if line])
+def test_an_extra_alone_does_what_it_is_for(
+    extra: str, wheel: Path, tmp_path: Path, recording_of: Callable[[str], Path]
+) -> None:
+    try:
+        closure((extra,))
+    except PackageNotFoundError as error:
+        pytest.skip(f"{error} of the extra {extra} is not in the environment of the tests")
+    installation = Installation(tmp_path, wheel, (extra,))
+    first, _, program = ALONE[extra].partition(" ")
+    if first == "-c":
+        done = installation.run(str(installation.python), "-c", program)
+    else:
+        reference = str(recording_of("fig12_wave"))
+        done = installation.telenano(*(reference if word == "REFERENCE" else word for word in ALONE[extra].split()))
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_driver_of_the_inverse3_works_with_the_extra_of_the_haptic_node_and_names_it(
