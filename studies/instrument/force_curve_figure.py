@@ -36,6 +36,8 @@ def curve_figure(pairs: Sequence[tuple[Curve, Marks]], fit: AdhesionFit | None =
                 axes.annotate(name, ((base_m - zero) * 1e9, force_n * 1e9), textcoords="offset points", xytext=(6, -12))
                 axes.plot([(base_m - zero) * 1e9], [force_n * 1e9], "ko", markersize=3)
         axes.axhline(0.0, color="0.7", linewidth=0.6)
+        # the name of the deepest mark stands below it
+        axes.margins(y=0.12)
         axes.set_xlabel("base towards the sample, 0 where the force passes zero on the way back [nm]")
         axes.set_ylabel("force on the tip [nN]")
         axes.set_title(f"{one.model.replace('_', '-')}, k = {one.stiffness_n_per_m:g} N/m")

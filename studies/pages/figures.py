@@ -40,6 +40,12 @@ _LEAST_RANGE = {
     "lowest_energy_mj": 0.002,
     "guarded_percent": 1.0,
 }
+_NEVER_NEGATIVE = ("peak_n", "guarded_percent")
+# The strip of the crosses, as a share of the range above it, and where they stand in the panel.
+_STRIP = 0.16
+_CROSS = 0.5 * _STRIP / (1.0 + _STRIP)
+# what a name in the legend takes [inch]
+_NAME_IN = 1.45
 
 
 def merits_figure(merits: Sequence[Merit]) -> "Figure":
@@ -61,10 +67,7 @@ def merits_figure(merits: Sequence[Merit]) -> "Figure":
             range(len(laws)), [law.replace("_", " ") for law in laws], rotation=90, fontsize="small"
         )
     for row, (name, title) in enumerate(FIGURES.items()):
-        low, high = axes[row, 0].get_ylim()
-        missing = 0.5 * max(0.0, _LEAST_RANGE[name] - (high - low))
-        # room at the bottom for the crosses
-        axes[row, 0].set_ylim(low - missing - 0.15 * (high - low + 2.0 * missing), high + missing)
+        _scaled(axes[row], name)
         axes[row, 0].set_ylabel(title.replace(" [", "\n["), fontsize="small")
     handles = [
         Line2D([], [], color=_HAND_LOOKS[hand][0], marker=_HAND_LOOKS[hand][1], linestyle="", label=_hand_words(hand))
@@ -76,8 +79,29 @@ def merits_figure(merits: Sequence[Merit]) -> "Figure":
         Line2D([], [], label="clamp off", markerfacecolor="none", **look),
         Line2D([], [], color="0.3", marker="x", linestyle="", label="a run is not stable"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize="small")
+    # a narrow figure has room for fewer names beside one another
+    columns = max(2, min(len(handles), int(figure.get_size_inches()[0] / _NAME_IN)))
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, fontsize="small")
     return figure
+
+
+def _scaled(axes: "Sequence[Axes]", name: str) -> None:
+    """Give a row of panels its range of values and, where runs failed, a grey strip below it, which no tick reads."""
+    low, high = axes[0].get_ylim()
+    missing = 0.5 * max(0.0, _LEAST_RANGE[name] - (high - low))
+    low, high = low - missing, high + missing
+    if name in _NEVER_NEGATIVE:
+        low = max(low, -0.04 * high)
+    has_crosses = any(line.get_marker() == "x" for axis in axes for line in axis.lines)
+    strip = _STRIP * (high - low) if has_crosses else 0.0
+    axes[0].set_ylim(low - strip, high)
+    ticks = [
+        tick for tick in axes[0].get_yticks() if low <= tick <= high and (tick >= 0.0 or name not in _NEVER_NEGATIVE)
+    ]
+    axes[0].set_yticks(ticks)
+    if has_crosses:
+        for axis in axes:
+            axis.axhspan(low - strip, low, color="0.92", linewidth=0.0, zorder=-1)
 
 
 def _hand_words(hand: str) -> str:
@@ -96,7 +120,7 @@ def _dots(axis: "Axes", merits: Sequence[Merit], laws: Sequence[str], hands: Seq
             # This hand does not have the figure.
             continue
         if merit.stable < len(merit.results) or spread is None:
-            axis.plot([x], [0.06], "x", color=colour, markersize=4, transform=axis.get_xaxis_transform())
+            axis.plot([x], [_CROSS], "x", color=colour, markersize=4, transform=axis.get_xaxis_transform())
             continue
         axis.plot([x, x], [spread.least, spread.most], "-", color=colour, linewidth=1.0)
         face = colour if merit.clamp else "none"

@@ -133,7 +133,7 @@ def map_figure(results: Sequence[LineResult]) -> "Figure":
         edges = _edges(delays)
         for y, row in enumerate(rows):
             colours = [[to_rgb(VERDICTS[cell.verdict]) for cell in row.cells]]
-            axis.pcolormesh(edges, [y - 0.42, y + 0.42], np.array(colours))
+            axis.pcolormesh(_up_to(row, delays, edges), [y - 0.42, y + 0.42], np.array(colours))
             _mark(axis, y, row)
         axis.set_yticks(range(len(rows)), [row.line.label for row in rows])
         axis.set_ylim(-0.6, len(rows) - 0.4)
@@ -160,6 +160,15 @@ def _mark(axis: "PlotAxes", y: int, row: LineResult) -> None:
     for link_ms, style, width in ((row.critical_link_ms, "k-", _EDGE_PT), (row.theory_link_ms, "w--", _THEORY_PT)):
         if link_ms is not None and link_ms <= max(row.line.axes.delays_ms):
             axis.plot([link_ms, link_ms], [y - 0.42, y + 0.42], style, linewidth=width)
+
+
+def _up_to(row: LineResult, delays_ms: npt.NDArray[np.float64], edges: npt.NDArray[np.float64]) -> Any:
+    """Return the borders of the cells of a line, with the edge that was found between two of them in its own place."""
+    if row.critical_link_ms is None or not 0 < (place := int(np.searchsorted(delays_ms, row.critical_link_ms))) < len(
+        delays_ms
+    ):
+        return edges
+    return np.concatenate([edges[:place], [row.critical_link_ms], edges[place + 1 :]])
 
 
 def _edges(delays_ms: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

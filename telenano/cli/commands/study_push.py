@@ -109,5 +109,6 @@ def push_figure(rows: "list[Row]") -> "Figure":
         axes.grid(alpha=0.3)
     for axes in (panels[2], panels[3]):
         axes.set_xlabel("round trip, ms")
-    panels[0].legend(fontsize=8)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)), fontsize=8)
     return figure

@@ -1,0 +1,176 @@
+"""No figure has text cut off, a legend or a label over another, or two ticks that read the same."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from figure_layout import faults
+from matplotlib.figure import Figure
+from typer.testing import CliRunner
+
+from analysis.network_trace import NetworkTrace, trace_figure
+from services.controller.config import LAWS as ALL_LAWS
+from studies.benchmark import results
+from studies.loops.cells import Cell, CellResult
+from studies.loops.merits import FIGURES, SAMPLES, Merit, Network, figures_of
+from studies.loops.push_study import Row
+from studies.option_values import Jitter
+from studies.pages.benchmark_page import benchmark_figure
+from studies.pages.figures import merits_figure
+from studies.pages.stability_page import _edges, _up_to
+from telenano.cli.commands.study_push import push_figure
+from telenano.cli.root import app
+
+HANDS = ("force", "soft", "ordinary", "stiff")
+LAWS = ("virtual_impedance", "wave", "passivity", "position_force")
+
+
+def merit(law: str, clamp: bool, network: Network, hand: Any, failed: bool) -> Merit:
+    """Return what a law did over three seeds, of which one may have failed."""
+    results = []
+    for seed in range(3):
+        cell = Cell(
+            law=law,
+            environment="contact",
+            stiffness_n_per_m=40.0,
+            hand=hand,
+            round_trip_ms=network.round_trip_ms,
+            seed=seed,
+        )
+        verdict = "limit_cycle" if failed and seed == 0 else "stable"
+        figures = 1.0 + 0.1 * seed + LAWS.index(law), 0.97, 1.0, 2e-4 * (1 + seed), 3e-3, 0.0
+        results.append(CellResult(cell, verdict, None, 0.0, 0.0, 1.0, -1e-6 * seed, False, "", *figures))
+    return Merit(SAMPLES["contact"], law, clamp, network, hand, tuple(results), figures_of(results, 1e-4))
+
+
+@pytest.mark.parametrize(
+    "delays",
+    [
+        (50.0, 120.0),
+        pytest.param((50.0,), marks=pytest.mark.endurance),
+        pytest.param((50.0, 120.0, 250.0), marks=pytest.mark.endurance),
+    ],
+)
+def test_figures_of_merit_are_whole_and_failed_runs_stand_where_no_tick_reads_them(delays: tuple[float, ...]) -> None:
+    networks = [Network(delay, Jitter(0.5, relative=True), 0.2) for delay in delays]
+    merits = [
+        merit(law, clamp, network, hand, failed=law == "wave" and hand == "stiff")
+        for network in networks for law in LAWS for clamp in (False, True) for hand in HANDS
+    ]  # fmt: skip
+    figure = merits_figure(merits)
+    assert faults(figure) == []
+    for axes, name in zip(figure.axes[:: len(delays)], FIGURES, strict=True):
+        (strip,) = [patch for patch in axes.patches if patch.get_width() > 0.9]
+        top = strip.get_y() + strip.get_height()
+        assert min(axes.get_yticks()) >= top - 1e-12
+        crosses = [line for line in axes.lines if line.get_marker() == "x"]
+        assert len(crosses) == 2
+        low, high = axes.get_ylim()
+        assert all(low + line.get_ydata()[0] * (high - low) < top for line in crosses)
+        if name in ("peak_n", "guarded_percent"):
+            assert min(axes.get_yticks()) >= 0.0
+
+
+def test_a_fault_in_a_layout_is_found() -> None:
+    """The check fails for what it is there to find."""
+    figure = Figure(figsize=(2.0, 1.5))
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [0.0, 1.0], label="a name that is far too long for so narrow a figure")
+    axes.set_yticks([0.0, 0.5, 0.5004], ["0", "0.5", "0.5"])
+    axes.set_title("a title that is far too long for so narrow a figure as this one is")
+    figure.legend(loc="upper center")
+    found = faults(figure)
+    assert any("is cut off" in fault and "title" in fault for fault in found)
+    assert any("the legend" in fault and "cut off" in fault for fault in found)
+    assert any("lies over" in fault for fault in found)
+    assert "two ticks read '0.5'" in found
+
+
+@pytest.mark.parametrize(("edge_ms", "third"), [(45.0, 45.0), (None, 50.0), (80.0, 50.0)])
+def test_the_colours_of_a_map_change_at_the_edge_that_was_found(edge_ms: float | None, third: float) -> None:
+    delays = np.array([0.0, 20.0, 40.0, 60.0])
+    line: Any = SimpleNamespace(critical_link_ms=edge_ms)
+    assert _up_to(line, delays, _edges(delays)).tolist() == [0.0, 10.0, 30.0, third, 60.0]
+
+
+def of_the_benchmark() -> Figure:
+    spread: dict[str, Any] = {"tracking_error": results.Spread(0.0123, 0.01, 0.02)}
+    networks = ("clean", "transcontinental", "leo_satellite", "lossy_bursts")
+    rows = [
+        results.Row(network, law, 24, 24 - 4 * number, 0.5, 1.0, 0, {"stable": 24}, spread)
+        for network in networks
+        for number, law in enumerate(ALL_LAWS)
+    ]
+    return benchmark_figure(rows)
+
+
+def of_pushes() -> Figure:
+    rows = [
+        Row(law, trip_ms, loss, 50, 48, 0.86, 0.99, 4.0 + 1e-3 * trip_ms, 12.0, 0.1, 30.0, 25.0)
+        for law in ALL_LAWS
+        for trip_ms in (0.0, 100.0, 500.0)
+        for loss in (0.0, 0.05)
+    ]
+    return push_figure(rows)
+
+
+def of_a_network() -> Figure:
+    delay_s = 0.02 + 0.005 * np.random.default_rng(1).random(500)
+    lost = np.random.default_rng(2).random(500) < 0.02
+    return trace_figure(
+        {
+            "forward": NetworkTrace("forward", 1e-3 * np.arange(500.0), delay_s, lost, 0, 1e-3),
+            "backward": NetworkTrace("backward", 1e-3 * np.arange(500.0), delay_s, lost, 0, 1e-3),
+        }
+    )
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("draw", [of_the_benchmark, of_pushes, of_a_network])
+def test_other_figures_are_whole(draw: Callable[[], Figure]) -> None:
+    assert faults(draw()) == []
+
+
+# commands with small runs, each with the figures that it draws
+COMMANDS = {
+    "study stability --law virtual_impedance,wave --environment spring --stiffness 10,20 --delay 0:80:20"
+    " --workers 1": 4,
+    "study transparency --law virtual_impedance,wave,passivity --delay 0,60": 3,
+    "study compare --law wave,position_force --delay 50,120 --map-delay 0,100 --stiffness 20 --hand force,stiff"
+    " --sample contact --seeds 2 --frequency 1,5 --workers 1": 8,
+    "report RECORDING": 1,
+    "report RECORDING --style paper": 1,
+    "compare RECORDING OTHER": 1,
+    "compare RECORDING OTHER --style paper --paper": 1,
+    "bag plot RECORDING afm/state.tip_force_n.2 haptic/state.position_m.2": 1,
+    "scan --pixels 16 --lines 16": 1,
+    "scan --pixels 16 --lines 16 --mode contact": 1,
+    "sample --sample grating": 1,
+    "curve --points 200": 1,
+}
+
+
+@pytest.mark.endurance
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("line", COMMANDS)
+def test_no_figure_of_a_command_is_cut_off(
+    line: str, recording_of: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: dict[str, list[str]] = {}
+    save = Figure.savefig
+
+    def checked(figure: Figure, *arguments: Any, **options: Any) -> None:
+        save(figure, *arguments, **options)
+        found[f"figure {len(found) + 1}"] = faults(figure)
+
+    monkeypatch.setattr(Figure, "savefig", checked)
+    names = {"RECORDING": "fig12_wave", "OTHER": "fig12_position_force"}
+    words = [str(recording_of(names[word])) if word in names else word for word in line.split()]
+    out = tmp_path / ("plot.png" if line.startswith("bag plot") else "out")
+    done = CliRunner().invoke(app, [*words, "--out", str(out)])
+    assert done.exit_code in (0, 3), done.output
+    assert len(found) >= COMMANDS[line]
+    assert {name: wrong for name, wrong in found.items() if wrong} == {}
