@@ -283,12 +283,36 @@ def _judge_hold(
         touching = float(tip.in_contact[later].mean()) if presses and later.any() else None
         at_end = float(tip.in_contact[last].mean()) if presses and last.any() else None
         known = known._replace(touching=touching, touching_at_end=at_end)
+        known = known._replace(landed_s=_landed(series, tip, hold, judged, greatest_n) if presses else None)
     lacking = lacks_of(series.hand_s, series.tip_s, (start, end), programme.answered_s)
     if lacking and not known.guarded:
         causes = _causes(programme, lacking[0].start_s, lacking[-1].end_s)
         return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
     verdict = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
     return Hold(start, end, force, *verdict)
+
+
+def _landed(
+    series: _Times,
+    tip: Instrument,
+    hold: tuple[float, float, float],
+    judged: npt.NDArray[np.bool_],
+    greatest_n: float,
+) -> float | None:
+    """Return how long before the end of a hold, as judged, the tip met the surface, if it did so in the hold [s].
+
+    It has to be the first time since the hand began to press, and to stay: a tip that is thrown off lands again.
+    """
+    if not judged.any():
+        return None
+    last = int(np.flatnonzero(judged)[-1])
+    idle = (series.hand_s < hold[0]) & (np.abs(series.hand_force_n) <= _PRESSING_SHARE * greatest_n)
+    first = int(np.searchsorted(series.tip_s, series.hand_s[idle].max(initial=series.hand_s[0])))
+    changes = np.flatnonzero(np.diff(tip.in_contact[first : last + 1]))
+    if len(changes) != 1 or not tip.in_contact[last]:
+        return None
+    landed_s = float(series.tip_s[first + changes[0] + 1])
+    return float(series.tip_s[last]) - landed_s if landed_s >= hold[0] else None
 
 
 def _judge_swing(series: _Times, tip: Instrument | None, swing: Swing, greatest_n: float, programme: Programme) -> Hold:

@@ -15,6 +15,7 @@ One function decides, for recordings, maps and the check of the bus against lock
 - contact_lost: the tip does not touch although the hand presses;
 - wrong_force: the tip's force differs from the hand's by more than a tenth;
 - settling: the tip came to rest with the right force, from one side, but too late for a later half at rest;
+- cannot_say as well: the tip met the surface in the hold, and was on its way to the hand's force when it ended;
 - stable: none of these.
 
 A mode that is said to go on has to be seen: a swing of f Hz turns 2 f times a second by nearly all of its size. Where
@@ -87,6 +88,10 @@ _APPROACH_HEIGHTS = 4.0
 _TURN_SAMPLES = 256
 # A tip that touches for less than this share of the later half was in the air.
 _AIR_SHARE = 0.25
+# What a landing in the hold may be taken for. A force is on its way to its rest if it moves in the last eighth of the
+# hold by this share of what it lacks there: one of a time constant of half a hold does.
+_OF_LANDINGS = ("drifting", "limit_cycle", "wrong_force", "contact_lost")
+_UNDER_WAY_SHARE = 0.25
 # A motion that has come to rest by this last share of the hold has settled.
 _SETTLED_SHARE = 0.25
 # of the hand's force: what a hand sets in motion and what grows is larger, and a rest of rounding is not
@@ -113,7 +118,8 @@ class Circumstances(NamedTuple):
     guarded: the instrument's guard ended it; noisy: the link is random; touching: share of the later half in which the
     tip was in contact, None where contact is not asked for; expected_n: what the tip should press with [N], if known;
     touching_at_end: the same share of the last quarter; guard: what the guard did and why, in words; starved: it acted
-    because commands were missing.
+    because commands were missing; landed_s: for how long before the hold's end the tip touches, if it met the surface
+    in the hold and has stayed there [s].
     """
 
     guarded: bool = False
@@ -123,6 +129,7 @@ class Circumstances(NamedTuple):
     touching_at_end: float | None = None
     guard: str = ""
     starved: bool = False
+    landed_s: float | None = None
 
 
 NOTHING_ELSE = Circumstances()
@@ -169,6 +176,8 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, known: Circumsta
         max(motion.sizes_n[-1], max((2.0 * m.end_n for m in motion.modes if m.frequency_hz > 0.0), default=0.0))
     )
     kind, growth, reason = _decided(values, motion, hand_force_n, small, known)
+    if known.landed_s is not None and kind in _OF_LANDINGS and (known.touching or 0.0) > _AIR_SHARE:
+        kind, reason = _landing(values, motion, small, known, known.landed_s) or (kind, reason)
     return Verdict(kind, growth, min(size, float(np.ptp(values))), noise, reason)
 
 
@@ -268,6 +277,28 @@ def _settled(
         return found
     words = f"the tip came to rest with the hand's force late in the hold, from one side; before, {found[2]}"
     return "settling", rate, words
+
+
+def _landing(
+    values: Series, motion: _Motion, small_n: float, known: Circumstances, landed_s: float
+) -> tuple[Kind, str] | None:
+    """Say what became of a tip that met the surface in the hold; None where it goes not straight to its right rest.
+
+    A fit of the whole hold takes the way through the air, the jump into contact and the approach to the hand's force
+    for one swing, or for a drift. What follows the jump, or the first way after it, has to dwindle.
+    """
+    since = values[-max(1, round(landed_s / motion.length_s * len(values))) :]
+    travels = _travels(since, 0.5 * small_n, motion.noise_n)
+    if not travels or max(travels[:2]) < max(travels) or not _dwindles(since, 0.5 * small_n, motion.noise_n):
+        return None
+    at_end_n, moved_n = float(values[-max(1, len(values) // WINDOWS) :].mean()), float(motion.sizes_n[-1])
+    lacks_n = abs(at_end_n - known.expected_n) if known.expected_n is not None else 0.0
+    words = f"the tip met the surface {landed_s:.3g} s before the end of the hold, and"
+    if moved_n <= small_n and lacks_n <= SMALL_SHARE * abs(known.expected_n or 0.0):
+        return "settling", f"{words} came to rest with the hand's force"
+    if moved_n < _UNDER_WAY_SHARE * lacks_n:
+        return None
+    return "cannot_say", f"{words} was on its way to its rest then"
 
 
 def _is_seen(values: Series, mode: Mode, motion: _Motion) -> bool:

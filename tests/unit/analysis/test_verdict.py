@@ -227,6 +227,34 @@ def test_a_cycle_just_above_what_is_small_stays_one_after_an_approach(
         assert found.kind in ("limit_cycle", "drifting"), found
 
 
+def landing(force: np.ndarray, contact_s: float, *, known: bool = True) -> Verdict:
+    """Judge a hold in which the tip met the surface at a time, knowing that it did or not."""
+    touches = contact_s < HOLD_S
+    told = PRESSED._replace(touching=float(touches[562:].mean()), touching_at_end=float(touches[-281:].mean()))
+    return judge(HOLD_S, force, 2.0, told._replace(landed_s=HOLD_S[-1] - contact_s if known else None))
+
+
+def test_a_landing_in_the_hold_is_no_cycle_and_no_drift() -> None:
+    # as over a line of 1 Mbit/s: 1.7 N at 2 Hz that neither grew nor died out was the jump into contact and the rest
+    unknown = set()
+    for contact_s in (0.45, 0.5, 0.6, 0.65, 0.7):
+        for time_constant_s in (0.06, 0.09, 0.12):
+            force = late_contact(contact_s, time_constant_s)
+            unknown.add(landing(force, contact_s, known=False).kind)
+            found = landing(force, contact_s)
+            arrived = abs(float(force[-140:].mean()) - 1.0) < 0.05 and np.ptp(force[-140:]) < 0.1
+            assert found.kind in (("settling", "stable") if arrived else ("settling", "cannot_say")), found
+            assert found.kind != "cannot_say" or "was on its way to its rest" in found.reason
+    assert unknown & {"limit_cycle", "drifting"}
+
+
+@pytest.mark.parametrize("frequency_hz", [4.0, 9.0, 30.0])
+@pytest.mark.parametrize("contact_s", [0.2, 0.4])
+def test_a_tip_that_swings_after_its_landing_is_not_excused(frequency_hz: float, contact_s: float) -> None:
+    swing = 0.2 * np.sin(2.0 * np.pi * frequency_hz * (HOLD_S - contact_s)) * (contact_s + 0.1 < HOLD_S)
+    assert landing(late_contact(contact_s, 0.05) + swing, contact_s).kind in ("limit_cycle", "drifting", "diverged")
+
+
 def test_a_small_motion_in_the_air_is_lost_contact_and_no_divergence() -> None:
     # 0.0008 N from peak to peak, growing as the tip nears the surface
     growing = -1e-3 - 4e-4 * np.exp(2.0 * (HOLD_S - HOLD_S[-1])) * np.sin(2.0 * np.pi * 9.0 * HOLD_S)
