@@ -23,8 +23,8 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
     sources = listeners(wiring, config)
     held_s = accept_batches(sources, wiring, config)
     is_far = wiring.book.spans_machines and site_of(wiring.key) == "slave"
-    # What it reports crosses to the master, beside the loop.
-    bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network, is_brief=is_far)
+    bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network)
+    bus.is_brief = is_far
     intake.obeys_link = is_far
     own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
     return RecorderNode(wiring.context(bus), config, intake, sites=own, on_end=bus.end, held_s=held_s), bus
@@ -34,8 +34,9 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
     """Connect to each node for all that is to be recorded of it; at the slave to its own site only.
 
     What the slave receives of the master's comes through the link, and a network between must not carry it a second
-    time. What a node on another machine sends fast is recorded there, where that site has a recorder (ADR 0075), and
-    what the link brings to the master anyway, such as the health of the slave's nodes, is recorded from the link.
+    time. Where that site has a recorder, what a node on another machine sends fast is recorded there (ADR 0075), and so
+    are the exchanges of time stamps and what the link says of itself. What the link brings to the master anyway, such
+    as the health of the slave's nodes, is recorded from the link.
     """
     site, book = site_of(wiring.key), wiring.book
     sites = SITES if site == "master" or not book.spans_machines else (site,)
@@ -45,7 +46,8 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
         is_near = not is_shared or book.machine_of(node) == wiring.network.machine
         # Events say where a node's messages ended, and are few.
         is_brought = site_of(node) != site and TOPICS[topic].bridged == "backward" and topic != END_TOPIC
-        return config.subscribes(topic, site_of(node)) and (is_near or not (is_bulk(topic) or is_brought))
+        is_left = is_bulk(topic) or is_brought or topic.startswith(("clock/", "link/"))
+        return config.subscribes(topic, site_of(node)) and (is_near or not is_left)
 
     return [*connect(wiring, sites, wanted), *(Listener("estop", inlet) for inlet in wiring.estop_inlet())]
 

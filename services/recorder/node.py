@@ -8,9 +8,8 @@ from typing import ClassVar
 
 import zmq
 
-from proto import TOPICS
 from proto.errors import RefusedError
-from proto.messages import MAX_TEXT, InputHealth, SessionControl
+from proto.messages import MAX_TEXT, SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
@@ -59,11 +58,7 @@ class RecorderBus(ZmqBus):
         clock: Clock,
         wake_descriptor: int,
         network: NetworkEvents | None = None,
-        *,
-        is_brief: bool = False,
     ) -> None:
-        """Connect a recorder; with `is_brief` it reports of what is sent on change only what was disturbed."""
-        self._is_brief = is_brief
         super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor, network)
         self._intake = intake
         self._listeners: dict[object, Listener] = {listener.subscriber.socket: listener for listener in listeners}
@@ -87,13 +82,6 @@ class RecorderBus(ZmqBus):
     def end(self) -> None:
         """Take batches at every call from now on."""
         self._ending = True
-
-    def input_health(self) -> tuple[InputHealth, ...]:
-        """Return the statistics of the inputs; they are 3 kB of a recorder, 25 ms of a line of 1 Mbit/s."""
-        found = super().input_health()
-        if not self._is_brief:
-            return found
-        return tuple(row for row in found if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
 
     def receive(self) -> Iterator[Received]:
         """Record what has arrived and is due; yield only commands, for the node to answer."""

@@ -249,7 +249,13 @@ class Subscriber:
 
 
 class ZmqBus:
-    """A publisher and its subscribers as one bus, with a wait that a signal or a message ends."""
+    """A publisher and its subscribers as one bus, with a wait that a signal or a message ends.
+
+    One that `is_brief` reports of the inputs that are sent on change only those that were disturbed: its node's health
+    crosses to another machine, and nobody judges these inputs by their age.
+    """
+
+    is_brief = False
 
     def __init__(
         self,
@@ -345,7 +351,9 @@ class ZmqBus:
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of every input, or of as many as a message takes."""
-        found = (health for subscriber in self.subscribers for health in subscriber.input_health())
+        found = (row for subscriber in self.subscribers for row in subscriber.input_health())
+        if self.is_brief:
+            found = (row for row in found if TOPICS[row.topic].rate_hz or row.gaps or row.repeated or row.restarts)
         return tuple(islice(found, MAX_ROWS))
 
     def rejections(self) -> tuple[dict[str, int], str]:

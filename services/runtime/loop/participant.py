@@ -10,7 +10,7 @@ import zmq
 
 from proto.errors import EndpointError
 from proto.extras import how_to_install
-from proto.nodes import DEVICES, FAR_END
+from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Bus, Subscriber, ZmqBus
 from services.runtime.bus.outgoing_batch import OutgoingBatch
@@ -136,7 +136,9 @@ class Participant:
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Make one bus of sockets that were opened before."""
-        return ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
+        bus = ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
+        bus.is_brief = self.book.spans_machines and site_of(self.key) == "slave"
+        return bus
 
     def context(self, bus: Bus) -> NodeContext:
         return NodeContext(self.key, self.clock, bus, self.log, kept_stop=self.kept_stop(), period_s=self.period_s)

@@ -319,22 +319,20 @@ def stage(site_file: Path) -> Iterator[Callable[..., Stage]]:
             each.close()
 
 
-@pytest.mark.parametrize("far", ["fetch", "stream"])
-def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(
-    scenario_file: Path, config: RecorderConfig, far: str
-) -> None:
+def asked_by(site: str, far: str, scenario_file: Path, config: RecorderConfig) -> set[tuple[str, str]]:
+    """Return of which node the recorder of a site of two machines asks for which topic."""
     site_file = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
     book = AddressBook.model_validate({**yaml.safe_load(site_file.read_text()), "insecure": True})
     clock = SystemClock()
     with zmq.Context() as context:
         wiring = Wiring(
-            key="recorder@master",
+            key=f"recorder@{site}",
             book=book,
             site_file=site_file,
             scenario_file=scenario_file,
             clock=clock,
             log=StructuredLog(NODE),
-            network=Transport(context, clock, book, "master"),
+            network=Transport(context, clock, book, site),
             wake_descriptor=-1,
         )
         found = listeners(wiring, config.model_copy(update={"far": far}))
@@ -343,14 +341,33 @@ def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(
             each.subscriber.close()
         wiring.resources.close()
         wiring.network.close()
+    return asked
+
+
+@pytest.mark.parametrize("far", ["fetch", "stream"])
+def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(
+    scenario_file: Path, config: RecorderConfig, far: str
+) -> None:
+    asked = asked_by("master", far, scenario_file, config)
     assert {("delay_node@master", "node/health"), ("afm_node@slave", "session/event")} <= asked
-    assert ("delay_node@master", "link/network") in asked
+    assert {("delay_node@master", "link/network"), ("delay_node@slave", "link/delay")} <= asked
     directly = {
         ("afm_node@slave", "node/health"),
         ("controller@slave", "link/network"),
         ("afm_node@slave", "afm/state"),
+        ("afm_node@slave", "clock/pong"),
     }
     assert asked & directly == (directly if far == "stream" else set())
+
+
+@pytest.mark.parametrize("far", ["fetch", "stream"])
+def test_the_far_recorder_leaves_what_the_link_says_of_itself_to_the_master(
+    scenario_file: Path, config: RecorderConfig, far: str
+) -> None:
+    asked = asked_by("slave", far, scenario_file, config)
+    assert {("delay_node@slave", "session/control"), ("afm_node@slave", "clock/pong")} <= asked
+    own = {("delay_node@slave", "link/delay"), ("delay_node@slave", "clock/ping")}
+    assert asked & own == (own if far == "stream" else set())
 
 
 def test_everything_on_real_sockets_is_received_at_its_place(
@@ -390,7 +407,7 @@ def test_everything_on_real_sockets_is_received_at_its_place(
             loop.turn()
             found = {stream.channel_topic for each in bus._listeners.values() for stream in each.streams.values()}
         rows = {(row.topic, row.src) for row in bus.input_health()}
-        bus._is_brief = True
+        bus.is_brief = True
         brief = {(row.topic, row.src) for row in bus.input_health()}
         node.context.request_stop()
         loop.run()

@@ -663,6 +663,13 @@ def test_the_accounts_of_several_subscribers_are_one(
         assert counts == {"frames": 2, "malformed": 1}
         assert "not msgpack" in text
         assert [h.topic for h in bus.input_health()] == ["haptic/state", "session/control", "haptic/state"]
+        # nobody judges what is sent on change by its age, so that it need not cross to another machine
+        bus.is_brief = True
+        assert [h.topic for h in bus.input_health()] == ["haptic/state", "haptic/state"]
+        hand(reader, 0, 0)
+        for seq in (3, 7):
+            reader.decode_and_track([b"session/control", payload("session/control", seq=seq)], 0)
+        assert [h.topic for h in bus.input_health() if h.gaps] == ["session/control"]
     finally:
         own.close()
 

@@ -5,7 +5,8 @@ import select
 import signal
 from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import pytest
 import zmq
@@ -136,6 +137,25 @@ def test_a_node_that_goes_on_after_a_signal_can_wait_again(book: AddressBook, si
         signal.raise_signal(signal.SIGTERM)
         assert select.select([signals.descriptor], (), (), 0)[0]
     assert node.context.stop_requested
+
+
+@pytest.mark.parametrize("spans_machines", [True, False])
+def test_health_that_crosses_to_another_machine_is_brief(*, spans_machines: bool) -> None:
+    publisher = NullPublisher(VirtualClock(), "n@s")
+    made: dict[str, bool] = {}
+    for key in ("afm_node@slave", "launcher@slave", "haptic_node@master"):
+        part: Any = SimpleNamespace(
+            key=key,
+            book=SimpleNamespace(spans_machines=spans_machines),
+            clock=VirtualClock(),
+            wake_descriptor=-1,
+            network=None,
+            batches=[],
+        )
+        made[key] = Participant.bus_of(part, publisher, []).is_brief
+    assert [key for key, is_brief in made.items() if is_brief] == (
+        ["afm_node@slave", "launcher@slave"] if spans_machines else []
+    )
 
 
 def test_a_null_publisher_numbers_and_checks(monkeypatch: pytest.MonkeyPatch) -> None:
