@@ -11,7 +11,7 @@ import heapq
 import itertools
 import socket
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Protocol, cast
+from typing import Any, Literal, cast
 
 from proto.messages import InputHealth, Message
 from proto.network_messages import LinkKey
@@ -37,6 +37,7 @@ from services.runtime.datagram.body import (
 from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import Outgoing
 from services.runtime.datagram.pacing import NETWORK_BYTES
+from services.runtime.datagram.place import Address, Outlets, Place
 from services.runtime.datagram.play_out import PlayOut
 from services.runtime.datagram.reception import Reception, Way
 from services.runtime.datagram.report import network_report
@@ -69,34 +70,6 @@ _NARROW = 600_000
 # payloads of the other end that a repetition is compared with
 _REMEMBERED = 16
 _RECEIVE_BUFFER_BYTES = 1 << 20
-Address = tuple[Any, ...]
-
-
-class Outlet(Protocol):
-    """What an end publishes its keys and its reports with."""
-
-    def publish(self, topic: str, **fields: Any) -> Message:
-        """Send a message on a topic; the header is filled in."""
-
-
-class Outlets(NamedTuple):
-    """Where an end publishes: its public keys, so that the other end receives them; its reports, at its own site."""
-
-    keys: Outlet
-    reports: Outlet
-
-
-class Place(NamedTuple):
-    """Where an end binds, and where it finds the other one: None until something of it was received.
-
-    `relay`: the way to the other end where both can only dial out.
-    """
-
-    family: socket.AddressFamily
-    bind: Address
-    peer: Address | None
-    port: int
-    relay: RelayPath | None = None
 
 
 class DatagramEnd:

@@ -10,7 +10,8 @@ from proto.nodes import FAR_END, LINK
 from services.runtime.bus.address_book import AddressBook, split_tcp
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.datagram.end import DatagramEnd, Outlets, Place
+from services.runtime.datagram.end import DatagramEnd
+from services.runtime.datagram.place import Outlets, Place
 from services.runtime.relay.path import RelayPath
 from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
 from services.runtime.security.access_control import AccessControl, relay_key

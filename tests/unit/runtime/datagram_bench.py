@@ -13,7 +13,8 @@ from proto import compose
 from proto.messages import Message
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import Received, Subscriber
-from services.runtime.datagram.end import DatagramEnd, Outlets, Place
+from services.runtime.datagram.end import DatagramEnd
+from services.runtime.datagram.place import Outlets, Place
 from services.runtime.loop.clock import VirtualClock
 
 STEP_NS = 10_000_000
