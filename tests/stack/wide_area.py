@@ -9,7 +9,8 @@ runs `fig12` once at both sites and prints what became of it as a line of JSON.
     python tests/stack/wide_area.py --delay-ms 20 --loss 0.02 --jitter-ms 10 [--in-order]
 
 do so over a line of a rate, with losses in bursts, and with jitter. With a rate each site records its own, and the
-slave's recording is fetched over a line of any width after the session.
+slave's recording is fetched over a line of any width after the session. `--first-hold 1.8` gives the first hold of the
+programme 1.8 s in the place of 1.4, which `passivity` needs to come to rest in it over a wide line.
 
     python tests/stack/wide_area.py --table cells.jsonl --laws all --delays-ms 10,50 --losses 0,0.02,0.05
 
@@ -50,6 +51,9 @@ ENDS = {"master": "delay_node@master", "slave": "controller@slave"}
 TUN_CABLE = Path(__file__).with_name("tun_cable.py")
 # the programme of fig12 lets go at 4.6 s
 DURATION_S = 5.0
+# Where the hand's force changes in it before its first hold, and after it [s, N]; and how long it takes after it.
+BEFORE_HOLD, AFTER_HOLD = ((0.8, 0.0), (1.2, 1.0)), ((0.0, 1.0), (0.3, 2.0), (1.9, 2.0), (2.0, 0.0))
+AFTER_HOLD_S = 2.3
 # a cable that was later than this is no measurement of the link: of the packets that it handed over more than 1 ms
 # late, and of the time for which it got no processor [ms]
 LATE_SHARE, HELD_UP_MS = 0.01, 10.0
@@ -123,31 +127,33 @@ def recording_of(folder: Path) -> Path:
     return max(folder.glob("session*.mcap"), key=lambda path: path.stat().st_size)
 
 
-def one_way_ms(folder: Path) -> dict[str, float]:
-    """Give what the end at a site measured of the direction that it receives."""
+def one_way_ms(folder: Path, begin_ns: int, end_ns: int) -> dict[str, float]:
+    """Give what the end at a site measured of the direction that it receives, between two times."""
     recording = recording_of(folder)
     # the master's recorder has what the slave's end reports as well
-    own: list[Any] = [
-        message.decode()
-        for message in Recording(recording).messages()
-        if message.topic == "link/network" and message.src == ENDS[folder.name]
-    ]
-    if not own:
+    found = [message for message in Recording(recording).messages() if message.topic == "link/network"]
+    own: list[tuple[int, Any]] = [(m.publish_ns, m.decode()) for m in found if m.src == ENDS[folder.name]]
+    own = [(at_ns, report) for at_ns, report in own if begin_ns <= at_ns < end_ns]
+    if len(own) < 2:
         return {}
-    delays = np.concatenate([report.delay_ns.to_numpy()[report.lost_flag.to_numpy() == 0] for report in own]) * 1e-6
+    reports = [report for _, report in own]
+    rows = [report.delay_ns.to_numpy()[report.lost_flag.to_numpy() == 0] for report in reports]
+    delays = np.concatenate(rows) * 1e-6
     if not delays.size:
-        # over a line that is full from the beginning, reports come without the fate of each datagram
-        delays = np.array([report.delay_mean_s * 1e3 for report in own])
+        # over a line that is full, reports that cross it come without the fate of each datagram
+        delays = np.array([report.delay_mean_s * 1e3 for report in reports])
     p50, p99 = np.percentile(delays, (50, 99))
-    last = own[-1]
+    (first_ns, first), (last_ns, last) = own[0], own[-1]
     return {
         "p50": round(float(p50), 2),
         "p99": round(float(p99), 2),
         "max": round(float(delays.max()), 2),
+        "means_max": round(max(report.delay_mean_s for report in reports) * 1e3, 2),
+        "per_s": round((last.sent - first.sent) * 1e9 / (last_ns - first_ns)),
         "sent": last.sent,
         "lost": last.lost,
         "late": last.late,
-        "repeats": max(report.repeats for report in own),
+        "repeats": max(report.repeats for report in reports),
         "uncertainty": round(last.clock.uncertainty_s * 1e3, 2),
     }
 
@@ -177,12 +183,13 @@ def fig12(
     measured: Path | None = None,
     duration_s: float = DURATION_S,
     rules: Mapping[str, float | bool] | None = None,
+    first_hold_s: float | None = None,
 ) -> dict[str, Any]:
     """Run fig12 at both sites and give what became of it.
 
     Parameters: injected, the network is perfect and the link injects delay and loss in its place; seed, of the losses;
     probe_into, folder for what `telenano link probe` makes meanwhile; measured, such a folder, injected in their place;
-    rules, further ones of the cable.
+    rules, further ones of the cable; first_hold_s, a length of the programme's first hold, None is its own.
     """
     injected = injected or measured is not None
     folder.mkdir(parents=True, exist_ok=True)
@@ -193,6 +200,13 @@ def fig12(
     far = "fetch" if rules.get("rate_bit_per_s") else "stream"
     law_of = ["--set", f"controller.law={law}", "--set", f"recorder.far={far}"]
     chosen = {site: [*law_of, "--set", f"recorder.exclude={json.dumps(EXCLUDED[site])}"] for site in EXCLUDED}
+    if first_hold_s is not None:
+        held_s = BEFORE_HOLD[-1][0] + first_hold_s
+        corners = [*BEFORE_HOLD, *((held_s + time_s, force_n) for time_s, force_n in AFTER_HOLD)]
+        points = [{"time_s": time_s, "force_n": force_n} for time_s, force_n in corners]
+        operator = {"kind": "force_profile", "points": points}
+        chosen["master"][:0] = ["--set", f"haptic_node.operator={json.dumps(operator)}"]
+        duration_s = max(duration_s, held_s + AFTER_HOLD_S)
     cable.change(**rules)
     network = {
         f"{way}.{key}": value
@@ -223,18 +237,20 @@ def fig12(
             done = rig.master.telenano("link", "probe", "--duration", "3", "--out", str(probe_into))
             assert done.returncode == 0, done.stderr
         assert rig.master.process is not None
+        # What follows, such as the fetch of a recording, is no part of the measurement.
+        rig.wait_until(lambda: "\nstopping\n" in rig.master.log.read_text(), "the end of the session", 60.0)
+        counts, end_ns = cable.change(), time.time_ns()
         if far == "fetch":
-            # The recording that is fetched after the session is no part of the measurement.
-            rig.wait_until(lambda: "fetching what" in rig.master.log.read_text(), "the end of the session", 60.0)
-        counts = cable.change(rate_bit_per_s=0.0)
+            rig.wait_until(lambda: "fetching what" in rig.master.log.read_text(), "the nodes to have stopped", 60.0)
+            cable.change(rate_bit_per_s=0.0)
         rig.master.process.wait(timeout=60.0)
-        cable_late = lateness(counts, before, begin_ns, time.time_ns())
+        cable_late = lateness(counts, before, begin_ns, end_ns)
         rig.slave.stop()
         summary = rig.master.summary()
         recording = recording_of(rig.slave.out)
         events = events_of_session(recording)
         deadlines = [event for event in events if "command_deadline" in str(event["data"].get("reason", ""))]
-        delays = {site.name: one_way_ms(site.out) for site in (rig.master, rig.slave)}
+        delays = {site.name: one_way_ms(site.out, begin_ns, end_ns) for site in (rig.master, rig.slave)}
         return {
             "delay_ms": delay_ms,
             "loss": loss,
@@ -245,6 +261,7 @@ def fig12(
             "hold_ratio": summary["hold_ratio"],
             "verdict": summary["verdict"],
             "reason": summary["reason"],
+            "holds": [hold["verdict"] for hold in summary["holds"]],
             "loop_age_ms": summary["loop_age_ms"],
             "one_way_ms_at": delays,
             "injected_ms": injected_ms(rig.master.out) if measured is not None else {},
@@ -345,6 +362,7 @@ def main() -> None:
     parser.add_argument("--in-order", action="store_true")
     parser.add_argument("--burst", type=float, default=1.0, help="mean run of losses in packets")
     parser.add_argument("--duration", type=float, default=DURATION_S)
+    parser.add_argument("--first-hold", type=float, help="length of the programme's first hold [s]")
     parser.add_argument("--transport", default="auto")
     parser.add_argument("--injected", action="store_true")
     parser.add_argument("--seed", type=int, default=1)
@@ -373,6 +391,7 @@ def main() -> None:
             injected=given.injected,
             seed=given.seed,
             duration_s=given.duration,
+            first_hold_s=given.first_hold,
             rules={
                 "rate_bit_per_s": given.rate_mbit * 1e6,
                 "queue_bytes": given.queue_bytes,

@@ -45,3 +45,26 @@ def test_a_law_rests_in_contact_over_1_mbit_each_way(tmp_path: Path, law: str, s
         settings[f"delay_node.{direction}.order"] = "link"
     session = simulate_scenario("fig12", law=law, delay_ms=20.0, duration_s=5.0, settings=settings)
     assert session.verdict in AT_REST[law]
+
+
+def test_passivity_rests_with_few_samples_and_lands_later(tmp_path: Path) -> None:
+    landed_s = []
+    # with every sample, every third and every fifth; the same with pauses of 12 ms that take 24 ms to go
+    for pauses in (False, True):
+        for each in (1, 3, 5):
+            settings: dict[str, object] = {}
+            (tmp_path / "loss").write_text("".join(f"{n} {int(n % each != 0)}\n" for n in range(1001 - 1001 % each)))
+            (tmp_path / "delay").write_text("0 0.012\n0.012 0.007\n0.024 0.003\n0.036 0\n0.0624 0\n")
+            for direction in ("forward", "backward"):
+                settings[f"delay_node.{direction}.loss_trace.file"] = str(tmp_path / "loss")
+                settings[f"delay_node.{direction}.loss_trace.by"] = "number"
+                settings[f"delay_node.{direction}.order"] = "link"
+                if pauses:
+                    settings[f"delay_node.{direction}.delay_trace.file"] = str(tmp_path / "delay")
+            session = simulate_scenario("fig12", law="passivity", delay_ms=20.0, duration_s=5.0, settings=settings)
+            assert session.verdict in {"settling", "cannot_say"}, session.reason
+            assert session.holds[2].verdict == "stable"
+            assert session.holds[2].peak_to_peak_n < 1e-3
+            landed_s.append(float(session["time_s"][int(session["in_contact"].argmax())]))
+    assert landed_s[0] < landed_s[1] < 2.4
+    assert landed_s[3] < landed_s[4] < 2.4
