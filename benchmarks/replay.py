@@ -47,6 +47,8 @@ from services.runtime.loop.clock import SystemClock
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000
+# between the sending of a message and its reception by the recorder
+LAG_NS = 20_000
 # what is sent at 1 kHz in a rig of this design, and two more of the link, so that there are ten
 STREAMS = (
     ("haptic/state", "haptic_node@master", "master"),
@@ -72,10 +74,9 @@ def ordinary(topic: str) -> Message:
     return type(example).model_validate(example.model_dump() | {"clock": clock})
 
 
-def typical(topic: str, src: str, seq: int) -> Message:
-    """Give a message of usual size."""
-    example = ordinary(topic)
-    return example.model_copy(update={"seq": seq, "t_ns": EPOCH_NS + seq * PERIOD_NS, "src": src})
+def typical(topic: str, src: str, seq: int, t_ns: int) -> Message:
+    """Give a message of usual size that was sent at a time [ns]."""
+    return ordinary(topic).model_copy(update={"seq": seq, "t_ns": t_ns, "src": src})
 
 
 def make_recording(folder: Path, seconds: float) -> Path:
@@ -84,9 +85,9 @@ def make_recording(folder: Path, seconds: float) -> Path:
     channels = [writer.channel(topic, src, site) for topic, src, site in STREAMS]
     for seq in range(round(seconds * 1000)):
         for number, (topic, src, _) in enumerate(STREAMS):
-            log_ns = EPOCH_NS + seq * PERIOD_NS + number * PERIOD_NS // (2 * len(STREAMS))
-            message = typical(topic, src, seq)
-            writer.write(channels[number], log_ns, message.t_ns, seq, encode(message))
+            # A player plays at the times of sending, and so the messages of a tick have different ones, as in a rig.
+            t_ns = EPOCH_NS + seq * PERIOD_NS + number * PERIOD_NS // (2 * len(STREAMS))
+            writer.write(channels[number], t_ns + LAG_NS, t_ns, seq, encode(typical(topic, src, seq, t_ns)))
         if seq % 200 == 199:
             writer.flush()
     writer.finish()

@@ -159,6 +159,9 @@ class SessionNode(RigNode):
             self._last_messages.record(received.message)
             for recording in self._external:
                 recording.on_health(received.message)
+        if self.phase == "arming":
+            # A person waits for the session: each command follows the answer to the one before, and not the next tick.
+            self.advance()
 
     def on_event(self, event: SessionEvent) -> None:
         for recording in self._external:

@@ -266,7 +266,6 @@ class NodeLoop:
         # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
         # may have been ended before it could send.
         self._may_be_kept = True
-        self._own_stops = 0
         self._lateness = LatenessWindow()
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
@@ -274,10 +273,9 @@ class NodeLoop:
         # threads of equal priority share its processor
         self._yields = realtime.fifo
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
-        self._last_cpu_s = time.process_time()
+        self._last_cpu_s, self._receives_all = time.process_time(), False
         self._health: dict[str, Any] = {}
-        self._last_steps = 0
-        self._rejected_seen = 0
+        self._last_steps = self._rejected_seen = self._own_stops = 0
 
     def run(self) -> None:
         """Run until a stop is requested, then leave the node safe whatever happened."""
@@ -402,8 +400,9 @@ class NodeLoop:
 
     def _defer_report(self, now_ns: int) -> None:
         """Add the tasks of a report: what node/health says, the message, and the batch of the journal."""
-        # a node that runs is in a session, whose loop pays for each report
-        starting = now_ns - self._started_ns < _STARTING_NS and self.node.state != "running"
+        # a node that runs and receives its inputs is in a session, whose loop pays for each report
+        is_waited_for = self.node.state != "running" or not self._receives_all
+        starting = is_waited_for and now_ns - self._started_ns < _STARTING_NS
         self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
         self._may_be_kept = True
         self._deferred.add(self._measure_health)
@@ -489,6 +488,7 @@ class NodeLoop:
             "inputs": self._bus.input_health(),
             **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
         }
+        self._receives_all = all(row.age_valid or not TOPICS[row.topic].rate_hz for row in self._health["inputs"])
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
 
     def _send_health(self) -> None:

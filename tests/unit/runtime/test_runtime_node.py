@@ -233,6 +233,22 @@ def test_a_process_whose_session_runs_reports_twice_a_second() -> None:
     assert [(h.t_ns - 10**18) // MS for h in rig.health] == [*range(5, 1006, 100), 1505, 2005]
 
 
+def test_a_process_that_runs_reports_as_often_as_at_first_until_it_receives_every_input() -> None:
+    rig = Rig(period_ns=MS)
+    rig.node.state = "running"
+    silent = InputHealth(
+        topic="afm/state", src="", received=0, lost=0, gaps=0, repeated=0, restarts=0, age_valid=False, age_s=0.0
+    )
+    rig.bus.input_health = lambda: (silent,)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, starting_period_ns=100 * MS)
+    rig.run_until(300 * MS)
+    heard = silent.model_copy(update={"received": 1, "age_valid": True})
+    # a topic without a rate is waited for by nobody
+    rig.bus.input_health = lambda: (heard, silent.model_copy(update={"topic": "afm/scanline"}))
+    rig.run_until(1500 * MS)
+    assert [(h.t_ns - 10**18) // MS for h in rig.health] == [5, 105, 205, 305, 405, 905, 1405]
+
+
 def test_lateness_and_overruns_are_reported() -> None:
     rig = Rig(period_ns=MS)
     rig.bus.oversleep_ns = 100_000
