@@ -5,6 +5,7 @@ A message is one msgpack map with a string key a field. Any bytes decode to a me
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import msgpack
@@ -14,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, SessionControl
 from proto.ranges import any_range, is_out_of_range, limited
 from proto.topics import TOPICS, Topic
-from proto.typed import typed_form, typed_rows
+from proto.typed import typed_form, typed_header, typed_rows
 
 MAX_MESSAGE_BYTES = 1 << 20
 # The limit is for a message without maps and arrays of data inside; the longest has 500.
@@ -149,7 +150,7 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
     return (seq, t_ns, src), fields
 
 
-class _Header(msgspec.Struct, gc=False):
+class Header(msgspec.Struct, gc=False):
     """What every message begins with; `v` is the version of its schema."""
 
     seq: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
@@ -158,7 +159,9 @@ class _Header(msgspec.Struct, gc=False):
     v: Annotated[int, msgspec.Meta(ge=1)]
 
 
-_decode_header_alone = msgspec.msgpack.Decoder(_Header).decode
+# It does not look at the version, the length and the form of `src`, and raises any of HEADER_ERRORS.
+decode_header_alone = msgspec.msgpack.Decoder(Header).decode
+HEADER_ERRORS = (msgspec.MsgspecError, KeyError, ValueError, RecursionError)
 
 
 def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
@@ -169,14 +172,28 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
     and a key that is there twice, is left to whoever decodes the message. Raises WireError as `decode` does.
     """
     try:
-        header = _decode_header_alone(payload)
+        header = decode_header_alone(payload)
         form = _FORMS[topic]
         if header.v <= form.version and len(payload) <= form.most_bytes:
             return header.seq, header.t_ns, header.src
-    except (msgspec.MsgspecError, KeyError, ValueError, RecursionError):
+    except HEADER_ERRORS:
         # the error of the other way names what is wrong
         pass
     return decode_header(topic, payload)[0]
+
+
+@cache
+def header_check(topic: str) -> Callable[[bytes], tuple[int, int, str] | None]:
+    """Return what finds seq, t_ns and src of a payload without making a message of it.
+
+    It returns None for a payload that it leaves to `decode`: what is not valid, and some of what is.
+    """
+    form = _FORMS.get(topic)
+    return (form and typed_header(form.model, form.most_bytes)) or _leave
+
+
+def _leave(payload: bytes) -> None:
+    return None
 
 
 @dataclass(frozen=True, slots=True)

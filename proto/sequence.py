@@ -58,17 +58,18 @@ class SequenceTracker:
 
     def accept(self, seq: int, t_ns: int) -> Arrival:
         """Record a message and return how it relates to those before it."""
-        arrival = _NEXT
-        if self.received and (seq != self.last_seq + 1 or self.ended):
-            arrival = self._classify(seq, t_ns)
-            if arrival is Arrival.DUPLICATE:
-                return arrival
-            if arrival is Arrival.LATE:
-                self.received += 1
-                return arrival
+        if (seq == self.last_seq + 1 and not self.ended) or not self.received:
+            self.received += 1
+            self.last_seq = seq
+            self.last_t_ns = t_ns
+            return _NEXT
+        arrival = self._classify(seq, t_ns)
+        if arrival is Arrival.DUPLICATE:
+            return arrival
         self.received += 1
-        self.last_seq = seq
-        self.last_t_ns = t_ns
+        if arrival is not Arrival.LATE:
+            self.last_seq = seq
+            self.last_t_ns = t_ns
         return arrival
 
     def finish(self, sent: int) -> int:

@@ -5,6 +5,8 @@ publishes. Whatever is not perfectly in order is left to the declared models, wh
 what this accepts they accept, with the same values and bytes, and it refuses nothing.
 """
 
+import re
+import sys
 from collections.abc import Callable, Mapping
 from types import UnionType
 from typing import (
@@ -24,10 +26,10 @@ from typing import (
 import msgpack
 import msgspec
 from annotated_types import Ge, Le, Lt, MaxLen
-from pydantic import BaseModel
+from pydantic import BaseModel, FailFast
 from pydantic.fields import FieldInfo
 
-from proto.messages import Message
+from proto.messages import SOURCE_PATTERN, Message, Scalar
 from proto.ranges import Range
 
 # Texts with a pattern that the declared model has accepted, such as the few names of nodes.
@@ -111,6 +113,99 @@ def typed_rows(model: type[Message], most_bytes: int) -> TypedForm | None:
             sources.add(message.src)
 
     return TypedForm(lambda payload: None, lambda payload: None, compose, note)
+
+
+def typed_header(model: type[Message], most_bytes: int) -> Callable[[bytes], tuple[int, int, str] | None] | None:
+    """Return what returns seq, t_ns and src of a payload that is valid as a whole, and None for one that it leaves.
+
+    For those who check messages and do nothing with them, of records, maps and texts as well; None where the model has
+    more than that. What msgspec makes of the payload is encoded again, and has to be these bytes: so no key came twice,
+    and no number was converted.
+    """
+    record = _record(model)
+    if record is None:
+        return None
+    decode, encode = msgspec.msgpack.Decoder(record).decode, msgspec.msgpack.Encoder().encode
+    is_source = re.compile(SOURCE_PATTERN).fullmatch
+    sources: set[str] = set()
+
+    def header(payload: bytes) -> tuple[int, int, str] | None:
+        if len(payload) > most_bytes:
+            return None
+        try:
+            found: Any = decode(payload)
+        except _REFUSALS:
+            return None
+        if encode(found) != payload:
+            return None
+        if found.src not in sources:
+            # the few names of nodes, of which the pattern takes as long as all the rest
+            if not is_source(found.src) or len(sources) >= _MOST_TEXTS:
+                return None
+            sources.add(found.src)
+        return found.seq, found.t_ns, found.src
+
+    return header
+
+
+def _record(model: type[BaseModel]) -> Any:
+    """Return the type that msgspec decodes a record as, checked as a whole; None for one with validators of its own."""
+    validators = model.__pydantic_decorators__
+    additions = model.additions if issubclass(model, Message) else ()
+    if validators.model_validators or validators.field_validators or validators.validators:
+        return None
+    columns: list[tuple[str, Any] | tuple[str, Any, None]] = []
+    for name, field in model.model_fields.items():
+        form = _checked(field.annotation, tuple(field.metadata))
+        if issubclass(model, Message) and name in ("v", "src"):
+            form = Annotated[str, msgspec.Meta(max_length=64)]
+            form = form if name == "src" else Annotated[int, msgspec.Meta(ge=1, le=model.version)]
+        if form is None or field.is_required() is (name in additions):
+            return None
+        # None stands for a key that is absent, and is never on the wire.
+        columns.append((name, form, None) if name in additions else (name, form))
+    return msgspec.defstruct(
+        model.__name__, columns, forbid_unknown_fields=True, gc=False, kw_only=True, omit_defaults=True
+    )
+
+
+def _checked(annotation: Any, metadata: tuple[Any, ...] = ()) -> Any:
+    """Return the type that msgspec checks a field as, None for one that is left to the declared model."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _checked(parts[0], (*_rules(annotation.__metadata__), *metadata))
+    if annotation == Scalar:
+        # what the declared model has beside it makes its error shorter
+        return bool | int | Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)] | str
+    metadata = tuple(rule for rule in metadata if not isinstance(rule, FailFast))
+    if annotation is str:
+        return _checked_text(metadata)
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return None if metadata else _record(annotation)
+    if origin in (Union, UnionType) and len(parts) == 2 and parts[1] is type(None):
+        form = _checked(parts[0], metadata)
+        return None if form is None else form | None
+    if origin is dict or (origin is tuple and parts[1:] == (Ellipsis,)):
+        item = _checked(parts[origin is dict])
+        if item is None or len(metadata) != 1 or not isinstance(metadata[0], MaxLen):
+            return None
+        whole = cast(Any, dict)[str, item] if origin is dict else cast(Any, tuple)[item, ...]
+        return Annotated[whole, msgspec.Meta(max_length=metadata[0].max_length)]
+    return _form(annotation, metadata)
+
+
+def _checked_text(metadata: tuple[Any, ...]) -> Any:
+    rules: dict[str, Any] = {}
+    for rule in metadata:
+        pattern = getattr(rule, "pattern", None)
+        if isinstance(rule, MaxLen):
+            rules["max_length"] = rule.max_length
+        elif isinstance(pattern, str) and pattern.endswith("$"):
+            # At the end of a text Python's $ permits a new line, and that of the declared model does not.
+            rules["pattern"] = pattern[:-1] + r"\Z"
+        else:
+            return None
+    return Annotated[str, msgspec.Meta(**rules)] if rules else str
 
 
 def _columns(field: FieldInfo) -> tuple[type[BaseModel], Any] | None:

@@ -23,6 +23,9 @@ _SEQUENCE_MASK = 0xFFFF_FFFF
 # opcode and length
 _HEAD_BYTES = 9
 _FIXED_BYTES = _MESSAGE.size - _HEAD_BYTES
+_RECORD_BYTES = _MESSAGE.size
+# time of reception and place of a message in an index
+_ENTRY_BYTES = 16
 # opcode, length of what follows, channel, size of the index
 _INDEX_HEAD = struct.Struct("<BQHI")
 
@@ -105,11 +108,11 @@ class MessageWriter(Writer):
         if not self.is_quick:
             super().add_message(channel_id, log_time, data, publish_time, sequence)
             return
-        length = _FIXED_BYTES + len(data)
-        self._append(_pack_message(_MESSAGE_OPCODE, length, channel_id, sequence, log_time, publish_time))
+        size = len(data)
+        self._append(_pack_message(_MESSAGE_OPCODE, _FIXED_BYTES + size, channel_id, sequence, log_time, publish_time))
         self._append(data)
-        self._size += _HEAD_BYTES + length
-        if self._size > self._chunk_size:
+        self._size = size = self._size + _RECORD_BYTES + size
+        if size > self._chunk_size:
             self._join()
             self._end_chunk()
             self._size = 0
@@ -151,19 +154,22 @@ class MessageWriter(Writer):
         chunk, counts = self._chunk, self._counts
         heads = np.frombuffer(b"".join(self._parts[::2]), dtype=_HEADS)
         ends = chunk.record_writer.count + np.cumsum(heads["length"] + np.uint64(_HEAD_BYTES))
-        entries = np.column_stack((heads["log_ns"], ends - heads["length"] - np.uint64(_HEAD_BYTES)))
+        entries = np.column_stack((heads["log_ns"], ends - heads["length"] - np.uint64(_HEAD_BYTES))).astype("<u8")
         chunk.record_writer.write(b"".join(self._parts))
         self._parts.clear()
-        channels, firsts = np.unique(heads["channel"], return_index=True)
+        by_channel = np.argsort(heads["channel"], kind="stable")
+        channels, packed = heads["channel"][by_channel], entries[by_channel].tobytes()
+        starts = np.flatnonzero(np.diff(channels, prepend=-1))
+        ends_of = np.append(starts[1:], len(channels))
         # in the order in which the channels come in the chunk
-        for channel in channels[np.argsort(firsts)].tolist():
-            own = entries[heads["channel"] == channel]
-            packed = own.astype("<u8").tobytes()
+        for which in np.argsort(by_channel[starts]).tolist():
+            channel, start, end = int(channels[starts[which]]), int(starts[which]), int(ends_of[which])
+            own = packed[start * _ENTRY_BYTES : end * _ENTRY_BYTES]
             if channel in chunk.message_indices:
-                chunk.message_indices[channel].extend(packed)
+                chunk.message_indices[channel].extend(own)
             else:
-                chunk.message_indices[channel] = _ChannelIndex(channel, packed)
-            counts.channel_message_counts[channel] += len(own)
+                chunk.message_indices[channel] = _ChannelIndex(channel, own)
+            counts.channel_message_counts[channel] += end - start
         first_ns, last_ns = int(heads["log_ns"].min()), int(heads["log_ns"].max())
         for bounds, count in ((counts, counts.message_count), (chunk, chunk.num_messages)):
             bounds.message_start_time = first_ns if count == 0 else min(bounds.message_start_time, first_ns)

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import IO, Annotated, Literal, Protocol
 
@@ -209,8 +210,7 @@ class RecordingWriter:
         with self._guarded():
             name = model.__name__
             if name not in self._schemas:
-                data = json.dumps(model.model_json_schema(), sort_keys=True).encode()
-                self._schemas[name] = self._mcap.register_schema(name, "jsonschema", data)
+                self._schemas[name] = self._mcap.register_schema(name, "jsonschema", _schema_of(model))
             return self._mcap.register_channel(topic, "msgpack", self._schemas[name], metadata)
 
     def _sync_and_measure(self) -> None:
@@ -230,6 +230,12 @@ class RecordingWriter:
         # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
         self.abandon()
         return RecordingError(f"{self.path}: cannot be written: {error.strerror or error}")
+
+
+@cache
+def _schema_of(model: type[Record]) -> bytes:
+    """Return the JSON Schema of a message, which each file of a recording has and which takes milliseconds to make."""
+    return json.dumps(model.model_json_schema(), sort_keys=True).encode()
 
 
 def _identity(found: os.stat_result) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header, read_header
 from proto.batch import BATCH_TOPIC, read_batch
+from proto.codec import HEADER_ERRORS, decode_header_alone, largest_bytes
 from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
@@ -122,6 +123,35 @@ class Intake:
         Frames that are not a message are counted by the subscriber and recorded on `recorder/rejected`.
         """
         self.received += 1
+        try:
+            frame, payload = frames
+            header = decode_header_alone(payload)
+            stream = listener.streams[frame, header.src]
+        except HEADER_ERRORS:
+            return self._record(listener, frames, received_ns)
+        channel, writer = stream.channel, self.writer
+        if (
+            channel is None
+            or writer is None
+            or self._ended
+            or not stream.is_plain
+            or header.v > stream.version
+            or len(payload) > stream.most_bytes
+        ):
+            return self._record(listener, frames, received_ns)
+        # the common case by itself: all that is known of a stream is looked up once
+        self._newest_ns = received_ns
+        if (arrival := stream.tracker.accept(header.seq, header.t_ns)) is not _NEXT:
+            self._note_arrival(stream, arrival, header.seq, received_ns)
+        self.written += 1
+        try:
+            writer.add(channel, received_ns, payload, header.t_ns, header.seq)
+        except OSError as error:
+            self._stop(writer.failure(error))
+        return None
+
+    def _record(self, listener: Listener, frames: Sequence[bytes], received_ns: int) -> Received | None:
+        """Record any message."""
         writer = self.writer
         try:
             topic, payload = _TOPIC_NAMES.get(frames[0]), frames[-1]
@@ -144,12 +174,7 @@ class Intake:
             if stream.wanted:
                 if arrival is not _NEXT:
                     self._note_arrival(stream, arrival, seq, received_ns)
-                # the common case without an Entry, which would cost as much as the header
-                if writer is not None and stream.channel is not None:
-                    self.written += 1
-                    writer.add(stream.channel, received_ns, payload, t_ns, seq)
-                else:
-                    self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
+                self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
             if self._ended and stream.direct:
                 # one that is received again was started again
                 self._ended.discard(src)
@@ -301,7 +326,10 @@ class Intake:
         tracker = listener.subscriber.tracker(row.name, src)
         name = channel_topic(row.name, src, site)
         direct = site_of(src) == site
-        stream = Stream(row, name, src, site, None, direct, direct and live, self._selection.names(name), tracker)
+        wanted = self._selection.names(name)
+        is_plain = wanted and row.name not in self._decoded and listener.subscriber.permit is None
+        limits = row.model.version, largest_bytes(row.name)
+        stream = Stream(row, name, src, site, None, direct, direct and live, wanted, tracker, is_plain, *limits)
         listener.streams[frame, src] = stream
         self._streams.append(stream)
         return stream

@@ -31,6 +31,7 @@ class Stream:
     """What one publisher sends on one topic, received at one site.
 
     `live`: received at its publisher, with the stamps of this time: no queue is as long as those of a replay are old.
+    `is_plain`: its messages are recorded and mean nothing to the recorder, up to this `version` and `most_bytes`.
     """
 
     topic: Topic
@@ -42,6 +43,9 @@ class Stream:
     live: bool
     wanted: bool
     tracker: SequenceTracker
+    is_plain: bool
+    version: int
+    most_bytes: int
 
 
 @dataclass

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from pydantic import Field, ValidationError
 
-from proto import TOPICS, Message, WireError, accept, compose, encode
-from proto.codec import _TYPED, MAX_PLAIN_BYTES
+from proto import TOPICS, Message, WireError, accept, compose, decode, encode
+from proto.codec import _TYPED, MAX_PLAIN_BYTES, header_check
 from proto.contract import WITH_ADDITIONS, examples
 from proto.messages import AfmCommand, AfmState, LinkFate, LinkFates
 from proto.ranges import POSITION, limited
@@ -381,3 +381,75 @@ def test_what_the_link_says_stays_in_range() -> None:
 @pytest.mark.parametrize("topic", ["node/health", "node/journal", "link/status", "haptic/state"])
 def test_only_scalars_and_one_array_of_records_are_rows(topic: str) -> None:
     assert typed_rows(TOPICS[topic].model, MAX_PLAIN_BYTES) is None
+
+
+CHECKED = ("haptic/state", "teleop/forward", "law/status", "link/status", "link/fates", "node/health", "session/event")
+
+
+@pytest.mark.parametrize("topic", CHECKED)
+def test_ordinary_messages_are_found_valid_without_a_message(topic: str) -> None:
+    for case in ("minimal", "ordinary", "nil", "highest", "unicode"):
+        message = examples(TOPICS[topic])[case]
+        assert header_check(topic)(encode(message)) == (message.seq, message.t_ns, message.src), case
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_what_a_header_check_takes_the_declared_model_takes_as_well(topic: str) -> None:
+    rng, taken = random.Random(topic), 0
+    for message in examples(TOPICS[topic]).values():
+        payload = encode(message)
+        for attempt in range(30):
+            found = header_check(topic)(payload if attempt == 0 else (wrong := corrupted(payload, rng)))
+            if found is not None:
+                accepted = decode(topic, payload if attempt == 0 else wrong)
+                assert found == (accepted.seq, accepted.t_ns, accepted.src)
+                taken += 1
+    assert taken or topic in UNCHECKED
+
+
+# what they hold has validators of its own, or texts that only the declared model judges
+UNCHECKED = ("afm/particles", "afm/scanline", "node/journal", "recording/piece", "experiment/cue", "link/network")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"data": {"age_s": math.nan}},
+        {"data": {"age_s": math.inf}},
+        {"src": "launcher@master\n"},
+        {"src": "Launcher@master"},
+        {"src": "a" * 64 + "@master"},
+        {"id": "twice\n"},
+        {"text": "x" * 4097},
+        {"level": "fatal"},
+        {"data": [1]},
+        {"further": 1},
+        {"v": 2},
+        {"seq": -1},
+    ],
+)
+def test_what_no_message_may_hold_is_left_to_the_declared_model(change: dict[str, Any]) -> None:
+    topic = "session/event"
+    fields = examples(TOPICS[topic])["ordinary"].model_dump()
+    assert header_check(topic)(msgpack.packb(fields)) is not None
+    payload = msgpack.packb({**fields, **change})
+    assert header_check(topic)(payload) is None
+    with pytest.raises(WireError):
+        decode(topic, payload)
+
+
+def test_a_key_twice_and_text_that_is_not_unicode_are_left_to_the_declared_model() -> None:
+    topic = "session/event"
+    fields = examples(TOPICS[topic])["ordinary"].model_dump() | {"data": {"a": 1.0, "b": 2.0}, "text": "text"}
+    payload = msgpack.packb(fields)
+    assert header_check(topic)(payload) is not None
+    for old, new in (
+        (b"\xa1b", b"\xa1a"),
+        (b"\xa4text\xa4text", b"\xa4text\xa4te\xff\xff"),
+        (b"\xa4text", b"\xa4data"),
+    ):
+        assert old in payload
+        wrong = payload.replace(old, new, 1)
+        assert header_check(topic)(wrong) is None
+        with pytest.raises(WireError):
+            decode(topic, wrong)
