@@ -28,8 +28,8 @@ _LEAST_HORIZON_NS = 3 * _NS // 2
 # The link reports the fate of a message within a tenth of a second, and the report may lag as well.
 _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
-# messages that are read and sorted together: a player stands still for it
-_READ_AT_ONCE = 64
+# messages that are read and sorted together: a player stands still for it, less where it reads ahead
+_READ_AT_ONCE, _READ_AHEAD = 64, 16
 # below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
 _FAST_HZ = 100.0
 
@@ -122,7 +122,6 @@ class SenderOrder:
         self._read_ns = 0
         self._most_lag_ns = 0
         self._place = 0
-        self._read_before = 0
         # The delay that the link reported last, by channel, or else the least that was seen.
         self._delay_ns: dict[RecordedChannel, int] = {}
         self._exhausted = False
@@ -144,6 +143,13 @@ class SenderOrder:
         """Move past the next message."""
         self._ready.popleft()
 
+    def read_ahead(self, least: int) -> bool:
+        """Read a few messages on unless so many are ready; return whether there may be more to read."""
+        if len(self._ready) >= least or self._exhausted:
+            return False
+        self._read_on(_READ_AHEAD)
+        return True
+
     def __iter__(self) -> Iterator[Sent]:
         while (found := self.peek()) is not None:
             self.pop()
@@ -158,14 +164,14 @@ class SenderOrder:
     def _needs(self, channel: RecordedChannel) -> bool:
         return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
 
-    def _read_on(self) -> None:
+    def _read_on(self, count: int = _READ_AT_ONCE) -> None:
         """Read a number of messages, sort what is pending, and make ready what nothing can have been sent before."""
-        for message in islice(self._source, _READ_AT_ONCE):
+        before = self._place
+        for message in islice(self._source, count):
             self._add(message)
-        if self._place % _READ_AT_ONCE or self._place == self._read_before:
+        if self._place - before < count:
             self._exhausted = True
             self._release_waiting(0)
-        self._read_before = self._place
         self._sort_in()
         count = len(self._pending) if self._exhausted else bisect_left(self._pending, (self._settled_ns(),))
         self._ready.extend(self._pending[:count])

@@ -26,6 +26,8 @@ from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resi
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
+# reading a few messages ahead takes less
+_READING_NS = 250_000
 _BATCH = 256
 _LINGER_MS = 10_000
 # a millionth: an hour takes a century
@@ -281,11 +283,18 @@ class PlayerNode(Node):
                 self._handle_end()
                 return
             due = now_ns if self._steps else self.playback_clock.due_ns(found.time_ns)
+            if due is not None and due > now_ns:
+                self._read_until(due)
             if due is None or due > now_ns or not self._send(found.message):
                 return
             self.playback.advance(found)
             if self._steps:
                 self._count_step(found.message)
+
+    def _read_until(self, due_ns: int) -> None:
+        """Read ahead while there is time before the next message is due."""
+        while due_ns - self.clock.monotonic_ns() > _READING_NS and self.playback.read_ahead():
+            pass
 
     def _count_step(self, message: RecordedMessage) -> None:
         if self._step_topic in ("", message.channel_topic):

@@ -14,6 +14,8 @@ from recording.sender_time import SenderClock, SenderOrder, Sent
 
 _NS = 1e9
 _LONGEST_S = 1e9
+# messages that are ready to be played, if there is time to read them before
+_READY = 256
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,10 @@ class Playback:
         if found.time_ns > self.position_ns:
             self.position_ns = found.time_ns
         self._order.pop()
+
+    def read_ahead(self) -> bool:
+        """Read a few messages, for `next` not to; return whether there may be more to read."""
+        return self._order.read_ahead(_READY)
 
     def peek(self) -> RecordedMessage | None:
         """Return the next message without moving on; None at the end of the span."""

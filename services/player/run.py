@@ -1,5 +1,6 @@
 """A process that plays recordings on the bus in the place of nodes."""
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from services.player.playback import Playback, Span
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import StopSignals, open_participant, run_loop
-from services.runtime.loop.realtime import shallow_idle
+from services.runtime.loop.realtime import on_time, shallow_idle
 
 # of the beginning, in which one message of each channel is tried; the first of most comes within a second
 _TRIED_NS = 5_000_000_000
@@ -75,7 +76,9 @@ def run_replay(
     for text in warnings:
         warn(text)
     signals = StopSignals()
-    with open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
+    # As fast as possible is nothing to be in time for, and would keep others from their processors.
+    scheduling = on_time() if request.settings.rate > 0.0 else contextlib.nullcontext()
+    with scheduling, open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
         publisher = participant.bind(PLAYER)
         publishers = {node: ReplayPublisher(participant.bind(node, zmq.XPUB)) for node in plan.nodes}
         sources = book.sources(PLAYER, PlayerNode.inputs)

@@ -95,6 +95,19 @@ def test_messages_come_in_the_order_and_at_the_times_of_their_sending(
     assert all(before.time_ns <= after.time_ns for before, after in pairwise(found))
 
 
+def test_what_is_read_ahead_comes_in_the_same_order_and_is_bounded(record: Callable[[list[Row]], Recording]) -> None:
+    recording = record(late(0))
+    order, found = SenderOrder(recording, ALL, SenderClock(recording)), []
+    while (message := order.peek()) is not None:
+        found.append(message)
+        order.pop()
+        # in the gaps between messages, of which there is not always one
+        while len(found) % 3 == 0 and order.read_ahead(least=40):
+            pass
+    assert found == in_order(recording)
+    assert not order.read_ahead(least=40)
+
+
 def test_from_a_time_on_nothing_is_missing_and_the_state_before_is_known(
     record: Callable[[list[Row]], Recording],
 ) -> None:

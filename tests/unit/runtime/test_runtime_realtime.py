@@ -23,6 +23,8 @@ from services.runtime.loop.realtime import (
     die_with_parent,
     freeze_garbage,
     lower_thread,
+    may_use_fifo,
+    on_time,
     ordinary_scheduling,
     processor_of,
     shallow_idle,
@@ -273,6 +275,26 @@ def test_garbage_is_frozen_and_collected_no_more() -> None:
 
 def open_files() -> list[Path]:
     return [link.resolve() for link in Path("/proc/self/fd").iterdir()]
+
+
+def test_a_block_that_is_to_be_on_time_has_its_scheduling_and_no_other_has() -> None:
+    slack = Path("/proc/self/timerslack_ns")
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, slack.read_text()
+    with on_time():
+        assert int(slack.read_text()) in (0, 1)
+        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == may_use_fifo(50)
+    assert (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, slack.read_text()) == before
+
+
+def test_on_time_without_permission_the_waits_are_precise_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*given: object) -> None:
+        raise PermissionError
+
+    policy = os.sched_getscheduler(0)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "sched_setscheduler", lambda *given: refuse() if given[1] == os.SCHED_FIFO else None)
+        with on_time():
+            assert os.sched_getscheduler(0) == policy
 
 
 def test_shallow_idle_holds_the_file_open(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
