@@ -12,8 +12,9 @@ from proto import TOPICS
 from proto.errors import ConfigError, RecordingError
 from proto.nodes import LINK, PLAYER, is_console, name_of
 from recording.channel_filter import Selection
+from recording.indexed import open_indexed
 from recording.messages import RecordedChannel
-from recording.multi_file import RecordingSource, open_recordings
+from recording.multi_file import RecordingSource
 from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
@@ -63,7 +64,8 @@ def run_replay(
     Raises RecordingError, also when there is nothing to play, ConfigError, and EndpointError when a node that is to be
     played runs.
     """
-    recording = open_recordings(request.files)
+    # By its index an hour plays at once. Messages that stand behind later ones are put in order by their times.
+    recording = open_indexed(request.files)
     book = load_site(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
