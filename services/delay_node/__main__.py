@@ -7,6 +7,7 @@ from services.delay_node.config import LinkSettings, changes_text
 from services.delay_node.node import DelayNode
 from services.runtime.loop.main import NodeKind, Wiring, run_node
 from services.runtime.loop.node import Node, NodeBus
+from services.runtime.loop.realtime import has_fifo
 
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
@@ -15,6 +16,9 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
         wiring.log.warning(changes)
     # The publishers come first, because they may fail.
     to_master, to_slave = (wiring.bind(f"delay_node@{site}", batched=True) for site in ("master", "slave"))
+    # Of a burst the first message goes out while the next one is looked at. A link without a priority of its own would
+    # give the processor to anybody.
+    to_master.yields = to_slave.yields = has_fifo()
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)

@@ -1,5 +1,6 @@
 """How a node sends: a PUB socket that it binds, with messages that are numbered, stamped and checked."""
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -107,6 +108,8 @@ class ZmqPublisher(_NumberingPublisher):
         self._send = super(zmq.Socket, self.socket).send
         # It is called first with topic and bytes of each message: some cross to another machine on this other way.
         self.carry: Callable[[str, bytes], None] | None = None
+        # Whether the thread that carries a message has this processor before the next one is taken up.
+        self.yields = False
         # A node of the loop keeps copies here for a recorder on this machine.
         self._batch: OutgoingBatch | None = None
         prepare(self.socket)
@@ -126,6 +129,8 @@ class ZmqPublisher(_NumberingPublisher):
             self._batch.add(frame, payload)
         self._send(frame, _SNDMORE)
         self._send(payload)
+        if self.yields:
+            os.sched_yield()
 
     def keep_batch(self) -> OutgoingBatch:
         """Keep copies of what is sent from now on; whoever waits for this node's messages flushes the batch."""

@@ -129,6 +129,11 @@ def processor_of(node: str, config: RealtimeConfig, permitted: Sequence[int]) ->
     return masters if at_master else slaves
 
 
+def has_fifo() -> bool:
+    """Return whether this thread has SCHED_FIFO."""
+    return is_linux() and os.sched_getscheduler(0) == os.SCHED_FIFO
+
+
 def may_use_fifo(priority: int) -> bool:
     """Return whether this process, and so those that it starts, may have SCHED_FIFO at a priority."""
     if not is_linux():
@@ -176,7 +181,7 @@ def ordinary_scheduling() -> Iterator[None]:
 
     Of this thread alone, and of those that it begins meanwhile.
     """
-    if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
+    if not has_fifo():
         yield
         return
     granted = os.sched_getparam(0)
@@ -208,7 +213,7 @@ def lower_thread(name: str) -> None:
     Args:
         name: The name of the thread, as in /proc.
     """
-    if not is_linux() or os.sched_getscheduler(0) != os.SCHED_FIFO:
+    if not has_fifo():
         return
     lower = os.sched_param(max(1, os.sched_getparam(0).sched_priority - 1))
     for task in _TASKS.iterdir():

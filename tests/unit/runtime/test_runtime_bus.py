@@ -167,6 +167,21 @@ def test_a_message_that_is_refused_takes_no_number(context: Context, endpoint: s
         publisher.close()
 
 
+def test_a_publisher_that_yields_gives_the_processor_away_behind_each_message(
+    context: Context, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publisher = ZmqPublisher(context, VirtualClock(), "delay_node@slave", endpoint)
+    sent: list[bytes] = []
+    monkeypatch.setattr(publisher, "_send", lambda frame, flags=0: sent.append(frame))
+    monkeypatch.setattr(os, "sched_yield", lambda: sent.append(b"yield"))
+    publisher.send("teleop/forward", b"1")
+    assert sent == [b"teleop/forward", b"1"]
+    publisher.yields = True
+    publisher.send("teleop/forward", b"2")
+    assert sent[2:] == [b"teleop/forward", b"2", b"yield"]
+    publisher.close()
+
+
 def test_what_a_node_computes_beyond_a_range_is_sent_as_its_end_and_told(context: Context, endpoint: str) -> None:
     publisher = ZmqPublisher(context, VirtualClock(), "afm_node@slave", endpoint)
     told: list[str] = []
