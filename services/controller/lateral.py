@@ -18,6 +18,9 @@ force F is reduced where the hand could take more until the next sample, F v T +
 accelerates by a = 20 m/s^2 at most. So neither gives out more than is granted, whatever the delay and however the
 fixtures are moved, and the law keeps what it promises along its axis. The stage is a source at the slave: it is
 bounded by speed and by the guard's lateral limit.
+
+What the spring to the middle has taken, k e^2 / 2, is kept for that spring. A particle that pushes the hand back would
+otherwise spend it, nothing would bring a hand back that was let go, and by rate the tip would go on for ever.
 """
 
 import math
@@ -388,23 +391,37 @@ def _shown(
     pulse = feel.pulse_n * 4.0 * share * (1.0 - share)
     spring = feel.centring_n_per_m if held.engaged else 0.0
     damping = feel.damping_n_s_per_m
-    f_x = felt.x_n + drawn_x + pulse * felt.pulse_x - spring * (held.x_m - held.neutral_x_m) - damping * v_x
-    f_y = felt.y_n + drawn_y + pulse * felt.pulse_y - spring * (held.y_m - held.neutral_y_m) - damping * v_y
-    f_x, f_y = _clipped(f_x, f_y, feel.max_force_n)
+    e_x, e_y = held.x_m - held.neutral_x_m, held.y_m - held.neutral_y_m
+    back_x, back_y = _clipped(-spring * e_x - damping * v_x, -spring * e_y - damping * v_y, feel.max_force_n)
+    f_x, f_y = felt.x_n + drawn_x + pulse * felt.pulse_x, felt.y_n + drawn_y + pulse * felt.pulse_y
+    f_x, f_y = _clipped(f_x + back_x, f_y + back_y, feel.max_force_n)
+    f_x, f_y = f_x - back_x, f_y - back_y
     f_z = 0.0
     if held.holds:
         f_z = depth.stiffness_n_per_m * (held.depth_m - held.z_m) - depth.damping_n_s_per_m * v_z
         f_z = min(max(f_z, -depth.max_force_n), depth.max_force_n)
     granted = 0.5 * feel.granted_j
-    share = _affordable(_length(f_x, f_y), f_x * v_x + f_y * v_y, store.left_j + granted, dt)
-    return share * f_x, share * f_y, _affordable(abs(f_z), f_z * v_z, store.left_z_j + granted, dt) * f_z
+    left_j, back_j = store.left_j + granted, _most_j(_length(back_x, back_y), back_x * v_x + back_y * v_y, dt)
+    share = _affordable(back_j, left_j)
+    back_x, back_y = share * back_x, share * back_y
+    # What the spring to the middle has taken is kept for it: it has to bring back a hand that was let go.
+    kept_j = max(0.5 * spring * (e_x * e_x + e_y * e_y), share * back_j)
+    share = _affordable(_most_j(_length(f_x, f_y), f_x * v_x + f_y * v_y, dt), left_j - kept_j)
+    share_z = _affordable(_most_j(abs(f_z), f_z * v_z, dt), store.left_z_j + granted)
+    return back_x + share * f_x, back_y + share * f_y, share_z * f_z
 
 
 @compiled
-def _affordable(force_n: float, power_w: float, left_j: float, dt: float) -> float:
-    """Return the share of a force [N] with a power [W] from which the hand cannot take more than is left in dt [s]."""
-    most, left = (power_w + force_n * _HAND_ACCELERATION_M_PER_S2 * dt) * dt, max(left_j, 0.0)
-    return left / most if most > left else 1.0
+def _most_j(force_n: float, power_w: float, dt: float) -> float:
+    """Return the most that the hand can take in dt [s] from a force [N] with a power [W]."""
+    return (power_w + force_n * _HAND_ACCELERATION_M_PER_S2 * dt) * dt
+
+
+@compiled
+def _affordable(most_j: float, left_j: float) -> float:
+    """Return the share of a force from which the hand can take at most most_j [J], so that it takes what is left."""
+    left = max(left_j, 0.0)
+    return left / most_j if most_j > left else 1.0
 
 
 @compiled

@@ -4,7 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 import yaml
-from virtual_rig import ARMED_S, STARTED_S, Timing, VirtualRig
+from virtual_rig import ARMED_S, STARTED_S, Timing, VirtualBus, VirtualRig
 
 from presets import find_scenario
 
@@ -17,6 +17,10 @@ FIXTURES = (
     "controller.lateral.depth.enabled=true",
 )
 TIMING = Timing((0, 1), (1_000, 1_001), None, (10_000, 10_001), (1_000, 1_001), (1_000, 1_001), stall_share=0.0)
+
+
+# the spring of a page, how often it speaks, and how old the place is that it knows
+PAGE_N_PER_M, PAGE_SAYS_S, PAGE_LAG_S = 200.0, 0.033, 0.06
 
 
 class Pushed(NamedTuple):
@@ -87,3 +91,44 @@ def pushed(rig: VirtualRig) -> Pushed:
         [str(event.data["lateral"]) for event in events if "lateral" in event.data],
         rig,
     )
+
+
+class LatePage:
+    """A page whose person presses with 1 N, and may hold the stylus across: what it knows of that is late.
+
+    Args:
+        settings: Dotted flags on top of the scenario `assembly` with one particle beside the tip.
+        begins_s: When the halves have heard each other, and its person begins to press [s].
+    """
+
+    def __init__(self, settings: tuple[str, ...], begins_s: float) -> None:
+        document = scenario(0.0, 1.0, 1.0)
+        document["haptic_node"] = {"operator": {"kind": "interactive"}, "lateral": {}}
+        self.rig = VirtualRig(None, 1, settings, TIMING, document)
+        self._bus, self._now_s = VirtualBus(self.rig, "viz_node@master"), begins_s
+        self.rig.run_until(begins_s)
+        self.rig.command("arm", "*")
+        self.rig.command("start", "haptic_node")
+
+    def hold(self, duration_s: float, across_m: float | None) -> None:
+        """Press for a time [s], and mean to be so far across [m]; none: the pointer there is let go."""
+        end_s = self._now_s + duration_s
+        while self._now_s < end_s:
+            places = self.rig.received("haptic/state", "haptic_node@master")
+            known_m = places[-min(len(places), round(PAGE_LAG_S / 1e-3))].position_m[0]
+            across_n = 0.0 if across_m is None else PAGE_N_PER_M * (across_m - known_m)
+            self._bus.publish("operator/force", force_n=(across_n, 0.0, -1.0))
+            self.wait(PAGE_SAYS_S)
+
+    def wait(self, duration_s: float) -> None:
+        """Say nothing for a time [s], as a page that was killed."""
+        self._now_s += duration_s
+        self.rig.run_until(self._now_s)
+
+    def stage_m(self) -> list[float]:
+        """Return where the stage was across at each step of the instrument [m]."""
+        return [state.base_position_m[0] for state in self.rig.received("afm/state", "afm_node@slave")]
+
+    def close(self) -> None:
+        self._bus.close()
+        self.rig.close()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import yaml
-from lateral_hand import FIXTURES, PARTICLE_M, Pushed, push_by_hand, scenario
+from lateral_hand import FIXTURES, PARTICLE_M, LatePage, Pushed, push_by_hand, scenario
 
 from services.controller.config import ControllerConfig
 from services.runtime.settings.config import merge, nested
@@ -50,6 +50,28 @@ def test_in_lockstep_it_goes_as_on_the_nodes(pushed_on_nodes: Pushed, monkeypatc
     assert tip["base_position_m.0"][-1] > 8e-8
     assert np.abs(found["shown_x_n"]).max() == pytest.approx(pushed_on_nodes.felt_n, rel=0.02)
     assert found["across_j"].min() >= -GRANTED_J
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("dies", [False, True], ids=["the pointer is let go", "the page dies"])
+@pytest.mark.parametrize("delay", [(), DELAYED], ids=["no delay", "200 ms"])
+def test_a_tip_that_pushes_stands_soon_after_it_was_let_go(delay: tuple[str, ...], dies: bool) -> None:
+    page = LatePage(delay, begins_s=0.6)
+    page.hold(0.6, None)
+    page.hold(1.6, 12e-3)
+    begin = len(page.stage_m())
+    if dies:
+        page.wait(1.5)
+    else:
+        page.hold(1.5, None)
+    page.close()
+    stage = page.stage_m()
+    # it was in contact, and pushed
+    assert stage[begin] > 1.5e-7
+    rests = stage[begin + 900 :]
+    assert set(rests) == {rests[0]}
+    # as far as the stylus brings it back to its middle, and what the link still carries
+    assert abs(rests[0] - stage[begin]) < (40e-9 if not delay else 100e-9)
 
 
 @pytest.mark.endurance

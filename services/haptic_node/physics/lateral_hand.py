@@ -12,6 +12,15 @@ spring k_c of the controller they swing where m s^2 + b s + k_c + k e^(-sT) = 0 
 
 With b = 40 N s/m that is 0.35 s, and with 1 N s/m it was 16 ms: a page then drove the stylus from end to end, 1 W of
 which went into the damper of the controller (`controller.lateral.damping_n_s_per_m`).
+
+That damping is of the hand that holds the stylus, and goes with it. A stylus that is let go has its own, b_0. With
+the damper b_c of the controller it returns to the middle as m s^2 + (b_0 + b_c) s + k_c has it, soonest without
+overshoot at
+
+    b_0 = 2 sqrt(k_c m) - b_c,   x = x_0 (1 + w t) e^(-w t),   w = sqrt(k_c / m)
+
+which is 1.46 N s/m and 17 1/s: from 10 mm it is within the dead zone of 1 mm after 0.22 s, and the tip has gone 30 nm
+by then. Under 40 N s/m it would take 3.2 s and 200 nm. Damping is never negative, so a change of it gives no energy.
 """
 
 import math
@@ -45,7 +54,15 @@ class LateralHandConfig(Settings):
         default=40.0,
         ge=0.0,
         le=1e3,
-        description="Its damping b [N s/m]; 40 bears the spring of a page that is up to 0.3 s late; [0, 1000]",
+        description="Damping of stylus and hand while a person pulls, b [N s/m]; 40 bears the spring of a page that is"
+        " up to 0.3 s late; [0, 1000]",
+    )
+    free_damping_n_s_per_m: float = Field(
+        default=1.5,
+        ge=0.0,
+        le=1e3,
+        description="Its own damping, while nobody pulls [N s/m]; 1.5 lets the usual spring of mode rate bring it back"
+        " to the middle in 0.3 s without overshoot; [0, 1000]",
     )
     reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]; [1e-4, 0.5]")
     max_force_n: float = Field(
@@ -70,7 +87,15 @@ class LateralHandConfig(Settings):
         columns = np.array([(point.time_s, point.x_m, point.y_m) for point in self.path], np.float64).reshape(-1, 3)
         times, x, y = (np.ascontiguousarray(column) for column in columns.T)
         return LateralHandParams(
-            self.mass_kg, self.damping_n_s_per_m, self.reach_m, self.max_force_n, self.stiffness_n_per_m, times, x, y
+            self.mass_kg,
+            self.damping_n_s_per_m,
+            self.free_damping_n_s_per_m,
+            self.reach_m,
+            self.max_force_n,
+            self.stiffness_n_per_m,
+            times,
+            x,
+            y,
         )
 
 
@@ -79,6 +104,7 @@ class LateralHandParams(NamedTuple):
 
     mass_kg: float
     damping_n_s_per_m: float
+    free_damping_n_s_per_m: float
     reach_m: float
     max_force_n: float
     stiffness_n_per_m: float
@@ -101,8 +127,8 @@ class LateralHandState(NamedTuple):
 
 
 @compiled
-def _axis(params: LateralHandParams, x: float, v: float, force: float, dt: float) -> tuple[float, float]:
-    v = (v + dt * force / params.mass_kg) / (1.0 + dt * params.damping_n_s_per_m / params.mass_kg)
+def _axis(params: LateralHandParams, x: float, v: float, force: float, b: float, dt: float) -> tuple[float, float]:
+    v = (v + dt * force / params.mass_kg) / (1.0 + dt * b / params.mass_kg)
     x += dt * v
     if abs(x) > params.reach_m:
         return math.copysign(params.reach_m, x), 0.0
@@ -123,7 +149,7 @@ def lateral_hand_step(
     session_s: float,
     dt: float,
 ) -> LateralHandState:
-    """Advance the stylus by dt [s], > 0.
+    """Advance the stylus by dt [s], > 0; a force of exactly 0 from a page, or none, is nobody's.
 
     Args:
         params: The constants.
@@ -134,13 +160,14 @@ def lateral_hand_step(
         dt: The time of the step [s].
     """
     own_x, own_y = pushed_n
+    b = params.damping_n_s_per_m if own_x != 0.0 or own_y != 0.0 else params.free_damping_n_s_per_m
     if len(params.times_s) > 0 and session_s >= 0.0:
-        k = params.stiffness_n_per_m
+        k, b = params.stiffness_n_per_m, params.damping_n_s_per_m
         own_x += k * (interpolate(params.times_s, params.path_x_m, session_s, params.path_x_m[0]) - state.x_m)
         own_y += k * (interpolate(params.times_s, params.path_y_m, session_s, params.path_y_m[0]) - state.y_m)
     most = params.max_force_n
     own_x, own_y = _limited(own_x, most), _limited(own_y, most)
     shown_x, shown_y = _limited(shown_n[0], most), _limited(shown_n[1], most)
-    x, v_x = _axis(params, state.x_m, state.speed_x_m_per_s, own_x + shown_x, dt)
-    y, v_y = _axis(params, state.y_m, state.speed_y_m_per_s, own_y + shown_y, dt)
+    x, v_x = _axis(params, state.x_m, state.speed_x_m_per_s, own_x + shown_x, b, dt)
+    y, v_y = _axis(params, state.y_m, state.speed_y_m_per_s, own_y + shown_y, b, dt)
     return LateralHandState(x, y, v_x, v_y, own_x, own_y, shown_x, shown_y)

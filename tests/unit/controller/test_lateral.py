@@ -92,6 +92,25 @@ def test_the_force_is_scaled_clamped_and_its_rate_is_limited() -> None:
     assert math.hypot(*first.force_n[:2]) <= 1.5 * (1.0 + 1e-9)
 
 
+def test_the_spring_brings_a_hand_back_that_a_particle_has_pushed() -> None:
+    """The hand is pulled aside slowly, given way by what it feels, and let go: the tip has to stand then."""
+    params, far, state = config(), LateralFar(-1.075e-8, 0.0, 0.0, 0.0, known=True), lateral_at_rest()
+    x, v, most = 0.0, 0.0, 0.0
+    for n in range(3000):
+        # a person of 200 N/m and 40 N s/m, who lets go after 2.5 s of a stylus of 0.1 kg and 1.5 N s/m
+        own, b = (200.0 * (0.01 - x), 40.0) if n < 2500 else (0.0, 1.5)
+        v = (v + DT * (own + state.force_n[0]) / 0.1) / (1.0 + DT * b / 0.1)
+        x += DT * v
+        hand = LateralHand(x, 0.0, 0.0, v, 0.0, 0.0, True)
+        state = lateral_master_step(params, state, hand, far if 200 < n < 2700 else HERE, DT)
+        most = max(most, -state.force_n[0])
+        if n == 2500:
+            let_go = state.travel.x_m
+    assert most > 0.8
+    assert abs(x) < 1e-3 and abs(state.travel.x_m - let_go) < 3e-8
+    assert run(params, [hand] * 1000, state=state).travel.x_m == state.travel.x_m
+
+
 def test_a_particle_is_felt_as_it_is_met_and_as_it_is_lost() -> None:
     params, news, pulses = config(), [], []
     state, place = run(params, [at(0.0)]), 0.0

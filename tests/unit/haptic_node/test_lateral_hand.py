@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 
 from proto.errors import ConfigError
+from services.controller.lateral import LateralFar, LateralHand, lateral_at_rest, lateral_master_step
+from services.controller.lateral_settings import LateralConfig
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
 from services.runtime.settings.config import validate
@@ -38,12 +40,15 @@ def test_person_and_controller_pull_with_limited_forces_and_it_stops_at_its_reac
     assert (state.x_m, state.speed_x_m_per_s) == (5e-3, 0.0)
 
 
-def test_it_gives_back_no_more_than_it_was_given() -> None:
+@pytest.mark.parametrize("pulls", [False, True], ids=["nobody holds it", "a person pulls now and then"])
+def test_it_gives_back_no_more_than_it_was_given(pulls: bool) -> None:
     params, state, given = config(), LateralHandState(), 0.0
     for n in range(5000):
         shown = (2.0 * math.sin(0.01 * n), 1.5 * math.cos(0.02 * n))
-        after = lateral_hand_step(params, state, NONE, shown, 0.0, DT)
-        given += shown[0] * (after.x_m - state.x_m) + shown[1] * (after.y_m - state.y_m)
+        # the damping changes with each begin and end of a pull
+        own = (3.0 * math.sin(0.03 * n), 1.0) if pulls and n % 70 < 30 else NONE
+        after = lateral_hand_step(params, state, own, shown, 0.0, DT)
+        given += (own[0] + shown[0]) * (after.x_m - state.x_m) + (own[1] + shown[1]) * (after.y_m - state.y_m)
         state = after
         assert given >= -1e-12
 
@@ -92,6 +97,43 @@ def test_a_light_damper_lets_the_page_put_a_watt_into_the_controller() -> None:
     speed, power = held_by_a_page(0.06, damping_n_s_per_m=1.0)
     # what the damper of the controller takes
     assert speed > 0.5 and 0.3 < power < 3.0
+
+
+# of mode rate: what the displacement of the hand is to the tip [1/s], and the dead zone [m]
+RATE, DEAD_M = LateralConfig().rate_per_s, LateralConfig().dead_zone_m
+
+
+def let_go(**keys: Any) -> tuple[list[float], list[float]]:
+    """Let a page hold the stylus aside in mode rate, and let go; return places and what the tip went since [m]."""
+    params, state = config(**keys), LateralHandState()
+    across, master = LateralConfig(mode="rate").to_params(), lateral_at_rest()
+    places, ways = [], []
+    for n in range(2500):
+        pulled = (PAGE_N_PER_M * (0.01 - state.x_m), 0.0) if n < 1000 else NONE
+        state = lateral_hand_step(params, state, pulled, master.force_n[:2], 0.0, DT)
+        hand = LateralHand(state.x_m, state.y_m, 0.0, state.speed_x_m_per_s, state.speed_y_m_per_s, 0.0, True)
+        master = lateral_master_step(across, master, hand, LateralFar(0.0, 0.0, 0.0, 0.0, True), DT)
+        places.append(state.x_m)
+        ways.append(master.travel.x_m)
+    return places[999:], [way - ways[999] for way in ways[999:]]
+
+
+def test_a_stylus_that_is_let_go_is_back_in_its_middle_soon_and_the_tip_stands() -> None:
+    places, ways = let_go()
+    w, begin = math.sqrt(CENTRING_N_PER_M / 0.1), places[0]
+    assert begin == pytest.approx(PAGE_N_PER_M * 0.01 / (PAGE_N_PER_M + CENTRING_N_PER_M), rel=1e-2)
+    for n, x in enumerate(places):
+        # without an overshoot, and as the closed form has it
+        assert x > -1e-6 and x == pytest.approx(begin * (1.0 + w * n * DT) * math.exp(-w * n * DT), abs=0.03 * begin)
+    closed = [max(begin * (1.0 + w * n * DT) * math.exp(-w * n * DT) - DEAD_M, 0.0) for n in range(1000)]
+    assert ways[-1] == pytest.approx(RATE * DT * sum(closed), rel=0.1) and ways[-1] < 35e-9
+    # from 0.3 s on it stands
+    assert set(ways[300:]) == {ways[-1]}
+
+
+def test_a_stylus_that_keeps_the_damping_of_the_hand_goes_on_for_seconds() -> None:
+    places, ways = let_go(free_damping_n_s_per_m=40.0)
+    assert places[1000] > DEAD_M and ways[-1] > 1.5e-7
 
 
 def test_a_path_that_goes_back_in_time_names_the_corner() -> None:
