@@ -84,7 +84,8 @@ def assemble(
         Path, typer.Option("--out", metavar="DIR", help="Folder for assembly.json and assembly.png.")
     ] = Path("out/assembly"),
     pattern: Annotated[
-        str, typer.Option("--pattern", metavar="NAME|FILE", help="line, square, ring, or a file of x and y [m].")
+        str,
+        typer.Option("--pattern", metavar="NAME|FILE", help="line, square, ring, letters:TEXT, or a file of x, y [m]."),
     ] = "square",
     count: Annotated[int, typer.Option("--count", min=1, max=50, metavar="N", help="Places of a named pattern.")] = 8,
     spacing: Annotated[

@@ -6,7 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from proto.errors import ConfigError
 from studies.assembly import drift, plan
+from studies.assembly.patterns import pattern
 from studies.assembly.plan import Task, UnreachableError, assigned, planned, way_around
 from studies.assembly.run import look_sides_m
 
@@ -118,3 +120,26 @@ def test_the_edges_of_a_look_keep_away_from_other_particles() -> None:
     assert 0.5 * width <= 0.8e-6 - reach and 0.5 * depth <= 0.9e-6 - reach
     # the particle itself is always seen
     assert min(look_sides_m((0.0, 0.0), [(0.55e-6, 0.0), (0.0, 0.55e-6)], reach)) >= 2.0 * reach
+
+
+def test_letters_are_dots_in_three_columns_and_five_rows() -> None:
+    # a T: its bar above, its stem below
+    stem = [(0.0, 1.0), (0.0, 0.0), (0.0, -1.0), (0.0, -2.0)]
+    assert sorted(pattern("letters", 8, 1.0)) == sorted([(-1.0, 2.0), (0.0, 2.0), (1.0, 2.0), *stem])
+    word = pattern("letters:Lo 1", 8, 0.5)
+    # four characters, with a column between them
+    assert min(x for x, _ in word) == -3.5 and max(x for x, _ in word) == 3.5
+    assert min(math.dist(a, b) for i, a in enumerate(word) for b in word[:i]) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("letters:AÄ", "'Ä' is none of A to Z, 0 to 9 and space"),
+        ("letters: ", "has no places"),
+        ("lettres", "is none of line, square, ring, letters:TEXT, and cannot be read as a file"),
+    ],
+)
+def test_a_pattern_that_is_none_says_what_there_is(name: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        pattern(name, 8, 1e-6)
