@@ -110,6 +110,11 @@ class DirectionEngine:
         heap = self._heap
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
 
+    def draw_losses(self, topic: str, count: int) -> list[bool]:
+        """Return whether each of the next messages of a topic is lost, where nothing else but a delay impairs it."""
+        pipeline = self._topic_pipelines.get(topic) or self._open(topic)
+        return [pipeline.lost_by(self._now_ns, 0) != "" for _ in range(count)]
+
     def due(self, now_ns: int) -> list[Release]:
         """Return the messages whose release time has come, in the order of release."""
         if self._queues:

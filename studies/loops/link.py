@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.delay_node.config import DirectionSettings, LinkSettings, parse_settings
+from services.delay_node.direction import DirectionEngine
 from services.delay_node.engine import fates_of
 from services.delay_node.fate import Direction
 from services.runtime.datagram.play_out import PlayOut
@@ -172,11 +173,17 @@ def _arrivals(
 ) -> tuple[Times, Times]:
     """Return when messages of one direction arrive, and which message each one is, as a reader takes them.
 
-    A constant delay is the common case of a map and needs no engine: the result is the same (tested).
+    A constant delay, with losses or without, is the common case of a map. Messages keep their order then, so that only
+    the losses need to be drawn: the result is the same (tested).
     """
     direction: DirectionSettings = getattr(settings, way)
-    if direction.model_dump() == DirectionSettings(delay_s=direction.delay_s).model_dump():
-        return sent_ns + round(direction.delay_s * 1e9), np.arange(len(sent_ns), dtype=np.int64)
+    plain = DirectionSettings(delay_s=direction.delay_s)
+    lossy = plain.model_copy(update={"loss": direction.loss, "gilbert_elliott": direction.gilbert_elliott})
+    if direction.model_dump() == lossy.model_dump():
+        kept = np.arange(len(sent_ns), dtype=np.int64)
+        if direction.model_dump() != plain.model_dump():
+            kept = kept[~np.array(DirectionEngine(way, settings, 0).draw_losses(topic, len(sent_ns)), np.bool_)]
+        return sent_ns[kept] + round(direction.delay_s * 1e9), kept
     fates = fates_of(settings, way, topic, sent_ns.tolist(), MESSAGE_BYTES, folder=folder)
     # a message with flipped bits is refused by its reader, as a rule: it counts as lost
     released = [(fate.release_ns, fate.seq) for fate in fates if fate.release_ns is not None and not fate.corrupted]

@@ -32,6 +32,19 @@ def test_constant_delay_is_what_the_engine_says() -> None:
         assert (getattr(quick, name) == getattr(engine, name)).all()
 
 
+@pytest.mark.parametrize("burst", [None, 8.0])
+def test_losses_over_a_constant_delay_are_what_the_engine_says(burst: float | None) -> None:
+    settings = symmetric_link(33.3e-3, 0.0, 0.2, 4, burst)
+    quick = schedule_of(settings, 600, PERIOD_S)
+    document = settings.model_dump(exclude_unset=True)
+    for way in ("forward", "backward"):
+        document[way]["jitter"] = {"scale_s": 0.0, "distribution": "uniform"}
+    engine = schedule_of(parse_settings(document), 600, PERIOD_S)
+    assert 200 < len(quick.backward_ns) < 500
+    for name in ("forward_ns", "forward_of", "backward_ns", "backward_of", "window"):
+        assert np.array_equal(getattr(quick, name), getattr(engine, name))
+
+
 def test_readers_take_the_newest_only() -> None:
     schedule = schedule_of(symmetric_link(20e-3, 8e-3, 0.2, 3), 2000, PERIOD_S)
     for times, numbers in ((schedule.forward_ns, schedule.forward_of), (schedule.backward_ns, schedule.backward_of)):
