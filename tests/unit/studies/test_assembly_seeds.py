@@ -11,7 +11,8 @@ from studies.assembly.patterns import pattern
 from studies.assembly.run import Assembler, VirtualBench
 from telenano.cli.commands.assemble import _config
 
-pytestmark = pytest.mark.endurance
+# Five assemblies take three minutes of a processor, which a busy machine gives in many.
+pytestmark = [pytest.mark.endurance, pytest.mark.timeout(3600)]
 
 
 def assembled(name: str, seed: int) -> tuple[int, int]:
