@@ -27,6 +27,16 @@ export function carried(world: Matrix4, before: readonly Matrix4[], now: readonl
     .multiply(world);
 }
 
+/** Where the ray of a controller meets the plane z = 0 of a world from above, in units of that world; none where it does not. */
+export function aimed(world: Matrix4, controller: Matrix4): [number, number] | undefined {
+  const inverse = world.clone().invert();
+  const from = place(controller).applyMatrix4(inverse);
+  const way = new Vector3(0, 0, -1).applyMatrix4(controller).applyMatrix4(inverse).sub(from);
+  if (!(from.z > 0 && way.z < -1e-3 * way.length())) return undefined;
+  const at = from.addScaledVector(way, -from.z / way.z);
+  return [at.x, at.y];
+}
+
 function place(matrix: Matrix4): Vector3 {
   return new Vector3().setFromMatrixPosition(matrix);
 }

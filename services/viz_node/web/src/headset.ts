@@ -14,7 +14,7 @@ import {
   type XRTargetRaySpace,
 } from "three";
 import { make } from "./dom";
-import { carried } from "./grab";
+import { aimed, carried } from "./grab";
 
 /** A hundred nanometres are forty centimetres on a table in front of the viewer. */
 const SCALE = 0.004;
@@ -32,6 +32,8 @@ export class Headset {
   readonly button: HTMLButtonElement;
   /** Called while a trigger is held: how far the controller has moved down since then [m]; null when let go. */
   onPress: (down: number | null, across?: [number, number]) => void = () => {};
+  /** Returns what moves with the left controller, whose trigger was pulled while it points there [nm]; nothing where that presses. */
+  onGrab: (x: number, y: number) => ((x: number, y: number) => void) | undefined = () => undefined;
   /** Called when a button beside the stick is pressed. */
   onStop: () => void = () => {};
   /** Called when a stick is pressed. */
@@ -43,6 +45,7 @@ export class Headset {
   private readonly held = new Set<XRTargetRaySpace>();
   private before: Matrix4[] = [];
   private pressed: { controller: XRTargetRaySpace; from: Vector3 } | undefined;
+  private dragged: { controller: XRTargetRaySpace; to: (x: number, y: number) => void } | undefined;
   private isStopping = false;
   private isGoing = false;
   private readonly canvas = make("canvas", { width: PANEL.width, height: PANEL.height });
@@ -84,6 +87,10 @@ export class Headset {
       const at = where(controller);
       this.onPress(from.y - at.y, [at.x - from.x, from.z - at.z]);
     }
+    if (this.dragged) {
+      const to = aimed(this.world.matrix, this.dragged.controller.matrix);
+      if (to) this.dragged.to(...to);
+    }
     this.readButtons();
     const at = performance.now();
     if (at - this.writtenAt < PANEL_MS) return;
@@ -105,8 +112,16 @@ export class Headset {
     };
     controller.addEventListener("squeezestart", hold(true));
     controller.addEventListener("squeezeend", hold(false));
-    controller.addEventListener("selectstart", () => (this.pressed ??= { controller, from: where(controller) }));
+    let isLeft = false;
+    controller.addEventListener("connected", ({ data }) => (isLeft = data.handedness === "left"));
+    controller.addEventListener("selectstart", () => {
+      const at = isLeft ? aimed(this.world.matrix, controller.matrix) : undefined;
+      const to = at && this.onGrab(...at);
+      if (to) this.dragged = { controller, to };
+      else this.pressed ??= { controller, from: where(controller) };
+    });
     const letGo = (): void => {
+      if (this.dragged?.controller === controller) this.dragged = undefined;
       if (this.pressed?.controller !== controller) return;
       this.pressed = undefined;
       this.onPress(null);
@@ -169,7 +184,7 @@ export class Headset {
       this.held.clear();
       this.before = [];
       if (this.pressed) this.onPress(null);
-      this.pressed = undefined;
+      this.pressed = this.dragged = undefined;
       this.button.textContent = "Enter VR";
       this.onLeave();
     });

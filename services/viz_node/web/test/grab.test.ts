@@ -1,6 +1,6 @@
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { describe, expect, test } from "vitest";
-import { LEAST_SCALE, MOST_SCALE, carried } from "../src/grab";
+import { LEAST_SCALE, MOST_SCALE, aimed, carried } from "../src/grab";
 
 const at = (x: number, y: number, z: number, turn = new Quaternion()): Matrix4 => new Matrix4().compose(new Vector3(x, y, z), turn, new Vector3(1, 1, 1));
 const world = new Matrix4().compose(new Vector3(0.1, 1, -0.6), new Quaternion(), new Vector3(0.004, 0.004, 0.004));
@@ -35,4 +35,16 @@ describe("the world in the hands", () => {
     expect(carried(world, near, [at(0, 1, 0), at(0, 1, 0)]).equals(world)).toBe(true);
     expect(carried(world, [], near).equals(world)).toBe(true);
   });
+});
+
+test("a controller points at a place of the sample", () => {
+  const down = new Quaternion().setFromAxisAngle(new Vector3(1, 0, 0), -Math.PI / 4);
+  // the table lies at a height of 1 m, and its y goes away from the viewer
+  const table = new Matrix4().compose(new Vector3(0, 1, -0.6), new Quaternion().setFromAxisAngle(new Vector3(1, 0, 0), -Math.PI / 2), new Vector3(0.004, 0.004, 0.004));
+  // from 0.4 m above its middle and 0.4 m before it, and 80 mm to the right
+  const [x, y] = aimed(table, at(0.08, 1.4, -0.2, down))!;
+  expect(x).toBeCloseTo(20, 6);
+  expect(y).toBeCloseTo(0, 6);
+  expect(aimed(table, at(0, 1.4, -0.2))).toBeUndefined();
+  expect(aimed(table, at(0, 0.5, -0.2, down))).toBeUndefined();
 });

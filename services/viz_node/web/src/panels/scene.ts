@@ -18,6 +18,7 @@ export class ScenePanel implements Panel {
       view.onPress = (down) => hand.pull(down);
       view.pressText = () => `${hand.force.toFixed(2)} N, felt ${store.last("command", "tip_force").toFixed(2)} N`;
       view.headset.onPress = (down, across) => hand.press(down, across);
+      view.headset.onGrab = (x, y) => image.onGrab(x, y);
       view.headset.onStop = () => void commands.estop();
       view.headset.onNext = () => image.onNext();
       view.nextText = () => image.nextText();
