@@ -99,6 +99,7 @@ def send_control(
     is_wanted: Callable[[], bool] = lambda: True,
     *,
     issued_ns: int | None = None,
+    retry_ns: int = 0,
 ) -> dict[str, SessionEvent]:
     """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
 
@@ -111,6 +112,7 @@ def send_control(
         on_answer: Called with each answer when it comes.
         is_wanted: Called before each sending; once it returns false, nothing more is sent.
         issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now.
+        retry_ns: How long the command is tried again after a refusal [ns].
 
     Returns:
         The answers by node, refusals included.
@@ -133,7 +135,7 @@ def send_control(
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
         expected = () if is_pattern(command.target) else tuple(meant)
         wanted = [replace(command, expected=expected)]
-        client = CommandClient(participant.clock, publisher.publish, wanted, issued_ns=issued_ns)
+        client = CommandClient(participant.clock, publisher.publish, wanted, retry_ns=retry_ns, issued_ns=issued_ns)
         alive: set[str] = set()
         while not (given_up := not is_wanted()) and not client.advance():
             if _new_subscriptions(publisher):

@@ -7,8 +7,9 @@ from typing import Any
 
 from proto.errors import ConfigError, TelenanoError
 from proto.messages import Scalar
-from proto.nodes import VIEW
+from proto.nodes import TIP, VIEW
 from services.console.command_client import send_control
+from services.console.coupling import couple_anew
 from services.console.emergency_stop import Answer, LocalRig, emergency_stop
 from services.numerics.frames import to_site_frame
 from services.runtime.bus.ends import publish_end
@@ -18,6 +19,8 @@ from services.runtime.loop.participant import open_participant
 from services.viz_node.connections import DescriptorReserve
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
+# of several commands: hand and tip are coupled anew
+COUPLE = "couple"
 # which nodes the commands of the page are for; `*` for those that have several
 _EVERYBODY = "*"
 
@@ -40,6 +43,8 @@ class RigCommander:
         issued_ns: int,
     ) -> dict[str, tuple[str, str]]:
         """Send a command and return by node `ack` or `refused` and a sentence; RigError when nobody answers."""
+        if command == COUPLE:
+            return {TIP: ("ack", couple_anew(self._site_file, is_wanted, issued_ns=issued_ns))}
         if command not in _NAMES:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)

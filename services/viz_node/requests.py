@@ -12,7 +12,7 @@ from proto.messages import Scalar
 # raised when a page of an older build would misread what the server says, or the other way round
 PROTOCOL = 1
 LARGEST_FRAME = 1 << 16
-COMMANDS = ("start", "stop", "arm", "set", "mark")
+COMMANDS = ("start", "stop", "arm", "set", "mark", "couple")
 _MOST_PARAMETERS = 64
 _MOST_TEXT = 256
 _LONGEST_SHOWN_S = 1e6

@@ -3,15 +3,17 @@
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 import typer
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
+from proto.errors import ConfigError
 from proto.messages import SessionEvent
 from services.console.command_client import parse_parameters, send_control
+from services.console.coupling import couple_anew
 from services.runtime.loop.clock import process_start_ns
-from services.runtime.loop.commands import Command
+from services.runtime.loop.commands import Command, CommandName
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption, RigFileOption, Site, SiteOption, TargetOption
@@ -27,6 +29,7 @@ class SessionCommand(StrEnum):
     ESTOP = "estop"
     SET = "set"
     MARK = "mark"
+    COUPLE = "couple"
 
 
 def session(
@@ -40,9 +43,27 @@ def session(
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
+    if command is SessionCommand.COUPLE:
+        _couple(parameters or (), target, site, site_file, as_json=as_json)
+        return
     if command is SessionCommand.ESTOP:
         raise typer.Exit(run_estop(EstopRequest(target, "" if site is None else site.value, site_file, as_json)))
     send_command(command, parameters or (), target, site_file, site, as_json=as_json)
+
+
+def _couple(
+    parameters: Sequence[str], target: str, site: Site | None, site_file: Path | None, *, as_json: bool
+) -> None:
+    """Couple hand and tip anew; exit code 1 with the reason where that is refused or not completed."""
+    with report_errors(as_json):
+        if parameters or target != "*" or (site is not None and site.value != "master"):
+            raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
+        book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
+        text = couple_anew(book_file, issued_ns=process_start_ns())
+    if as_json:
+        print_json({"command": SessionCommand.COUPLE.value, "text": text})
+    else:
+        typer.echo(text)
 
 
 def send_command(
@@ -58,7 +79,7 @@ def send_command(
     with report_errors(as_json):
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         at: Literal["master", "slave"] = "master" if site is None else site.value
-        wanted = Command(command.value, target, parameters=parse_parameters(parameters))
+        wanted = Command(cast(CommandName, command.value), target, parameters=parse_parameters(parameters))
         answers = send_control(
             wanted, book_file, at, lambda event: None if as_json else _print_answer(event), issued_ns=process_start_ns()
         )

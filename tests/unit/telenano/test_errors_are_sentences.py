@@ -154,7 +154,7 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
         (("bag", "infoo", "x"), "no such command 'infoo'; did you mean info? (`telenano bag --help` explains)"),
         (
             ("session",),
-            "missing argument 'COMMAND'. Choose from: arm, start, stop, estop, set, mark (`tele",
+            "missing argument 'COMMAND'. Choose from: arm, start, stop, estop, set, mark, couple (`tele",
         ),
         (("keys", "allow", "slave", "KEY"), "missing option '--role'"),
         (("topic", "hz", "haptic/state", "more"), "got unexpected extra argument"),

@@ -61,6 +61,12 @@ export class Commands {
     for (const device of DEVICES) if (!mayGoOn() || !(await this.command(`arm ${device}`, "arm", device))) return;
   }
 
+  /** Couple hand and tip anew: the tip is withdrawn, and armed when the hand is at rest. */
+  async couple(): Promise<boolean> {
+    this.onArm();
+    return this.command("couple hand and tip", "couple", "*");
+  }
+
   async ask(about: string, fields: Facts): Promise<boolean> {
     const note = this.pending(about);
     const answer = await this.connection.ask(fields);

@@ -150,6 +150,7 @@ addEventListener("keydown", (event) => {
   if (event.key === "p") scopes.pause();
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
+  if (event.key === "o" && commands.may) part("couple").click();
   // clutch and mode of the hand across the sample, where there is one
   if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();
   if (event.key === "k" && commands.may) nextOption("lateral-mode");

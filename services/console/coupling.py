@@ -1,0 +1,217 @@
+"""`telenano session couple`: hand and tip of a running rig coupled anew, so that the tip is where the hand says.
+
+A law sends the tip to x_ref = alpha_p x + offset. What the hand does while the tip follows and the hand does not, as in
+a stall, goes into the offset, so that neither jumps. Only over a retracted tip it is zero, in every law (docs/laws.md).
+So the tip is withdrawn by its own guard, and armed again when the hand is at rest: it goes to alpha_p x at the speed
+limit of the base, and each law begins with the energy of a first session.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Protocol
+
+from proto.errors import RigError
+from proto.messages import AfmState, HapticState, TeleopBackward
+from proto.nodes import TIP, name_of
+from services.console.command_client import send_control
+from services.numerics.frames import to_paper_axis
+from services.runtime.bus.observer import RIG_HINT, Observer, require_rig
+from services.runtime.loop.commands import Command
+from services.runtime.loop.main import load_site
+
+TOPICS = ("haptic/state", "afm/state", "teleop/backward")
+# A hand that presses harder [N] would be let go of while it presses.
+PRESSING_N = 0.5
+# The hand is at rest when it has stayed within this way [m] for so long.
+_REST_M, _REST_S, _REST_PATIENCE_S = 1e-3, 0.3, 10.0
+# So does a base that has come back.
+_SAME_BASE_M, _STANDS_S = 5e-10, 0.2
+_LOOK_S, _PATIENCE_S, _RETRACT_S = 0.1, 5.0, 20.0
+_LATCHED = "emergency stop"
+
+
+class RunningRig(Protocol):
+    """What is asked of a rig: its newest states, and a command."""
+
+    def look(self, duration_s: float) -> Iterable[Any]:
+        """Return the messages of TOPICS that come within a time [s], without those from before the last command."""
+
+    def send(self, command: Command, retry_s: float = 0.0) -> str:
+        """Send a command, after a refusal again for a time [s]; return the answer, or raise RigError."""
+
+
+class _Console:
+    """A rig as the console of its master's site reaches it."""
+
+    def __init__(
+        self, site_file: Path, observer: Observer, is_wanted: Callable[[], bool], issued_ns: int | None
+    ) -> None:
+        self._site_file, self._observer, self._is_wanted = site_file, observer, is_wanted
+        self._issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
+
+    def look(self, duration_s: float) -> Iterable[Any]:
+        if not self._is_wanted():
+            raise RigError("couple was given up")
+        return (observed.received.message for observed in self._observer.listen(duration_s))
+
+    def send(self, command: Command, retry_s: float = 0.0) -> str:
+        answers = send_control(
+            command,
+            self._site_file,
+            "master",
+            lambda event: None,
+            self._is_wanted,
+            issued_ns=self._issued_ns,
+            retry_ns=round(retry_s * 1e9),
+        )
+        # What has waited for the answer is older than it.
+        deque(self._observer.listen(_LOOK_S), maxlen=0)
+        if refused := [event.text for event in answers.values() if event.kind == "refused"]:
+            raise RigError("; ".join(refused))
+        return "; ".join(event.text for event in answers.values())
+
+
+def couple_anew(site_file: Path, is_wanted: Callable[[], bool] = lambda: True, *, issued_ns: int | None = None) -> str:
+    """Couple hand and tip of a running rig anew, and return a sentence of where they are.
+
+    Args:
+        site_file: The site file of the rig.
+        is_wanted: Called before each sending; once it returns false, nothing more is sent.
+        issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now. An
+            emergency stop after it makes it void.
+
+    Raises:
+        RigError: It is refused, and nothing has moved; or it was not completed, and the tip stays withdrawn.
+        ConfigError: The site file cannot be used.
+    """
+    book = load_site(site_file)
+    require_rig(book, site_file)
+    with closing(Observer(book, TOPICS)) as observer:
+        return couple(_Console(site_file, observer, is_wanted, issued_ns))
+
+
+def couple(rig: RunningRig) -> str:
+    """Withdraw the tip, wait until the hand is at rest, arm the tip, and wait until both follow; see `couple_anew`."""
+    states = _States(rig)
+    states.require(lambda: states.known, _PATIENCE_S, f"states of hand and tip: {RIG_HINT}")
+    if reason := states.objection():
+        raise RigError(f"not coupled anew, and nothing has moved: {reason}")
+    before_m = states.base_m
+    answer = rig.send(Command("stop", name_of(TIP)))
+    if _LATCHED in answer:
+        raise RigError(f"not coupled anew: {answer}, which `telenano session arm` releases")
+    states.require(lambda: not states.follows, _RETRACT_S, f"the tip to be withdrawn ({answer})")
+    states.hand_still.forget()
+    stays = "the tip stays withdrawn until it is armed"
+    states.require(lambda: states.hand_still.for_s(_REST_S), _REST_PATIENCE_S, f"a hand at rest; {stays}")
+    try:
+        rig.send(Command("arm", name_of(TIP)), _RETRACT_S)
+    except RigError as error:
+        raise RigError(f"not coupled anew: {error}; {stays}") from error
+    states.require(
+        lambda: states.both_follow, _PATIENCE_S, "a hand that follows: its newest event says why; then couple again"
+    )
+    # The base comes back from where it was withdrawn to; a hand that moves on takes it along.
+    states.base_still.forget()
+    states.until(lambda: states.base_still.for_s(_STANDS_S), _PATIENCE_S)
+    return (
+        f"hand and tip are coupled anew: the tip went from {1e9 * before_m:.1f} to {1e9 * states.base_m:.1f} nm, for a"
+        f" hand at {1e3 * to_paper_axis(states.hand.reference_m):.2f} mm"
+    )
+
+
+class _Still:
+    """For how long a place [m] has stayed within a way [m], by the stamps of the messages that say it."""
+
+    def __init__(self, way_m: float) -> None:
+        self._way_m = way_m
+        self.forget()
+
+    def forget(self) -> None:
+        self._place_m: tuple[float, ...] = ()
+        self._since_ns = self._newest_ns = 0
+
+    def add(self, place_m: tuple[float, ...], t_ns: int) -> None:
+        self._newest_ns = t_ns
+        if not self._place_m or math.dist(place_m, self._place_m) > self._way_m:
+            self._place_m, self._since_ns = place_m, t_ns
+
+    def for_s(self, time_s: float) -> bool:
+        return (self._newest_ns - self._since_ns) * 1e-9 >= time_s
+
+
+class _States:
+    """The newest states of hand and tip."""
+
+    def __init__(self, rig: RunningRig) -> None:
+        self._rig = rig
+        self.hand: Any = None
+        self.tip: Any = None
+        self._afm: AfmState | None = None
+        self.hand_still, self.base_still = _Still(_REST_M), _Still(_SAME_BASE_M)
+
+    @property
+    def known(self) -> bool:
+        return self.hand is not None and self.tip is not None
+
+    @property
+    def follows(self) -> bool:
+        """Whether the tip follows; where the instrument is out of sight, its half of the law says so."""
+        return bool(self.tip.active)
+
+    @property
+    def both_follow(self) -> bool:
+        return self.follows and self.hand.mode != "off"
+
+    @property
+    def base_m(self) -> float:
+        return to_paper_axis(self.tip.position_m if self._afm is None else self._afm.base_position_m)
+
+    def until(self, is_so: Callable[[], bool], patience_s: float) -> bool:
+        """Take what the rig says until something is so; return whether it is."""
+        for _ in range(math.ceil(patience_s / _LOOK_S)):
+            for message in self._rig.look(_LOOK_S):
+                self._take(message)
+            if is_so():
+                return True
+        return False
+
+    def require(self, is_so: Callable[[], bool], patience_s: float, what: str) -> None:
+        """Wait until something is so; RigError says for what was waited in vain."""
+        if not self.until(is_so, patience_s):
+            raise RigError(f"not coupled anew: waited {patience_s:g} s in vain for {what}")
+
+    def objection(self) -> str:
+        """Return why hand and tip cannot be coupled anew now; empty if they can."""
+        hand, press_n = self.hand, abs(to_paper_axis(self.hand.operator_force_n))
+        if hand.estop or (self._afm is not None and self._afm.mode == "estop"):
+            return "a device is in emergency stop, which `telenano session arm` releases"
+        if hand.device == "lost":
+            return "the device of the hand is lost or refused; its newest event says why"
+        if self.follows and hand.mode == "off":
+            return "the hand does not follow; its newest event says why"
+        if self.follows and self.tip.in_contact:
+            return (
+                "the tip touches the sample, and would come back to where the hand is: lift the hand until the tip is"
+                " free, or withdraw the tip (`telenano session stop --target afm_node`) and take the hand to where the"
+                " tip may go"
+            )
+        if press_n > PRESSING_N:
+            return f"the hand presses with {press_n:.2f} N: let go of it, or hold it without force"
+        return ""
+
+    def _take(self, message: Any) -> None:
+        if isinstance(message, HapticState):
+            self.hand = message
+            self.hand_still.add(message.position_m, message.t_ns)
+            if message.device == "lost":
+                self.hand_still.forget()
+        elif isinstance(message, AfmState):
+            self._afm = message
+            self.base_still.add(message.base_position_m[2:], message.t_ns)
+        elif isinstance(message, TeleopBackward):
+            self.tip = message
