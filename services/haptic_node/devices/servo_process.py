@@ -146,7 +146,10 @@ class ServoLoop:
 
     def _step(self, sample: DeviceSample) -> Vector:
         now_ns = self._now_ns()
-        passed_s = (now_ns - self._turn_ns) * 1e-9 if self._turn_ns else self._period_s
+        # A servo that stood still after it had read the device steps at once after its next reading, and the hand has
+        # moved in the whole time between the two: in the time between the steps it would have jumped.
+        passed_ns = max(now_ns - self._turn_ns, sample.taken_ns - self._sample.taken_ns)
+        passed_s = passed_ns * 1e-9 if self._turn_ns else self._period_s
         self._turn_ns, self._sample = now_ns, sample
         command = self._shared.command()
         force, told = self.servo.step(command, sample, now_ns, min(max(passed_s, 1e-6), _LONGEST_STEP_S))

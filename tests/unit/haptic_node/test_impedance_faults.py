@@ -21,6 +21,9 @@ from services.haptic_node.coupling import (
     GATE_FROZEN,
     GATE_JUMP,
     GATE_NOT_A_NUMBER,
+    GATE_READY,
+    GATE_RELEASED,
+    GATE_REST,
     GATE_RUNAWAY,
     GATE_SILENT,
     GATES,
@@ -298,3 +301,15 @@ def test_watchdog_of_the_device_takes_the_force_when_the_process_dies(tmp_path: 
     bench.device.wire._lib.dhdGetPosition(place, place, place, c_byte(0))  # type: ignore[attr-defined]
     assert bench.device.force_n == 0.0
     closed()
+
+
+def test_servo_that_stood_still_after_it_had_read_the_device_takes_no_motion_for_a_jump(tmp_path: Path) -> None:
+    bench = ServoBench("haply", tmp_path)
+    bench.coupling = bench.coupling._replace(stiffness_n_per_m=(0.0, 0.0, 0.0), damping_n_s_per_m=(0.0, 0.0, 0.0))
+    bench.at(PUSHES_S, lambda: bench.device.hand(HAND_N))
+    # The hand is at 0.4 m/s by then, and 45 ms pass between the reading and its step.
+    bench.at(PUSHES_S + 0.08, lambda: setattr(bench.time, "ns", bench.time.ns + 45 * MS))
+    bench.run(PUSHES_S + 0.2)
+    heights = [sample.position_m[2] for sample in bench.samples]
+    assert max(before - after for before, after in pairwise(heights)) > 0.015
+    assert {sample.gate for sample in bench.samples} <= {GATE_ACTIVE, GATE_READY, GATE_RELEASED, GATE_REST}
