@@ -1,6 +1,7 @@
 """`telenano device`: devices that take a force, by their vendors' services and libraries, and an emulated Inverse3."""
 
 import asyncio
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -122,12 +123,14 @@ def simulate_haply(
             lines: asyncio.Queue[str] = asyncio.Queue()
             loop = asyncio.get_running_loop()
 
+            begun = bytearray()
+
             def read() -> None:
-                line = sys.stdin.readline()
-                if line:
-                    lines.put_nowait(line)
-                else:
+                typed = whole_lines(sys.stdin.fileno(), begun)
+                if typed is None:
                     loop.remove_reader(sys.stdin)
+                for line in typed or ():
+                    lines.put_nowait(line)
 
             # A file or the null device cannot be waited for, and gives no lines.
             if not sys.stdin.closed and (sys.stdin.isatty() or Path("/dev/stdin").is_fifo()):
@@ -140,3 +143,15 @@ def simulate_haply(
             sys.stdout.flush()
 
         asyncio.run(serve())
+
+
+def whole_lines(descriptor: int, begun: bytearray) -> list[str] | None:
+    """Return every line that waits at a descriptor, None at its end; what is begun of another is kept in `begun`.
+
+    A file object would give the first, keep the others, and nothing would be left to wait for.
+    """
+    data = os.read(descriptor, 65_536)
+    begun += data
+    *lines, rest = bytes(begun).split(b"\n")
+    begun[:] = rest
+    return [line.decode(errors="replace") for line in lines] if data else None

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import sys
 import threading
 import tomllib
@@ -21,6 +22,7 @@ from services.haptic_node.devices.haply import HaplyWire
 from services.haptic_node.devices.haply_service import HaplyService, obey, serve_haply
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.servo import DeviceSample
+from telenano.cli.commands.device_impedance import whole_lines
 
 
 class Served:
@@ -195,3 +197,18 @@ def test_other_hands_and_a_late_drive_are_put_in_by_a_line() -> None:
     arm.let_go()
     arm.advance(0.02)
     assert arm.force_n == (0.0, 0.0, 0.0)
+
+
+def test_lines_that_are_typed_or_pasted_at_once_are_all_obeyed() -> None:
+    """The second of two lines once waited for a third."""
+    reading, writing = os.pipe()
+    begun = bytearray()
+    try:
+        os.write(writing, b"loose\npush 2\nfre")
+        assert whole_lines(reading, begun) == ["loose", "push 2"]
+        os.write(writing, b"eze\n")
+        assert whole_lines(reading, begun) == ["freeze"]
+        os.close(writing)
+        assert whole_lines(reading, begun) is None
+    finally:
+        os.close(reading)
