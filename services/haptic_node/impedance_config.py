@@ -21,6 +21,8 @@ from services.runtime.settings.config import Settings
 
 # From no force to the greatest one takes so long at least [s].
 _FULL_FORCE_S = 0.01
+# A change of the force [N] that no hand, spring of some 1000 N/m at most, answers with less than 1 mm.
+_FROZEN_N = 1.0
 
 
 class Bounds(NamedTuple):
@@ -98,8 +100,12 @@ class CouplingConfig(Settings):
         le=10.0,
         description="How long a place may stay the same bits under a changing force [s]; 0: for ever",
     )
-    frozen_force_n: float = Field(
-        default=1.0, ge=1e-3, le=1e3, description="Change of the force that a device must answer with some motion [N]"
+    frozen_force_n: float | None = Field(
+        default=None,
+        ge=1e-3,
+        le=1e3,
+        description="Change of the force that a device must answer with some motion [N]; none: a tenth of the greatest"
+        " force, and no more than 1 N",
     )
     runaway_m_per_s: float = Field(
         default=0.5, ge=0.01, le=10.0, description="Speed against half of the greatest force that is refused [m/s]"
@@ -131,7 +137,7 @@ class CouplingConfig(Settings):
             rest_m=self.rest_m,
             jump_m=self.jump_m,
             frozen_s=self.frozen_s,
-            frozen_force_n=self.frozen_force_n,
+            frozen_force_n=min(_FROZEN_N, 0.1 * most) if self.frozen_force_n is None else self.frozen_force_n,
             runaway_m_per_s=self.runaway_m_per_s,
         )
 

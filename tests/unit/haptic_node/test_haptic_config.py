@@ -191,3 +191,10 @@ def test_the_device_gives_numbers_at_every_end_of_its_settings(section, key, val
         )
         reading = device.read(tick * 1e-3, 1e-3)
         assert all(math.isfinite(part) for part in reading[:9]), (section, key, value, reading)
+
+
+@pytest.mark.parametrize(("model", "found_n"), [("touch", 0.33), ("omega", 1.0)])
+def test_weak_device_has_to_answer_a_smaller_change_of_its_force(model: str, found_n: float) -> None:
+    config = HapticConfig.model_validate({"driver": "simulated_impedance", "impedance": {"model": model}})
+    settings = config.coupling.to_settings(config.impedance.capabilities())
+    assert settings.frozen_force_n == pytest.approx(found_n, rel=1e-3, abs=0.0)
