@@ -41,7 +41,7 @@ def session(folder: Path, mode: str, slope: float) -> Recording:
         "controller": {
             "law": "virtual_impedance",
             "virtual_impedance": {"position_scale": 1e-5},
-            "lateral": {"mode": mode, "position_scale": 2e-5, "granted_j": 0.01},
+            "lateral": {"mode": mode, "position_scale": 2e-5},
         },
         "afm_node": {
             "rest_distance_m": 10e-9,
