@@ -147,8 +147,10 @@ class HdWire:
             seen = silent = 0
             while not (faults or ended):
                 self._sleep(_WAIT_S)
-                seen, silent = begun[0], silent + 1 if begun[0] == seen else 0
-                if silent >= (_SILENT_LOOKS if 0 < seen == done[0] else _PATIENT_LOOKS):
+                # A long call that has just ended is no silence: that counts from the last beginning or end of one.
+                calls = begun[0] + done[0]
+                seen, silent = calls, silent + 1 if calls == seen else 0
+                if silent >= (_SILENT_LOOKS if 0 < begun[0] == done[0] else _PATIENT_LOOKS):
                     # What follows closes the device, which sets no force from this thread.
                     raise DeviceError(f"{self._name}: its scheduler calls no more (none for {silent * _WAIT_S:g} s)")
         finally:

@@ -1,10 +1,11 @@
 """Each fault of a device of impedance type, at its servo: no force at the hand, one sentence, and how it goes on."""
 
 import shutil
+import threading
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
@@ -12,7 +13,7 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the doubles of vendors' libraries need a C compiler: apt install gcc", allow_module_level=True)
 
-from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, ServoBench
+from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
 
 from services.haptic_node.coupling import (
     GATE_ACTIVE,
@@ -270,8 +271,6 @@ def test_error_of_a_call_is_a_loss_in_its_words_and_is_got_over(kind: str, call:
     ("kind", "call"), [*(("dhd", call) for call in DHD_START), *(("hd", call) for call in HD_START)]
 )
 def test_error_at_the_start_is_a_sentence_and_leaves_the_device_closed(kind: str, call: str, tmp_path: Path) -> None:
-    from servo_bench import Emulated, VirtualTime
-
     from services.haptic_node.driver import DeviceError
 
     device = Emulated(kind, VirtualTime(), tmp_path)
@@ -313,3 +312,48 @@ def test_servo_that_stood_still_after_it_had_read_the_device_takes_no_motion_for
     heights = [sample.position_m[2] for sample in bench.samples]
     assert max(before - after for before, after in pairwise(heights)) > 0.015
     assert {sample.gate for sample in bench.samples} <= {GATE_ACTIVE, GATE_READY, GATE_RELEASED, GATE_REST}
+
+
+def test_call_of_the_scheduler_that_took_long_and_has_just_ended_is_no_silence(tmp_path: Path) -> None:
+    """The scheduler calls in a thread of its own: for nine looks in a call, then a look before the next one."""
+    wire = Emulated("hd", VirtualTime(), tmp_path).wire
+    wire.open()
+    in_call, ends, ended = threading.Event(), threading.Event(), threading.Event()
+    frames: list[Any] = []
+
+    def long_frame(lib: Any, turn: Any) -> bool:
+        in_call.set()
+        assert ends.wait(10.0)
+        return len(frames) < 2
+
+    def call() -> None:
+        frames.append(None)
+        scheduled[0](None)
+        ended.set()
+
+    looks: list[int] = []
+
+    def look(duration_s: float) -> None:
+        looks.append(len(frames))
+        if len(looks) in (1, 12):
+            ended.clear(), ends.clear(), in_call.clear()
+            threading.Thread(target=call).start()
+            assert in_call.wait(10.0)
+        elif len(looks) in (10, 20):
+            ends.set()
+            assert ended.wait(10.0)
+
+    scheduled: list[Any] = []
+    lib = wire._lib  # type: ignore[attr-defined]
+    patched: Any = wire
+    patched._frame, patched._sleep = long_frame, look
+    patched._lib = SimpleNamespace(
+        hdScheduleAsynchronous=lambda kept, *rest: scheduled.append(kept) or 1,
+        hdGetError=lambda: SimpleNamespace(code=0),
+        **dict.fromkeys(("hdStartScheduler", "hdStopScheduler"), lambda: None),
+        hdUnschedule=lambda handle: None,
+    )
+    wire.run(lambda sample: None)
+    patched._lib = lib
+    wire.close()
+    assert len(looks) == 20
