@@ -13,7 +13,8 @@ import numpy as np
 from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
 from proto.extras import how_to_install
-from studies.experiments.effects import CORRECTIONS, Effects, Factor, Test, as_rows, corrected, effects, mean_interval
+from studies.experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
+from studies.experiments.effects import Effects, Factor, Test, as_rows, effects
 from studies.experiments.psychophysics.methods import replay
 from studies.experiments.table import ANSWER, CONDITION, FIXED, Row, Tables
 

@@ -13,19 +13,14 @@ Bates, Mixed-Effects Models in S and S-PLUS (2000), section 2.4.2).
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from analysis.intervals import half_width
+from studies.experiments.effect_sizes import Matrix, compared, corrected, partial_eta2, sphericity
 
 Test = Literal["mixed", "anova"]
-CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
-Matrix = npt.NDArray[np.float64]
-# no statistic of a real experiment has its centre this far off
-_FARTHEST = 2.0**24
 # one after the other, until a search for the greatest likelihood ends
 _SEARCHES = ("bfgs", "lbfgs", "powell")
 # F ratios beyond it come of rounding alone
@@ -66,10 +61,6 @@ class Term(NamedTuple):
     partial_eta2_high: float
     epsilon: float | None = None
     p_corrected: float | None = None
-
-
-# difference, its ends, degrees of freedom, p, Hedges' g and its ends
-_Compared = tuple[float, float, float, float, float, float, float, float]
 
 
 class Slope(NamedTuple):
@@ -162,37 +153,6 @@ def effects(
     ps = corrected([pair.p for pair in pairs], correction)
     pairs = tuple(pair._replace(p_corrected=p) for pair, p in zip(pairs, ps, strict=True))
     return Effects(model, tuple(remarks), terms, slopes, pairs)
-
-
-def corrected(ps: Sequence[float], correction: str) -> list[float]:
-    """Return p values corrected for multiple comparisons, in their order.
-
-    Bonferroni; S. Holm, Scand. J. Stat. 6 (1979) 65; Y. Benjamini and Y. Hochberg, J. R. Stat. Soc. B 57 (1995) 289.
-    """
-    count = len(ps)
-    if correction == "none" or not count:
-        return list(ps)
-    if correction == "bonferroni":
-        return [min(1.0, count * p) for p in ps]
-    given = np.asarray(ps, dtype=float)
-    order = np.argsort(given)
-    ranks = np.arange(1, count + 1)
-    if correction == "holm":
-        ascending = np.maximum.accumulate((count + 1 - ranks) * given[order])
-    else:
-        ascending = np.minimum.accumulate((count / ranks * given[order])[::-1])[::-1]
-    result = np.empty(count)
-    result[order] = np.minimum(ascending, 1.0)
-    return [float(p) for p in result]
-
-
-def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, float, float]:
-    """Return the mean of participants' values with its interval by Student's t; the ends are nan of one value."""
-    mean, count = float(np.mean(values)), len(values)
-    if count < 2:
-        return mean, math.nan, math.nan
-    half = half_width(float(np.std(values, ddof=1)), count, confidence)
-    return mean, mean - half, mean + half
 
 
 class _Column(NamedTuple):
@@ -381,25 +341,6 @@ def _anova(
     return tuple(found)
 
 
-def sphericity(cells: Matrix, factors: Sequence[tuple[int, bool]]) -> float:
-    """Return the Greenhouse–Geisser ε of a term (Psychometrika 24 (1959) 95).
-
-    Args:
-        cells: The values of participants (rows) in all conditions, the last factor changing fastest.
-        factors: The number of levels of each factor, and whether it is in the term.
-    """
-    contrast = np.ones((1, 1))
-    for levels, is_in_term in factors:
-        centred = np.eye(levels) - 1.0 / levels
-        # orthonormal contrasts: what is left of all differences when the mean is taken away
-        own = np.linalg.svd(centred)[0][:, : levels - 1].T if is_in_term else np.full((1, levels), levels**-0.5)
-        contrast = np.kron(contrast, own)
-    scores = cells @ contrast.T
-    covariance = np.atleast_2d(np.cov(scores, rowvar=False))
-    squares = float((covariance**2).sum())
-    return float(np.trace(covariance)) ** 2 / (len(contrast) * squares) if squares > 0.0 else 1.0
-
-
 def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float, within: str) -> tuple[Pair, ...]:
     """Compare the levels of each factor, where `within` is one of them those of the others at each of its levels."""
     held = next((factor for factor in factors if factor.name == within), None)
@@ -419,90 +360,10 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
             left, right = means[level].dropna().to_numpy(float), means[against].dropna().to_numpy(float)
             both = means[[level, against]].dropna()
             paired = both[level].to_numpy(float) - both[against].to_numpy(float) if factor.is_within else None
-            pair = _pair(left, right, paired, confidence)
+            pair = compared(left, right, paired, confidence)
             if pair is not None:
                 found.append(Pair(factor.name, level, against, *pair))
     return tuple(found)
-
-
-def _pair(left: Matrix, right: Matrix, paired: Matrix | None, confidence: float) -> _Compared | None:
-    """Return difference, low, high, df, p, g, low and high; None where there are too few participants."""
-    from scipy import stats
-
-    if paired is not None:
-        count = len(paired)
-        if count < 2:
-            return None
-        deviation, df, size = float(paired.std(ddof=1)), float(count - 1), float(count)
-        difference, error = float(paired.mean()), deviation / math.sqrt(count)
-    else:
-        if min(len(left), len(right)) < 2:
-            return None
-        spreads = left.var(ddof=1) / len(left), right.var(ddof=1) / len(right)
-        difference, error = float(left.mean() - right.mean()), math.sqrt(float(sum(spreads)))
-        # Welch's degrees of freedom; g has the pooled deviation
-        df = float(sum(spreads) ** 2 / (spreads[0] ** 2 / (len(left) - 1) + spreads[1] ** 2 / (len(right) - 1) or 1.0))
-        size = len(left) * len(right) / (len(left) + len(right))
-        pooled = (left.var(ddof=1) * (len(left) - 1) + right.var(ddof=1) * (len(right) - 1)) / (
-            len(left) + len(right) - 2
-        )
-        deviation = math.sqrt(float(pooled))
-    if error <= 0.0 or deviation <= 0.0:
-        return None
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, df)) * error
-    p = 2.0 * float(stats.t.sf(abs(difference) / error, df))
-    # L. V. Hedges, J. Educ. Stat. 6 (1981) 107: the deviation of few values is too small on average
-    small = 1.0 - 3.0 / (4.0 * df - 1.0)
-    t = difference / deviation * math.sqrt(size)
-    low, high = _noncentral(lambda centre: float(stats.nct.cdf(t, df, centre)), -math.inf, t, confidence)
-    scale = small / math.sqrt(size)
-    return difference, difference - half, difference + half, df, p, t * scale, low * scale, high * scale
-
-
-def partial_eta2(f: float, df1: float, df2: float, confidence: float = 0.95) -> tuple[float, float, float]:
-    """Return partial η² of an F test with its interval, by the noncentral F distribution.
-
-    M. J. Smithson, Educ. Psychol. Meas. 61 (2001) 605.
-    """
-    from scipy import stats
-
-    low, high = _noncentral(lambda centre: float(stats.ncf.cdf(f, df1, df2, centre)), 0.0, df1 * f, confidence)
-    shares = [centre / (centre + df1 + df2 + 1.0) for centre in (low, high)]
-    return df1 * f / (df1 * f + df2), shares[0], shares[1]
-
-
-def _noncentral(
-    chance_below: Callable[[float], float], floor: float, start: float, confidence: float
-) -> tuple[float, float]:
-    """Return the centres of which the statistic is the upper and the lower quantile: the ends of an interval.
-
-    Args:
-        chance_below: Returns the chance of a lesser statistic; it falls as the centre, its argument, grows.
-        floor: The least centre there is.
-        start: Where the search begins.
-        confidence: The confidence of the interval.
-    """
-    from scipy.optimize import brentq
-
-    def chance(centre: float) -> float:
-        found = chance_below(centre)
-        # far from the statistic the library's series does not end; there the chance is 1 or 0
-        return (1.0 if centre < start else 0.0) if math.isnan(found) else found
-
-    def centre_of(quantile: float) -> float:
-        low = high = start
-        step = 1.0
-        while low > floor and chance(low) < quantile and step < _FARTHEST:
-            low, step = max(low - step, floor), 2.0 * step
-        if chance(low) < quantile:
-            return low
-        step = 1.0
-        while chance(high) > quantile and step < _FARTHEST:
-            high, step = high + step, 2.0 * step
-        return float(brentq(lambda centre: chance(centre) - quantile, low, high)) if step < _FARTHEST else high
-
-    tail = 0.5 - 0.5 * confidence
-    return centre_of(1.0 - tail), centre_of(tail)
 
 
 def as_rows(found: Mapping[tuple[str, str], Effects], part: str) -> list[dict[str, Any]]:

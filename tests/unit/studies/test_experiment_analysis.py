@@ -12,7 +12,8 @@ from proto.errors import ConfigError
 from services.viz_node.figure_style import figure_options
 from studies.experiments import analyse as analyse_module
 from studies.experiments.analyse import Choice, analyse
-from studies.experiments.effects import Effects, corrected, partial_eta2, sphericity
+from studies.experiments.effect_sizes import corrected, partial_eta2, sphericity
+from studies.experiments.effects import Effects
 from studies.experiments.psychophysics.function import Psychometric
 from studies.experiments.psychophysics.observer import Observer
 from studies.experiments.table import tidy
