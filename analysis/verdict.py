@@ -20,7 +20,9 @@ One function decides, for recordings, maps and the check of the bus against lock
 
 A mode that is said to go on has to be seen: a swing of f Hz turns 2 f times a second by nearly all of its size. Where
 the force turns less than f times a second by a third of it, and hardly moves in the last quarter of the hold, the fit
-has taken a jump or an approach for a swing.
+has taken a jump or an approach for a swing. A mode that is said to grow has to be seen at its end: where the force
+moves in the last sixteenth of the hold by less than the mode would do there at the very least, the fit has made a
+dip of a few millinewtons, such as a late message leaves, of large modes that cancel.
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
 later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
@@ -82,6 +84,9 @@ _RESIDUE_SHARE = 0.1
 # cycles that a hold has to have for a swing to be looked for in its turning points, and those that a fit of the band
 # about zero may have; the share of a swing by which the force has to turn, and that which is left in its last quarter
 _SEEN_CYCLES, _SLOW_CYCLES, _SEEN_SHARE, _SEEN_AT_END = 1.5, 8.0, 1.0 / 3.0, 0.25
+# A growing mode is looked for in this last share of the hold, at so many phases and times of it; the force has to move
+# there by this share of the least that the mode moves.
+_END_SHARE, _END_PHASES, _END_TIMES, _END_SEEN = 1.0 / 16.0, 12, 48, 0.9
 # The longest way of an approach is at least so many times the height that counts as a turn.
 _APPROACH_HEIGHTS = 4.0
 # Where there is noise, turning points are looked for in so many means of neighbouring samples.
@@ -318,6 +323,23 @@ def _is_seen(values: Series, mode: Mode, motion: _Motion) -> bool:
     return _size(last, motion.noise_n) >= _SEEN_AT_END * size_n
 
 
+def _is_made_up(values: Series, mode: Mode, length_s: float) -> bool:
+    """Return whether a mode is said to grow for sure, and the force moves less at the end than it does in any phase."""
+    grows = mode.explained and mode.growth_per_s > _SURE_ERRORS * mode.error_per_s
+    if not grows or mode.frequency_hz <= 0.0:
+        return False
+    last = values[-max(2, round(_END_SHARE * len(values))) :]
+    least = math.inf
+    for n in range(_END_PHASES):
+        course = []
+        for k in range(_END_TIMES + 1):
+            back_s = _END_SHARE * length_s * k / _END_TIMES
+            phase = math.pi * (n / _END_PHASES + 2.0 * mode.frequency_hz * back_s)
+            course.append(math.exp(-mode.growth_per_s * back_s) * math.cos(phase))
+        least = min(least, max(course) - min(course))
+    return float(np.ptp(last)) < _END_SEEN * least * mode.end_n
+
+
 def _dwindles(values: Series, height_n: float, noise_n: float) -> bool:
     """Return whether each way of the force from turn to turn is less than half the one before, from the longest on.
 
@@ -421,7 +443,7 @@ def _motion(values: Series, period_s: float, noise_n: float, floor_n: float) -> 
     late = slice(WINDOWS - _LATE_WINDOWS, None)
     growth, trend = growth_rate(centres[late], sizes[late], floor_n)
     change = growth * float(centres[-1] - centres[WINDOWS - _LATE_WINDOWS]) if growth is not None else 0.0
-    modes = modes_of(values, period_s, noise_n, floor_n)
+    modes = [mode for mode in modes_of(values, period_s, noise_n, floor_n) if not _is_made_up(values, mode, length_s)]
     return _Motion(length_s, sizes, modes, growth, change, trend, noise_n)
 
 

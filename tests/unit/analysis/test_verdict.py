@@ -121,6 +121,25 @@ def test_more_than_a_read_out_can_have_is_a_motion() -> None:
     assert found.noise_n == 0.0
 
 
+@pytest.mark.parametrize("back_s", [0.05, 0.09, 0.2])
+def test_a_dip_that_a_late_message_leaves_is_no_swing_that_grows(back_s: float) -> None:
+    """The fit makes modes of up to 41 N of a dip of 2.7 mN that goes back where it was."""
+    time_s = TIME_S[:5300]
+    since_s = time_s - (time_s[-1] - 0.3)
+    dip = np.where(since_s >= 0.0, 2.7e-3 * np.exp(-np.maximum(since_s, 0.0) / back_s), 0.0)
+    found = judge(time_s, 0.963 - dip, 1.0, Circumstances(noisy=True, expected_n=0.963))
+    assert found.kind == "stable", found
+    assert found.peak_to_peak_n < 3e-3
+
+
+@pytest.mark.parametrize("frequency_hz", [0.7, 3.0, 12.0, 60.0])
+@pytest.mark.parametrize("growth_per_s", [0.4, 3.0])
+def test_a_swing_that_grows_is_seen_at_its_end_whatever_its_phase(frequency_hz: float, growth_per_s: float) -> None:
+    for phase in np.arange(8) * np.pi / 8.0:
+        swing = np.exp(growth_per_s * (TIME_S - 8.0)) * np.sin(2.0 * np.pi * frequency_hz * TIME_S + phase)
+        assert judge(TIME_S, 1.0 + 0.004 * swing, 1.0).kind == "diverged"
+
+
 def test_two_lines_that_beat_are_two_modes() -> None:
     modes = modes_of(beating(5.0, 5.1, 0.2), 1e-3, 0.0, 1e-7)
     assert sorted(mode.frequency_hz for mode in modes) == pytest.approx([5.0, 5.1], abs=1e-3)
