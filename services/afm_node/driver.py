@@ -125,6 +125,9 @@ class Simulation(Protocol):
     def particles(self) -> Particles | None:
         """Return where the particles really are, which no instrument knows; None without any."""
 
+    def restore_sample(self) -> None:
+        """Take a sample as it was in the beginning, with its particles where they lay."""
+
     @property
     def settles(self) -> bool:
         """Return whether there is work that nothing has to wait for, between two exchanges."""

@@ -23,10 +23,11 @@ from services.afm_node.programs.program import FinishedLine, Inputs
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import RunnerState
 from services.afm_node.programs.settings import (
+    STIFFNESS,
     InstrumentRequest,
-    changed_disturbances,
-    changed_stiffness,
+    is_of_simulation,
     requested,
+    told_simulation,
 )
 from services.afm_node.programs.table import CHANGES
 from services.numerics.frames import to_paper_axis
@@ -38,8 +39,6 @@ from services.runtime.loop.node_state import FindInput, Part, part
 from services.runtime.loop.replay_guard import ReplayGuard
 
 INPUTS = ("afm/command", "clock/ping", "link/delay", "session/control", "node/health")
-# The stiffness of environment spring, which experiments change from one trial to the next.
-_STIFFNESS = "spring.stiffness_n_per_m"
 _PROGRAM_PERIOD_NS = 100_000_000
 # The truth about particles is looked at so often, and published then while one moves, else every so many looks.
 _LOOK_PERIOD_NS, _RESTING_LOOKS = 50_000_000, 20
@@ -232,26 +231,10 @@ class AfmNode(Node):
 
     def _set(self, control: SessionControl) -> str:
         """Begin or change a program, or move the tip over the sample."""
-        springs = {key: value for key, value in control.parameters.items() if key == _STIFFNESS}
-        changes = {key: value for key, value in control.parameters.items() if key.startswith("disturbances.")}
-        others = {**springs, **changes}
-        request = requested({key: value for key, value in control.parameters.items() if key not in others}, others)
-        sentences = []
-        if springs:
-            stiffness_n_per_m = changed_stiffness(springs[_STIFFNESS])
-            take = getattr(self._driver, "take_spring", lambda stiffness: False)
-            if not take(stiffness_n_per_m):
-                raise RefusedError(f"{_STIFFNESS}: only the simulated environment spring has one")
-            self._other_spring = True
-            sentences.append(f"the sample has {stiffness_n_per_m:g} N/m")
-        if changes:
-            simulation = self._driver.simulation
-            if simulation is None:
-                raise RefusedError("disturbances: a real instrument has its own")
-            if simulation.disturbances is None:
-                raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
-            simulation.configure(changed_disturbances(simulation.disturbances, changes))
-            sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
+        told = {key: value for key, value in control.parameters.items() if is_of_simulation(key)}
+        request = requested({key: value for key, value in control.parameters.items() if key not in told}, told)
+        sentences = told_simulation(self._driver, told)
+        self._other_spring |= STIFFNESS in told
         lateral = request.lateral
         if lateral.x_m is not None or lateral.y_m is not None:
             if self._driver.stage is None:

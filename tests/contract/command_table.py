@@ -43,6 +43,7 @@ def settable(node: str) -> list[str]:
             *flatten(InstrumentRequest().model_dump()),
             *flatten({"disturbances": DisturbanceConfig().model_dump()}),
             "spring.stiffness_n_per_m",
+            "sample.restore",
         ]
     if node == "haptic_node":
         return ["operator", *flatten({"disturbances": HandDisturbanceConfig().model_dump()})]

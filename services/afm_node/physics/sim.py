@@ -172,6 +172,12 @@ class SimulatedInstrument:
         self._params = self._params._replace(plant=changed)
         return True
 
+    def restore_sample(self) -> None:
+        """Take a sample as it was in the beginning: its particles lie where they lay, and nothing is remembered."""
+        state = self.state
+        if state.part is not None:
+            self.state = state._replace(part=part_start(self._params.plant, state.inputs))
+
     def elapse(self, dt: float) -> None:
         """Note the time [s] of the next exchange."""
         self.state = self.state._replace(elapsed_s=self.state.elapsed_s + dt)

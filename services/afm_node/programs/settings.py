@@ -7,12 +7,17 @@ from pydantic import Field, create_model
 
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
+from services.afm_node.driver import AfmDriver
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.programs.program_settings import Position
 from services.afm_node.programs.table import CHANGES, PROGRAMS, refuse_unusable
 from services.runtime.settings.config import Settings, merge, nested, validate
 
 _STIFFEST_N_PER_M = 1e9
+# What experiments change of a simulation from one trial to the next: the stiffness of environment spring; and whether
+# the sample becomes as it was in the beginning.
+STIFFNESS, RESTORE = "spring.stiffness_n_per_m", "sample.restore"
+_DISTURBANCES = "disturbances."
 
 
 class LateralTarget(Settings):
@@ -88,8 +93,42 @@ def changed_disturbances(config: DisturbanceConfig, parameters: Mapping[str, Sca
         raise RefusedError(str(error)) from error
 
 
-def changed_stiffness(value: Scalar) -> float:
+def is_of_simulation(key: str) -> bool:
+    """Return whether a key of `set` is for what is simulated."""
+    return key in (STIFFNESS, RESTORE) or key.startswith(_DISTURBANCES)
+
+
+def told_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> list[str]:
+    """Tell a simulated instrument what `set` changes of it (`is_of_simulation`), and return what it did, in sentences.
+
+    Raises:
+        RefusedError: The instrument is real, or has no such thing, or a value is wrong.
+    """
+    sentences = []
+    if STIFFNESS in parameters:
+        stiffness_n_per_m = _stiffness(parameters[STIFFNESS])
+        take = getattr(driver, "take_spring", lambda stiffness: False)
+        if not take(stiffness_n_per_m):
+            raise RefusedError(f"{STIFFNESS}: only the simulated environment spring has one")
+        sentences.append(f"the sample has {stiffness_n_per_m:g} N/m")
+    if RESTORE in parameters:
+        if driver.simulation is None or parameters[RESTORE] is not True:
+            raise RefusedError(f"{RESTORE}: has to be true, and only a simulated sample can be restored")
+        driver.simulation.restore_sample()
+        sentences.append("the sample is as it was in the beginning")
+    if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
+        simulation = driver.simulation
+        if simulation is None:
+            raise RefusedError("disturbances: a real instrument has its own")
+        if simulation.disturbances is None:
+            raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
+        simulation.configure(changed_disturbances(simulation.disturbances, changes))
+        sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
+    return sentences
+
+
+def _stiffness(value: Scalar) -> float:
     """Return a stiffness of the environment [N/m]; RefusedError where it is none."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value <= _STIFFEST_N_PER_M:
-        raise RefusedError(f"spring.stiffness_n_per_m: {value} must be a number of N/m, above 0, up to 1e9")
+        raise RefusedError(f"{STIFFNESS}: {value} must be a number of N/m, above 0, up to 1e9")
     return float(value)

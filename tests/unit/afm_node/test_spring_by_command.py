@@ -1,4 +1,4 @@
-"""Another stiffness of the simulated environment by `set`, as an experiment asks between two intervals of a trial."""
+"""What an experiment changes of a simulated sample by `set`: the stiffness of a spring, and all back as it was."""
 
 from typing import Any
 
@@ -6,6 +6,10 @@ import pytest
 from test_afm_programs import SOFT, Imager, command
 
 from proto.errors import RefusedError
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import AfmNode
+from services.afm_node.physics.sim import simulated_afm
+from studies.assembly.bench import bench
 
 SPRING = {"environment": "spring", "spring": {"stiffness_n_per_m": 2.0, "rest_position_m": -1e-8, "bilateral": False}}
 KEY = "spring.stiffness_n_per_m"
@@ -49,3 +53,21 @@ def test_what_is_no_stiffness_changes_nothing(spring: Imager, value: Any) -> Non
 def test_a_real_sample_has_its_own(bench_of: Any) -> None:
     with pytest.raises(RefusedError, match="only the simulated environment spring has one"):
         Imager(bench_of("afm_node@slave"), SOFT).set(**{KEY: 5.0})
+
+
+def test_particles_lie_where_they_lay_again(bench_of: Any) -> None:
+    config = AfmConfig.model_validate(bench({"places": [[1e-6, 0.0], [0.0, 1e-6]]}))
+    driver = simulated_afm(config.to_params(), config.to_surface(), layer=config.to_particle_layer)
+    afm = Imager(bench_of("afm_node@slave"))
+    afm.node = AfmNode(bench_of("afm_node@slave").context, config, driver)
+    moved = driver.state.part.moving.copy()
+    moved[0, 0] += 3e-7
+    driver.state = driver.state._replace(part=driver.state.part._replace(moving=moved))
+    assert driver.particles is not None
+    assert driver.particles.places_m[0, 0] == pytest.approx(1.3e-6, rel=1e-9, abs=0.0)
+    assert afm.set(**{"sample.restore": True}) == "the sample is as it was in the beginning"
+    assert driver.particles.places_m.tolist() == [[1e-6, 0.0], [0.0, 1e-6]]
+    # unlike another stiffness it is in the state, from which a re-run goes on
+    assert afm.node.capture() is not None
+    with pytest.raises(RefusedError, match=r"sample\.restore: has to be true"):
+        afm.set(**{"sample.restore": False})
