@@ -11,6 +11,7 @@ What is known of them is what an experiment has to find:
   the detection time grows by the delay back.
 - discriminate_stiffness: with probability lapse it guesses, else it chooses the stiffer one of ratio r with the
   probability Phi(ln(r) / weber): 84 % are right at r = exp(weber), without lapses.
+- push_particle: it is the hand of `telenano study push`, which steers the stylus of the controller's mode rate.
 """
 
 import math
@@ -34,6 +35,8 @@ SLOPE_OF_WAVE = 4.5
 Answers = tuple[Mapping[str, Any], ...]
 # A target goes to the hand as so many corners at most: `set operator=` takes a text of 4096 characters.
 _CORNERS = 60
+# How a hand that steers the tip across presses it on the sample: times [s] and forces [N].
+PRESSES = (0.2, 0.6), (0.0, 1.2)
 # How fast the hand goes towards the sample to detect it [m/s], and what it feels before: the mean of this time [s].
 _APPROACH_M_PER_S = 4e-3
 _BEFORE_S, _GAP_S = 0.5, 0.1
@@ -80,6 +83,11 @@ class Simulated:
         """
         hand = self._hand(task, p, trial)
         return {f"haptic_node.operator.{key}": value for key, value in hand.items()}
+
+    def steers(self, task: Task, p: Any, seed: int) -> bool:
+        """Return whether the hand of a task steers the tip across the sample, to a place."""
+        course = task.target(p, seed)
+        return course is not None and course.quantity == "place"
 
     def answer(self, task: Task, p: Any, trial: Trial, data: TrialData) -> Answers:
         """Return the answers of a trial: to the questions of its task, and those that are given during it."""
@@ -130,6 +138,9 @@ class Simulated:
                 for t, value in _late(course, who.reaction_time_s)
             ]
             return {"kind": "impedance", "arm": who.arm, "path": path}
+        if course is not None and course.quantity == "place":
+            points = [{"time_s": t, "force_n": force_n} for t, force_n in zip(*PRESSES, strict=True)]
+            return {"kind": "force_profile", "points": points}
         if task.name == "detect_contact":
             path = [
                 {"time_s": 0.0, "position_m": 0.0},

@@ -15,7 +15,7 @@ from recording.reader import Recording
 from recording.site_clock import Timeline
 from recording.tables import columns_of, uniform
 from studies.experiments.disturbances import Evidence, Hold, Passage
-from studies.experiments.types import TrialData
+from studies.experiments.types import TrialData, particle_table
 
 _TABLES = ("afm/state", "haptic/state", "law/status")
 _PARTICLES = "afm/particles"
@@ -100,13 +100,7 @@ class RecordedTrial:
                 rows.append((time_s, float(places[0, 0]), float(places[0, 1])))
         if not rows:
             return None
-        columns = dict(zip(("time_s", "x_m", "y_m"), np.array(rows).T, strict=True))
-        texts = {
-            "time_s": "Time since the trial began",
-            "x_m": "Centre of the particle",
-            "y_m": "Centre of the particle",
-        }
-        return ColumnTable(_PARTICLES, columns, {"time_s": "s", "x_m": "m", "y_m": "m"}, texts)
+        return particle_table(*np.array(rows).T)
 
     def _of(self, topic: str) -> list[RecordedMessage]:
         return self._messages[topic]

@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from recording.column_table import ColumnTable
 
 
@@ -75,3 +78,10 @@ class TrialOutcome(NamedTuple):
     recording: str
     verified: Mapping[str, Any]
     answers: tuple[Mapping[str, Any], ...] = ()
+
+
+def particle_table(time_s: npt.NDArray[Any], x_m: npt.NDArray[Any], y_m: npt.NDArray[Any]) -> ColumnTable:
+    """Return the table `particles` of a trial: times [s] and places [m], shape (n,) each."""
+    columns = {"time_s": np.asarray(time_s), "x_m": np.asarray(x_m), "y_m": np.asarray(y_m)}
+    texts = {"time_s": "Time since the trial began", "x_m": "Centre of the particle", "y_m": "Centre of the particle"}
+    return ColumnTable("particles", columns, {"time_s": "s", "x_m": "m", "y_m": "m"}, texts)

@@ -5,6 +5,7 @@ law, and place of the stage and force on the tip come with the answers. So delay
 of the law.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from services.controller.lateral import (
     LateralMasterState,
     LateralParams,
     LateralSlaveState,
+    MotionParams,
     lateral_at_rest,
     lateral_master_step,
     lateral_slave_at_rest,
@@ -29,14 +31,16 @@ from services.haptic_node.physics.lateral_hand import (
     LateralHandState,
     lateral_hand_step,
 )
-from services.numerics.compiled import inlined
+from services.numerics.compiled import compiled, inlined
 from studies.loops.link import Schedule
 
 Array = npt.NDArray[np.float64]
+Pair = tuple[float, float]
 
-# of the course: the stylus [m], the force that it is shown [N], the stage [m], the force on the tip [N], and the energy
-# that has entered across and by the hold of the depth [J]
-X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH = range(10)
+# of the course: the stylus [m], the force that it is shown [N], the stage [m], the force on the tip [N], the energy
+# that has entered across and by the hold of the depth [J], and where the particle of a hand that steers really is [m]
+X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH, PARTICLE_X, PARTICLE_Y = range(12)
+COLUMNS = 12
 
 
 class AcrossPath(NamedTuple):
@@ -44,7 +48,7 @@ class AcrossPath(NamedTuple):
 
     silence_s: without an answer for longer nothing is known of the tip [s]; forward: references by the number of the
     sample, (window, 2) [m]; backward: place and force by the number of the answer, (window, 4) [m, N]; rows: (ticks,
-    10), columns X to ENTERED_DEPTH. Those of stage and tip are written by the loop.
+    COLUMNS), columns X to PARTICLE_Y. Those of stage, tip and particle are written by the loop.
     """
 
     lateral: LateralParams
@@ -74,7 +78,7 @@ def across_path(controller: ControllerConfig, hand: LateralHandConfig, schedule:
         controller.law_config().silence_limit_s,
         np.zeros((window, 2)),
         np.zeros((window, 4)),
-        np.zeros((schedule.ticks, 10)),
+        np.zeros((schedule.ticks, COLUMNS)),
     )
 
 
@@ -86,9 +90,54 @@ def across_at_rest() -> AcrossState:
     return AcrossState(hand, lateral_at_rest(), lateral_slave_at_rest(), far, 0.0)
 
 
+@compiled
+def steering_force_n(
+    motion: MotionParams,
+    stiffness_n_per_m: float,
+    place_m: Pair,
+    neutral_m: Pair,
+    shown_n: Pair,
+    speed_m_per_s: Pair,
+) -> Pair:
+    """Return the force of a person [N] who brings the stylus to where mode rate gives the tip a speed [m/s].
+
+    An arm pulls it there like a spring, and holds against the force that the stylus shows. At a speed of 0 that is
+    where it took hold.
+
+    Args:
+        motion: The constants of the motion of the tip.
+        stiffness_n_per_m: The spring of the arm [N/m].
+        place_m: Where the stylus is [m].
+        neutral_m: Where it took hold [m].
+        shown_n: The force that it shows [N].
+        speed_m_per_s: The speed of the tip [m/s].
+    """
+    v_x, v_y = speed_m_per_s
+    speed = math.sqrt(v_x * v_x + v_y * v_y)
+    share = 1.0 / motion.gain + motion.dead_zone_m / speed if speed > 0.0 else 0.0
+    x_m, y_m = neutral_m[0] + share * v_x, neutral_m[1] + share * v_y
+    return stiffness_n_per_m * (x_m - place_m[0]) - shown_n[0], stiffness_n_per_m * (y_m - place_m[1]) - shown_n[1]
+
+
+@inlined
+def across_steered(path: AcrossPath, state: AcrossState, speed_m_per_s: Pair) -> Pair:
+    """Return the force of a person who steers the tip at a speed [m/s]."""
+    held, hand, shown = state.master.held, state.hand, state.master.force_n
+    place_m, neutral_m, shown_n = (hand.x_m, hand.y_m), (held.neutral_x_m, held.neutral_y_m), (shown[0], shown[1])
+    k = path.hand.stiffness_n_per_m
+    return steering_force_n(path.lateral.motion, k, place_m, neutral_m, shown_n, speed_m_per_s)
+
+
 @inlined
 def across_sampled(
-    path: AcrossPath, state: AcrossState, hand: HandSample, known: bool, tick: int, session_s: float, dt: float
+    path: AcrossPath,
+    state: AcrossState,
+    hand: HandSample,
+    known: bool,
+    tick: int,
+    session_s: float,
+    dt: float,
+    own_n: Pair,
 ) -> AcrossState:
     """Return the state after a sample of the hand, whose reference is on the link then.
 
@@ -100,12 +149,13 @@ def across_sampled(
         tick: The number of the sample.
         session_s: Time of the programme of the operator [s].
         dt: The time between two samples [s].
+        own_n: Force of a person who steers [N].
     """
     force, depth_j = state.master.force_n, state.depth_j
     if state.master.held.live:
         depth_j -= force[2] * (hand.position_m - state.master.held.z_m)
     shown = (force[0], force[1]) if hand.following else (0.0, 0.0)
-    stylus = lateral_hand_step(path.hand, state.hand, (0.0, 0.0), shown, session_s, dt)
+    stylus = lateral_hand_step(path.hand, state.hand, own_n, shown, session_s, dt)
     sample = LateralHand(
         stylus.x_m,
         stylus.y_m,

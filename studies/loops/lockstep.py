@@ -35,16 +35,19 @@ from services.haptic_node.physics.step import HapticParams
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
 from services.numerics.compiled import compiled, compiled_form, inlined
 from studies.loops.across import (
+    PARTICLE_X,
+    PARTICLE_Y,
     STAGE_X,
     AcrossPath,
     across_at_rest,
     across_heard,
     across_sampled,
     across_signalled,
+    across_steered,
     guided,
 )
 from studies.loops.link import Schedule
-from studies.loops.push_hand import DONE, PHASE, Hand, hand_moves
+from studies.loops.push_hand import DONE, PHASE, TRUE_X, TRUE_Y, Hand, hand_moves
 from studies.loops.sites import (
     Halves,
     Instrument,
@@ -128,7 +131,7 @@ class Trajectory:
     hand_energy_j, what the hand has put into its device [J], the integral of F_m dx_m; tip_energy_j, what the base has
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
     safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
-    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 10),
+    instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 12),
     the course of the path across (`studies.loops.across`), where there was one.
     """
 
@@ -161,7 +164,7 @@ def simulate(
         session_tick: The tick at which the operator's programme starts. The instrument is armed and comes to its
             reference before it.
         hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
-        path: A hand that moves it by the lateral path of the controller.
+        path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
 
     Raises:
         ValueError: No tick is left for the session.
@@ -243,13 +246,16 @@ def _run(
         hand_energy_j += 0.5 * (hand.force_n + before.force_n) * (hand.position_m - before.position_m)
         before = hand
         if path is not None:
-            across = across_sampled(path, across, hand, counts(m, path, now_ns), n, session_s, dt)
+            own_n = (0.0, 0.0)
+            if steers is not None:
+                own_n = across_steered(path, across, hand_moves(steers, n - session_tick))
+            across = across_sampled(path, across, hand, counts(m, path, now_ns), n, session_s, dt, own_n)
             hand = guided(across, hand)
-        m, forward[n & mask], sent_forward[n & mask] = master_with_sample(halves, m, hand, now_ns)
-        if steers is not None:
+        elif steers is not None:
             if steers.state[PHASE] == DONE:
                 return n
             steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, n - session_tick)
+        m, forward[n & mask], sent_forward[n & mask] = master_with_sample(halves, m, hand, now_ns)
         end_ns = now_ns + period_ns
         while True:
             arrives_ns, returns_ns = _at(forward_ns, f), _at(backward_ns, b)
@@ -260,8 +266,6 @@ def _run(
                 f, tick = _taken_together(forward_ns, forward_of, sent_forward, f)
                 sent_backward[f & mask] = False
                 if tick >= 0:
-                    if steers is not None:
-                        i = driven(i, by_rate(i.lateral, steers.forward[tick & mask], event_ns))
                     if path is not None:
                         follows, later_s = goes_on(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                         was = i.lateral
@@ -269,6 +273,8 @@ def _run(
                         if moves_stage(across.slave):
                             x_m, y_m = across.slave.x_m, across.slave.y_m
                             i = driven(i, Lateral(x_m, y_m, 0.0, 0.0, -1, was.force_x_n, was.force_y_n))
+                    elif steers is not None:
+                        i = driven(i, by_rate(i.lateral, steers.forward[tick & mask], event_ns))
                     s = slave_with_signal(halves, s, forward[tick & mask], tick * period_ns, event_ns)
                     s, i, signal = carried_out(halves, instrument, s, i, event_ns)
                     elapsed_s = s.timing.pacing.elapsed * dt
@@ -295,6 +301,8 @@ def _run(
         _record(rows[n], session_s, m, s.tip, hand_energy_j, i)
         if path is not None:
             put_answer(path.rows[n, STAGE_X:], i.lateral)
+            if steers is not None:
+                path.rows[n, PARTICLE_X], path.rows[n, PARTICLE_Y] = steers.state[TRUE_X], steers.state[TRUE_Y]
     return len(rows)
 
 

@@ -57,6 +57,59 @@ class Hand(NamedTuple):
     errors: Array
 
 
+class Push(NamedTuple):
+    """What a hand is to do, and how well it can.
+
+    goal_m, place_m: of the particle [m]; d_m: from the middle of a particle to a tip that touches it [m]; friction_n:
+    what holds a particle that slides [N]; speed_m_per_s: the greatest of the tip; reaction_s: of the hand; answers_s:
+    what else passes until the tip has done what the hand did, and the hand sees it [s]; leaves_m: what it leaves [m].
+    """
+
+    goal_m: tuple[float, float]
+    place_m: tuple[float, float]
+    d_m: float
+    friction_n: float
+    speed_m_per_s: float
+    reaction_s: float
+    answers_s: float
+    leaves_m: float
+
+
+# what an image says of the first place, and errors of the eye, of the felt force, and of the hand
+_IMAGE_M, _PLACE_M, _FORCE_SHARE, _TREMOR, _TURN = 10e-9, 5e-9, 0.1, 0.15, 0.05
+_ERRORS = 2048
+
+
+def new_hand(push: Push, random: np.random.Generator, begins: int, window: int, period_s: float) -> Hand:
+    """Return a hand before its first tick.
+
+    Args:
+        push: What it is to do.
+        random: The source of its errors.
+        begins: The tick of the session at which it begins.
+        window: How many numbers of the link are in flight at most.
+        period_s: The time between two ticks [s].
+    """
+    plan, state = np.zeros(PLAN), np.zeros(STATE)
+    plan[[GOAL_X, GOAL_Y]], plan[D], plan[FRICTION] = push.goal_m, push.d_m, push.friction_n
+    late_s = push.reaction_s + push.answers_s
+    # it slows down so early that what it sees late does not carry it past
+    plan[SPEED], plan[GAIN] = push.speed_m_per_s, 0.35 / late_s
+    plan[BEGINS], plan[LEAVES], plan[WAITS] = begins, push.leaves_m, round((late_s + 0.1) / period_s)
+    plan[[FORCE_ERROR, PLACE_ERROR, TREMOR, HEADING]] = _FORCE_SHARE, _PLACE_M, _TREMOR, _TURN
+    state[[BELIEVED_X, BELIEVED_Y]] = np.array(push.place_m) + _IMAGE_M * random.standard_normal(2)
+    state[[TRUE_X, TRUE_Y]] = push.place_m
+    return Hand(
+        plan=plan,
+        state=state,
+        forward=np.zeros((window, 2)),
+        backward=np.zeros((window, 4)),
+        seen=np.zeros(4),
+        perceived=np.zeros((round(push.reaction_s / period_s), 4)),
+        errors=random.standard_normal((_ERRORS, 6)),
+    )
+
+
 @compiled
 def hand_moves(hand: Hand, tick: int) -> tuple[float, float]:
     """Return the speed of the tip that the hand asks for at a tick of the session [m/s]."""

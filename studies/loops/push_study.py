@@ -42,9 +42,6 @@ SPEED_M_PER_S = 300e-9
 REACTION_S = 0.2
 PRESSES_N = 1.2
 _LONGEST_S, _TOUCHED_S, _SETTLE_S = 40.0, 1.0, 0.3
-# what an image says of the first place, and errors of the eye, of the felt force, and of the hand
-_IMAGE_M, _PLACE_M, _FORCE_SHARE, _TREMOR, _HEADING = 10e-9, 5e-9, 0.1, 0.15, 0.05
-_ERRORS = 2048
 
 # At the hand this cantilever is 1500 N/m, for which the paper's loop bears 95 ms.
 _STIFFNESS_N_PER_M = 10.0
@@ -137,24 +134,18 @@ def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
     begins = round((_TOUCHED_S + 2.0 * round_trip_s) / period_s)
     ticks = settle + begins + round(longest_s / period_s)
     schedule = _schedule(round_trip_s, trial.loss, trial.seed if trial.loss else 0, ticks, period_s)
-    plan, state, friction_n = np.zeros(h.PLAN), np.zeros(h.STATE), float(plant.fixed[0, KINETIC])
-    plan[[h.GOAL_X, h.GOAL_Y]], plan[h.D], plan[h.FRICTION] = goal, d, friction_n
-    # it slows down so early that what it sees late does not carry it past
-    plan[h.SPEED], plan[h.GAIN] = trial.speed_m_per_s, 0.35 / (trial.reaction_s + round_trip_s)
-    plan[h.BEGINS], plan[h.LEAVES] = begins, 0.6 * PLACED_M
-    plan[h.WAITS] = round((trial.reaction_s + round_trip_s + 0.1) / period_s)
-    plan[[h.FORCE_ERROR, h.PLACE_ERROR, h.TREMOR, h.HEADING]] = _FORCE_SHARE, _PLACE_M, _TREMOR, _HEADING
-    state[[h.BELIEVED_X, h.BELIEVED_Y]] = place + _IMAGE_M * random.standard_normal(2)
-    state[[h.TRUE_X, h.TRUE_Y]] = place
-    hand = h.Hand(
-        plan=plan,
-        state=state,
-        forward=np.zeros((schedule.window, 2)),
-        backward=np.zeros((schedule.window, 4)),
-        seen=np.zeros(4),
-        perceived=np.zeros((round(trial.reaction_s / period_s), 4)),
-        errors=random.standard_normal((_ERRORS, 6)),
+    push = h.Push(
+        goal_m=(float(goal[0]), float(goal[1])),
+        place_m=(float(place[0]), float(place[1])),
+        d_m=d,
+        friction_n=float(plant.fixed[0, KINETIC]),
+        speed_m_per_s=trial.speed_m_per_s,
+        reaction_s=trial.reaction_s,
+        answers_s=round_trip_s,
+        leaves_m=0.6 * PLACED_M,
     )
+    hand = h.new_hand(push, random, begins, schedule.window, period_s)
+    state = hand.state
     simulate(rig, schedule, settle, hand)
     done = bool(state[h.PHASE] == h.DONE)
     return Outcome(

@@ -5,7 +5,7 @@ seconds of Fig. 12 take a fraction of one. What the processes add to it, their o
 jitter, is not in it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -30,6 +30,7 @@ from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops import across
 from studies.loops.link import schedule_of
 from studies.loops.lockstep import Trajectory, build_rig, simulate
+from studies.loops.push_hand import Hand as PushHand
 
 # before the session begins the instrument is armed and comes to its reference
 _SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
@@ -61,6 +62,13 @@ _ACROSS = {
     "across_j": (across.ENTERED, "J", "Energy that the hand has put in across the sample"),
     "depth_j": (across.ENTERED_DEPTH, "J", "Energy that the hand has put into the hold of its depth"),
 }
+# and of one who steers it to a particle
+_STEERED = {
+    "particle_x_m": (across.PARTICLE_X, "m", "Where the particle really is, x"),
+    "particle_y_m": (across.PARTICLE_Y, "m", "Where the particle really is, y"),
+}
+# Makes the hand that steers, from the window of the link's numbers and the period [s].
+Steers = Callable[[int, float], PushHand]
 # The same in the names and the frame of the bus, z away from the sample: column and sign of each.
 _CHANNELS = {
     "haptic/state": {
@@ -108,7 +116,13 @@ class SimulatedSession(ColumnTable):
     """
 
     def __init__(
-        self, conditions: Conditions, course: Trajectory, force_scale: float, safety: SafetyParams | None = None
+        self,
+        conditions: Conditions,
+        course: Trajectory,
+        force_scale: float,
+        safety: SafetyParams | None = None,
+        *,
+        steered: bool = False,
     ) -> None:
         self.conditions = conditions
         self.force_scale = force_scale
@@ -118,8 +132,9 @@ class SimulatedSession(ColumnTable):
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
         told = dict(_COLUMNS)
         if course.across is not None:
-            values |= {name: course.across[:, column] for name, (column, *_) in _ACROSS.items()}
-            told |= {name: (unit, text) for name, (_, unit, text) in _ACROSS.items()}
+            columns = {**_ACROSS, **(_STEERED if steered else {})}
+            values |= {name: course.across[:, column] for name, (column, *_) in columns.items()}
+            told |= {name: (unit, text) for name, (_, unit, text) in columns.items()}
         super().__init__(
             "a simulated session",
             {name: np.asarray(column) for name, column in values.items()},
@@ -235,8 +250,14 @@ def simulate_scenario(
     return simulate_document(document, str(path))
 
 
-def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSession:
-    """Run a scenario that was read already; ConfigError names `origin` and the key at fault."""
+def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers | None = None) -> SimulatedSession:
+    """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
+
+    Args:
+        document: The scenario.
+        origin: What an error names.
+        steers: Makes a hand that steers the tip across the sample to a particle, in mode rate.
+    """
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
     controller = loaded.section("controller", ControllerConfig)
     haptic = loaded.section("haptic_node", HapticConfig)
@@ -263,7 +284,11 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
     schedule, path = schedule_of(link, ticks, period_s), None
     if haptic.lateral is not None and controller.lateral.mode != "direct":
         path = across.across_path(controller, haptic.lateral, schedule)
-    course = simulate(rig, schedule, settle, path=path)
+    if steers is not None and (path is None or controller.lateral.mode != "rate"):
+        text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
+        raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
+    hand = None if steers is None else steers(schedule.window, period_s)
+    course = simulate(rig, schedule, settle, hand, path)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
@@ -274,7 +299,8 @@ def simulate_document(document: Mapping[str, Any], origin: str) -> SimulatedSess
         link_profile=link.profile,
         link_seed=link.seed,
     )
-    return SimulatedSession(conditions, course, section.force_scale, rig.instrument.safety)
+    safety = rig.instrument.safety
+    return SimulatedSession(conditions, course, section.force_scale, safety, steered=hand is not None)
 
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:

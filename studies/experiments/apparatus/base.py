@@ -116,6 +116,19 @@ class Apparatus(ABC):
         operator = self.plan.experiment.operator
         return Simulated(operator.profile, trial.seed) if operator.kind == "simulated" else None
 
+    def steering(self, course: Course) -> Any:
+        """Return what makes the hand that steers the tip in a course (`studies.experiments.pushing`); None for none."""
+        trial, hand = course.trial, self.simulated(course.trial)
+        task = self.plan.tasks[trial.task]
+        if hand is None or not hand.steers(task, course.parameters, trial.seed):
+            return None
+        # The particles take a second to load, which other tasks do not need.
+        from studies.experiments.pushing import steering_of
+
+        goal_m = task.target(course.parameters, trial.seed)
+        assert goal_m is not None
+        return steering_of(course.document, goal_m, task.band(course.parameters), hand.profile, trial.seed)
+
     def _answers(self, trial: Trial, task: Any, parameters: Any, data: TrialData) -> Answers:
         hand = self.simulated(trial)
         if hand is not None:

@@ -9,16 +9,16 @@ from recording.column_table import ColumnTable
 from studies.experiments.apparatus.base import Apparatus, Course, Take
 from studies.experiments.desk import Desk
 from studies.experiments.plan import Plan
-from studies.experiments.types import TrialData
+from studies.experiments.types import TrialData, particle_table
 
-Simulate = Callable[[Mapping[str, Any], str], Any]
+Simulate = Callable[..., Any]
 
 
-def _simulate(document: Mapping[str, Any], origin: str) -> Any:
+def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> Any:
     # The models of the closed loop take seconds to load.
     from studies.loops.simulation import simulate_document
 
-    return simulate_document(document, origin)
+    return simulate_document(document, origin, steers)
 
 
 class Lockstep(Apparatus):
@@ -37,9 +37,15 @@ class Lockstep(Apparatus):
     def take(self, course: Course) -> Take:
         document = {**course.document, "duration_s": course.duration_s}
         link = {"seed": course.trial.seed, **document.get("delay_node", {})}
-        session = self._simulate({**document, "delay_node": link}, str(self.plan.path))
+        document = {**document, "delay_node": link}
+        hand = self.steering(course)
+        steered = () if hand is None else (hand,)
+        session = self._simulate(document, str(self.plan.path), *steered)
         conditions = session.conditions
         data = TrialData(session.table("afm/state"), session.table("haptic/state"), empty("law/status"))
+        if hand is not None:
+            places = (session[name] for name in ("time_s", "particle_x_m", "particle_y_m"))
+            data = data._replace(particles=particle_table(*places))
         verified = {
             "law": conditions.law,
             "round_trip_ms": conditions.round_trip_ms,

@@ -33,10 +33,14 @@ class PushParticle(Parameters):
     preset: str = Field("latex_250", description="Kind of particle, see afm_node.sample.particles.preset")
 
 
+# Where the particle begins [m]: the tip begins at 0, 0, beside it.
+PLACE_M = (700e-9, 0.0)
+
+
 def goal_of(p: PushParticle, seed: int) -> tuple[float, float]:
-    """Return the target of a trial [m], in a direction that the seed decides; the particle begins at 0, 0."""
+    """Return the target of a trial [m], in a direction from the particle that the seed decides."""
     bearing = random.Random(f"push {seed}").uniform(-math.pi, math.pi)
-    return p.way_m * math.cos(bearing), p.way_m * math.sin(bearing)
+    return PLACE_M[0] + p.way_m * math.cos(bearing), PLACE_M[1] + p.way_m * math.sin(bearing)
 
 
 class _Task(Plain):
@@ -68,7 +72,7 @@ class _Task(Plain):
 
     def settings(self, p: PushParticle, seed: int) -> Mapping[str, Any]:
         """Return a sample with one particle, an instrument that pushes it, and a hand across it."""
-        particles = {"preset": p.preset, "places": [[0.0, 0.0]]}
+        particles = {"preset": p.preset, "places": [list(PLACE_M)]}
         return {
             "afm_node.sample": {"name": "flat", "size_m": 8e-6, "pixels": 16, "particles": particles},
             # in dry air: a meniscus holds the tip of so soft a cantilever

@@ -1,16 +1,19 @@
 """Simulated participants have the psychometric function and the effects that they state."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from proto.errors import ConfigError
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import nested, validate
 from studies.experiments.asked import NASA_TLX, raw_tlx
 from studies.experiments.operators import SLOPE_OF_WAVE, Simulated, round_trip_s
+from studies.experiments.plan import load_plan
 from studies.experiments.tasks import TASKS, task_named
 from studies.experiments.types import Trial, TrialData
 
@@ -123,6 +126,36 @@ def test_a_hand_that_keeps_its_force_follows_the_heights_of_a_grating() -> None:
     # the stylus lags its path by b v / k, 8.4 nm of 800
     assert found["way_m"] == pytest.approx(p.way_m, rel=0.012, abs=0.0)  # type: ignore[attr-defined]
     assert found["success"] is True
+
+
+PUSH = {
+    "name": "push",
+    "scenario": "fig12",
+    "apparatus": "lockstep",
+    "seed": 4,
+    "participants": 1,
+    "tasks": [{"name": "push_particle", "parameters": {"limit_s": 30.0}}],
+    "factors": {"round_trip_ms": [0, 200]},
+    "repetitions": 4,
+}
+
+
+@pytest.mark.endurance
+def test_a_hand_that_steers_pushes_the_particle_into_the_circle_and_takes_longer_over_a_delay(tmp_path: Path) -> None:
+    from studies.experiments.apparatus.lockstep import Lockstep
+    from studies.experiments.desk import Desk
+
+    path = tmp_path / "push.yaml"
+    path.write_text(yaml.safe_dump(PUSH))
+    plan = load_plan(path)
+    apparatus = Lockstep(plan, Desk(plan))
+    times_s: dict[Any, list[float]] = {0: [], 200: []}
+    for planned in plan.trials("P01"):
+        measures = apparatus.run(planned, 0).measures
+        assert measures["success"], measures
+        assert 10e-9 < measures["peak_lateral_force_n"] < 200e-9  # type: ignore[operator]
+        times_s[planned.condition["round_trip_ms"]].append(measures["completion_time_s"])  # type: ignore[arg-type]
+    assert np.median(times_s[200]) > np.median(times_s[0]) + 0.2
 
 
 def nested_flat(settings: Any) -> dict[str, Any]:

@@ -17,9 +17,9 @@ from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.experiments.tasks import TASKS, checked, task_named
 from studies.experiments.tasks.base import Plain, Series, held_from, joined
 from studies.experiments.tasks.discriminate_stiffness import ANSWER, comparison_is_first
-from studies.experiments.tasks.push_particle import goal_of
+from studies.experiments.tasks.push_particle import PLACE_M, goal_of
 from studies.experiments.tasks.track import lag_s, sum_of_sines
-from studies.experiments.types import TrialData
+from studies.experiments.types import TrialData, particle_table
 
 SEEDS = range(2)
 
@@ -187,14 +187,12 @@ def test_a_course_that_does_not_move_has_no_lag() -> None:
 def test_a_particle_that_comes_to_rest_at_its_target_is_placed() -> None:
     task, p = task_named("push_particle", {}, "made")
     goal = goal_of(p, 7)  # type: ignore[arg-type]
-    assert math.hypot(*goal) == pytest.approx(500e-9)
+    assert math.dist(goal, PLACE_M) == pytest.approx(500e-9)
     time_s = clock(40.0, 0.1)
     share = np.clip(time_s / 20.0, 0.0, 1.0)
-    places = table(time_s=time_s, x_m=goal[0] * share, y_m=goal[1] * share)
+    ways = [start + (end - start) * share for start, end in zip(PLACE_M, goal, strict=True)]
     made = data(time_s, np.zeros_like(time_s))
-    if "particles" not in made._fields:
-        pytest.skip("the trial has no table of particles yet")
-    found = task.judge(made._replace(particles=places), p, 7)  # type: ignore[call-arg]
+    found = task.judge(made._replace(particles=particle_table(time_s, *ways)), p, 7)
     assert found["success"] is True
     assert found["placing_error_m"] == pytest.approx(0.0, abs=1e-15)
     # within 100 nm of 500 nm after four fifths of the way

@@ -1,0 +1,69 @@
+"""The hand of a simulated participant who steers the tip across the sample, in lockstep and on the rig alike.
+
+It is the scripted hand of `telenano study push` (`studies.loops.push_hand`), which sees and feels what has come back
+over the link. It moves the stylus as a person does in the controller's mode rate: its displacement is the velocity of
+the tip.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from services.afm_node.config import AfmConfig
+from services.afm_node.physics.particles.push import KINETIC, RADIUS
+from services.afm_node.physics.particles.tip_shape import touch_distance_m
+from services.controller.config import ControllerConfig
+from services.delay_node.config import LinkSettings
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.physics.lateral_hand import LateralHandConfig
+from services.runtime.settings.config import validate
+from services.runtime.settings.scenario import LoadedScenario, Scenario
+from studies.experiments.operators import Profile
+from studies.experiments.tasks.base import Course
+from studies.loops.push_hand import Hand, Push, new_hand
+from studies.loops.push_study import SPEED_M_PER_S
+from studies.loops.simulation import instrument_params
+
+# It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.
+_TOUCHED_S, _LEAVES = 1.0, 0.5
+
+
+def steering_of(
+    document: Mapping[str, Any], goal: Course, tolerance_m: float, who: Profile, seed: int
+) -> Callable[[int, float], Hand]:
+    """Return what makes the hand of a trial, from the window of the link's numbers and the period [s].
+
+    Args:
+        document: The checked scenario, whose sample has a particle.
+        goal: Where the particle is to be.
+        tolerance_m: The radius of the circle there [m].
+        who: The simulated participant.
+        seed: The seed of its errors.
+    """
+    loaded = LoadedScenario(validate(Scenario, document, "a trial"), "a trial", dict(document))
+    plant = instrument_params(loaded.section("afm_node", AfmConfig), "a trial", 0.0).plant
+    lateral = loaded.section("haptic_node", HapticConfig).lateral or LateralHandConfig()
+    link = loaded.section("delay_node", LinkSettings)
+    trip_s = link.forward.delay_s + link.backward.delay_s
+    # the arm brings the stylus to a place as a spring brings a damper there
+    arm_s = (lateral.damping_n_s_per_m + loaded.section("controller", ControllerConfig).lateral.damping_n_s_per_m) / (
+        lateral.stiffness_n_per_m
+    )
+    radius_m, (x_m, y_m) = float(plant.fixed[0, RADIUS]), plant.start[0, :2].tolist()
+    push = Push(
+        goal_m=(float(goal.values[-1, 0]), float(goal.values[-1, 1])),
+        place_m=(x_m, y_m),
+        d_m=touch_distance_m(plant.tip, radius_m, 0.0),
+        friction_n=float(plant.fixed[0, KINETIC]),
+        speed_m_per_s=SPEED_M_PER_S,
+        reaction_s=who.reaction_time_s,
+        answers_s=trip_s + arm_s,
+        leaves_m=_LEAVES * tolerance_m,
+    )
+
+    def make(window: int, period_s: float) -> Hand:
+        random = np.random.Generator(np.random.PCG64(seed))
+        return new_hand(push, random, round((_TOUCHED_S + 2.0 * trip_s) / period_s), window, period_s)
+
+    return make
