@@ -51,9 +51,9 @@ class Study:
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(self.sockets)}
         self.process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=pipe, stderr=pipe, text=True)
 
-    def finish(self) -> str:
+    def finish(self, patience_s: float = PATIENCE_S) -> str:
         assert self.process is not None
-        out, err = self.process.communicate(timeout=PATIENCE_S)
+        out, err = self.process.communicate(timeout=patience_s)
         assert self.process.returncode == 0, out + err
         return out
 
@@ -69,7 +69,8 @@ class Study:
     def wait_until(self, condition: Callable[[], bool]) -> None:
         end_s = time.monotonic() + PATIENCE_S
         while not condition():
-            assert self.process is not None and self.process.poll() is None, self.process
+            assert self.process is not None
+            assert self.process.poll() is None, self.process.communicate()
             assert time.monotonic() < end_s, "waited in vain"
             time.sleep(0.05)
 
@@ -155,9 +156,36 @@ def test_a_stall_disturbs_and_is_repeated_and_an_outage_of_the_link_is_an_outcom
     assert any(word in first["disturbance"] for word in words), first["disturbance"]
     again = [row for row in others if row["index"] == first["index"]]
     assert again and again[-1]["status"] == "done" and again[-1]["seed"] != first["seed"]
+    # The pause has moved hand and tip against each other: they were coupled anew, and the rig was not started again.
+    assert all(row["measures"]["success"] for row in others if row["status"] == "done"), others
+    assert len(list((found.folder / "rig").iterdir())) == 1
     out = [row for row in others if row["condition"]["link"] == "outage"]
     # the instrument held for half a second, which the link explains
     assert out[-1]["status"] == "done", json.dumps(out)
     assert not any("held" in row["disturbance"] for row in out)
     recording = Recording(found.folder / out[-1]["recording"])
     assert "hold" in {message.decode().mode for message in recording.messages(["afm/state"])}
+
+
+def test_a_simulated_hand_pushes_a_particle_and_another_follows_a_profile(study: Any) -> None:
+    tasks = [
+        {"name": "push_particle", "parameters": {"limit_s": 18.0, "way_m": 300e-9}},
+        {"name": "follow_profile", "parameters": {"duration_s": 9.0}},
+    ]
+    found = study(settings={"controller.law": "wave"}, tasks=tasks, factors={"round_trip_ms": [0, 100]})
+    found.start("run", str(found.file), "--out", str(found.folder))
+    found.finish(4.0 * PATIENCE_S)
+    done = [row for row in found.trials if row["status"] == "done"]
+    assert sorted(row["task"] for row in done) == ["follow_profile"] * 2 + ["push_particle"] * 2, found.trials
+    for row in done:
+        measures = row["measures"]
+        if row["task"] == "push_particle":
+            # the second trial has the particle where it lay before the first
+            assert measures["success"] and measures["placing_error_m"] < 100e-9, row
+            assert measures["tip_path_m"] > 300e-9
+            assert 5e-9 < measures["peak_lateral_force_n"] < 200e-9
+        else:
+            # In lockstep it is 774 to 779 nm, and the force is in its band for 78 % of the time.
+            assert measures["way_m"] == pytest.approx(780e-9, rel=0.05, abs=0.0) and measures["in_band"] > 0.5, row
+    # one rig for each task
+    assert len(list((found.folder / "rig").iterdir())) == 2

@@ -7,34 +7,41 @@ MCAP file of its own: the recorder begins a new one after it.
 """
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import RecordingError, RigError
-from proto.messages import HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
+from proto.messages import AfmState, HapticState, LinkDelay, LinkStatus, Message, NodeHealth, Scalar
 from proto.nodes import HAND, LINK, RECORDER, TIP
 from recording.reader import Recording
-from services.afm_node.config import AfmConfig
 from services.console.command_client import send_control
+from services.console.coupling import couple_anew
 from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings, flattened
 from services.haptic_node.config import HapticConfig
 from services.runtime.bus.observer import Observer
 from services.runtime.loop.commands import Command, CommandName
-from services.runtime.loop.freshness import DELAY_STEP_NS
 from services.runtime.loop.main import load_site
-from services.runtime.settings.config import flatten, validate
-from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.experiments.apparatus.base import Apparatus, Course, Take
 from studies.experiments.apparatus.lockstep import empty
+from studies.experiments.apparatus.page_hand import PageHand
 from studies.experiments.apparatus.rig_process import RigProcess, wait_for_others
+from studies.experiments.apparatus.wanted import (
+    NO_HAND,
+    Wanted,
+    constant_delays_ns,
+    kept_keys,
+    of_way,
+    section_of,
+    wanted_of,
+)
 from studies.experiments.desk import Desk
 from studies.experiments.disturbances import disturbances
-from studies.experiments.plan import Plan, changes_while_running, parameters_of
+from studies.experiments.plan import Plan, parameters_of
 from studies.experiments.recorded_trial import RecordedTrial
 from studies.experiments.types import Trial, TrialData
 
@@ -46,24 +53,14 @@ _PATIENCE_S = 20.0
 _LISTEN_S = 0.05
 # The hand is at rest below this speed [m/s], for this time [s], and at its start within this distance [m].
 _REST_M_PER_S, _REST_S, _HOME_M, _HOME_S, _REST_MOST_S = 2e-4, 0.1, 2e-4, 6.0, 6.0
-_NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}
 _CLEAN: dict[str, Scalar] = {"profile": "clean"}
-_SIMULATED = ("simulated", "simulated_impedance")
 _NOTHING = TrialData(empty("afm/state"), empty("haptic/state"), empty("law/status"))
 # What is under way when the programme ends still belongs to the trial.
 _AFTER_S = 0.3
-# With the hand at its start the base begins as near as this to where it first began [m].
-_SAME_BASE_M = 2e-9
-
-
-class Wanted(NamedTuple):
-    """What a running rig is set to: the law, the link, the operator and the disturbances, by key of `set`."""
-
-    law: dict[str, Scalar]
-    link: dict[str, Scalar]
-    operator: str
-    hand: dict[str, Scalar]
-    tip: dict[str, Scalar]
+# Hand and tip are coupled where the base is as near as this to the place of the hand, at the scale of the law [m].
+_SAME_PLACE_M = 2e-9
+# so often it is tried
+_COUPLINGS = 3
 
 
 class Live(Apparatus):
@@ -84,9 +81,10 @@ class Live(Apparatus):
         self._kept = ""
         self._set = Wanted({}, {}, "", {}, {})
         self._document: Mapping[str, Any] = {}
-        # where hand and base were when the trial began [m], and the base in the first trial of the rig
-        self._place_m, self._base_m = 0.0, 0.0
-        self._first_base_m: float | None = None
+        # where hand and base were when the trial began, and how far the base was from the hand's place [m]
+        self._place_m, self._base_m, self._apart_m = 0.0, 0.0, 0.0
+        # A simulated hand that steers the tip pushes at the place of a page.
+        self._page: PageHand | None = None
         self._observer: Observer | None = None
         # the newest report by topic and source, and when it came
         self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
@@ -96,6 +94,9 @@ class Live(Apparatus):
         if self._observer is not None:
             self._observer.close()
             self._observer = None
+        if self._page is not None:
+            self._page.close()
+            self._page = None
         if self._rig is not None:
             self.desk.detach()
             self._rig.end()
@@ -112,11 +113,12 @@ class Live(Apparatus):
         self._split(rig).unlink()
         self._command("mark", RECORDER, {**mark, "state": "begin", "task": trial.task, "phase": trial.phase})
         self.desk.begin(trial, course.attempt, first=course.interval == 0)
-        self._command("start", HAND)
-        try:
-            answers = list(self._wait(course.duration_s, time.monotonic()))
-        finally:
-            self._command("stop", HAND)
+        with self._pushing(course):
+            self._command("start", HAND)
+            try:
+                answers = list(self._wait(course.duration_s, time.monotonic()))
+            finally:
+                self._command("stop", HAND)
         self._watch(_AFTER_S)
         self._command("mark", RECORDER, {**mark, "state": "end"})
         path = self._folder / "recordings" / trial.participant / f"{place}.mcap"
@@ -126,13 +128,29 @@ class Live(Apparatus):
         self._command("set", LINK, _CLEAN)
         return self._judged(course, path, verified, answers)
 
+    def document(self, trial: Trial, parameters: Any, interval: Mapping[str, Any]) -> dict[str, Any]:
+        document, hand = super().document(trial, parameters, interval), self.simulated(trial)
+        if hand is not None and hand.steers(self.plan.tasks[trial.task], parameters, trial.seed):
+            document["haptic_node"] = {**document["haptic_node"], "operator": {"kind": "interactive"}}
+        return document
+
+    def _pushing(self, course: Course) -> AbstractContextManager[None]:
+        """Let the simulated hand of a course push at the place of a page, where it steers the tip across."""
+        steers = self.steering(course)
+        if steers is None:
+            return nullcontext()
+        if self._page is None:
+            self._page = PageHand(self._site_file)
+        hand = section_of(course.document, "haptic_node", HapticConfig).lateral
+        return self._page.pushing(steers, section_of(course.document, "controller", ControllerConfig), hand)
+
     def _judged(self, course: Course, path: Path, verified: dict[str, Any], answers: list[Mapping[str, Any]]) -> Take:
         name = str(path.relative_to(self._folder))
         try:
             recorded = RecordedTrial(path)
         except RecordingError as error:
             return Take(_NOTHING, f"the recording cannot be read: {error}", name, verified)
-        band = _section(course.document, "controller", ControllerConfig).deadband
+        band = section_of(course.document, "controller", ControllerConfig).deadband
         evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
         found = disturbances(evidence, self.plan.experiment.disturbed.stall_s)
         if recorded.duration_s < 0.9 * course.duration_s:
@@ -162,13 +180,15 @@ class Live(Apparatus):
         number = len(list(parent.glob(f"{trial.participant}-*"))) + 1
         folder = parent / f"{trial.participant}-{number}"
         hand = document.get("haptic_node", {})
-        # No simulated hand presses before the first trial.
-        operator = _NO_HAND if self.simulated(trial) is not None else hand.get("operator", _NO_HAND)
+        # No simulated hand presses before the first trial; a page's force is none until then.
+        operator = hand.get("operator", NO_HAND)
+        if self.simulated(trial) is not None and operator.get("kind") != "interactive":
+            operator = NO_HAND
         started = {**document, "haptic_node": {**hand, "operator": operator}}
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
-        self._kept, self._newest, self._first_base_m = kept, {}, None
+        self._kept, self._newest = kept, {}
         self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
         self._observer = Observer(load_site(self._site_file), _REPORTS)
         self._await_running(self._rig)
@@ -189,24 +209,72 @@ class Live(Apparatus):
         raise RigError(f"the rig did not begin its session; see {rig.folder}")
 
     def _rig_in(self, trial: Trial, document: Mapping[str, Any], wanted: Wanted) -> RigProcess:
-        """Return a rig in a condition, with hand and tip where they were coupled when it came up.
+        """Return a rig in a condition, whose hand and tip are coupled as those of a new one are.
 
-        A law keeps the places at which it was coupled. A silence or a drift of a trial before can have moved them
-        against each other, and a hand that goes home leaves the tip elsewhere. No command couples them anew, so a new
-        rig does.
+        A law keeps the places at which it was coupled, and a silence can move them against each other: then the tip is
+        withdrawn and armed anew. Where that fails, a simulated hand gets a new rig, and a person's hand another try.
         """
-        while True:
+        for left in reversed(range(_COUPLINGS)):
             rig = self._rig_of(trial, document)
             self._ready()
-            self._change(wanted)
-            self._base_m = -self._states()["afm/state"].base_position_m[2]
-            if self._first_base_m is None:
-                self._first_base_m = self._base_m
-            off_m = self._base_m - self._first_base_m
-            if not wanted.operator or abs(off_m) <= _SAME_BASE_M:
-                return rig
-            self._show(f"the tip is {1e9 * off_m:.1f} nm from where it first began: the rig is started anew")
-            self.close()
+            self._rest(wanted)
+            if abs(off_m := self._off_m(document)) <= _SAME_PLACE_M:
+                break
+            self._show(f"the tip is {1e9 * off_m:.1f} nm from where the hand has it: both are coupled anew")
+            try:
+                self._couple()
+            except RigError as error:
+                if not left:
+                    raise
+                self._show(str(error))
+                if wanted.operator:
+                    self._show("the rig is started anew")
+                    self.close()
+                continue
+            # Some laws, such as tactile, do not bring the tip to the place of the hand: then this is where it belongs.
+            self._off_m(document)
+            break
+        self._prepare_sample(document)
+        self._condition(wanted)
+        return rig
+
+    def _off_m(self, document: Mapping[str, Any]) -> float:
+        """Return how far the base is from where the place of the hand, at the scale of the law, has it [m]."""
+        law = section_of(document, "controller", ControllerConfig).law_config()
+        states = self._states()
+        self._base_m = -states["afm/state"].base_position_m[2]
+        self._apart_m = float(self._base_m + law.position_scale * states["haptic/state"].position_m[2])
+        return self._apart_m
+
+    def _couple(self) -> None:
+        """Couple hand and tip anew, as `telenano session couple` does; a tip that touches is withdrawn before."""
+        if self._states()["afm/state"].in_contact:
+            self._command("stop", TIP)
+            self._await_tip(lambda state: not state.in_contact, "that the tip is withdrawn")
+        self._show(couple_anew(self._site_file))
+
+    def _prepare_sample(self, document: Mapping[str, Any]) -> None:
+        """Put the tip to its place over the sample where a hand moves it across, and particles to where they began."""
+        across = section_of(document, "controller", ControllerConfig).lateral
+        if "lateral" not in document.get("haptic_node", {}) or across.mode == "direct":
+            return
+        # In mode position the way of the tip is that of the hand, which goes on from where it is.
+        scale = across.position_scale if across.mode == "position" else 0.0
+        x_m, y_m = (scale * place_m for place_m in self._states()["haptic/state"].position_m[:2])
+        self._command("set", TIP, {"lateral.x_m": x_m, "lateral.y_m": y_m})
+
+        def is_there(state: AfmState) -> bool:
+            return math.dist(state.base_position_m[:2], (x_m, y_m)) <= _SAME_PLACE_M
+
+        self._await_tip(is_there, "that the tip is at its place over the sample")
+        if "particles" in document.get("afm_node", {}).get("sample", {}):
+            self._command("set", TIP, {"sample.restore": True})
+
+    def _await_tip(self, is_so: Callable[[AfmState], bool], what: str) -> None:
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while not is_so(self._states()["afm/state"]):
+            if time.monotonic() >= deadline_s:
+                raise RigError(f"the rig did not report {what} within {_PATIENCE_S:g} s")
 
     def _ready(self) -> None:
         """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""
@@ -227,8 +295,8 @@ class Live(Apparatus):
                     return found
         raise RigError("the devices of the rig are silent; see the logs in its folder")
 
-    def _change(self, wanted: Wanted) -> None:
-        """Set the rig to a condition: clean link, hand at its start and at rest, law, and then the link."""
+    def _rest(self, wanted: Wanted) -> None:
+        """Bring the hand to its start and to rest over a clean link, and change the law."""
         before = self._set
         self._place_m = self._go_home() if wanted.operator else self._await_rest()
         for target, new, old in (
@@ -239,6 +307,9 @@ class Live(Apparatus):
             if changes := {key: value for key, value in new.items() if old.get(key) != value}:
                 self._command("set", target, changes)
         self._watch_until(lambda: self._law_is(str(wanted.law["law"])), f"the law {wanted.law['law']} at both halves")
+
+    def _condition(self, wanted: Wanted) -> None:
+        """Give the operator its programme, and the link its condition."""
         if wanted.operator:
             self._command("set", HAND, {"operator": wanted.operator})
         self._command("set", LINK, {**wanted.link})
@@ -258,7 +329,7 @@ class Live(Apparatus):
 
     @property
     def _start_m(self) -> float:
-        return float(_section(self._document, "haptic_node", HapticConfig).device.start_position_m)
+        return float(section_of(self._document, "haptic_node", HapticConfig).device.start_position_m)
 
     def _await_rest(self) -> float:
         return self._await_hand(lambda state: abs(state.velocity_m_per_s[2]) < _REST_M_PER_S, _REST_MOST_S)
@@ -283,7 +354,7 @@ class Live(Apparatus):
 
     def _verified(self, wanted: Wanted) -> dict[str, Any]:
         """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
-        expected = {way: _of_way(wanted.link, way) for way in ("forward", "backward")}
+        expected = {way: of_way(wanted.link, way) for way in ("forward", "backward")}
 
         def link_is_set() -> bool:
             status = self._report("link/status", f"{LINK}@master")
@@ -309,6 +380,7 @@ class Live(Apparatus):
             **{f"{way}_delay_ns": self._delay_ns(way) for way in expected},
             "hand_start_m": round(self._place_m, 7),
             "base_start_m": round(self._base_m, 12),
+            "apart_start_m": round(self._apart_m, 12),
             "nodes": len(_NODES),
         }
 
@@ -379,66 +451,3 @@ class Live(Apparatus):
                 raise RigError(f"{finished}: the recorder did not end the file")
             self._watch(_LISTEN_S)
         return finished
-
-
-def _section(document: Mapping[str, Any], name: str, model: Any) -> Any:
-    loaded = LoadedScenario(validate(Scenario, document, "a trial"), "a trial", dict(document))
-    return loaded.section(name, model)
-
-
-def kept_keys(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a scenario that a running rig does not take: two trials with other ones need two rigs."""
-    flat = flatten({key: value for key, value in document.items() if key not in ("name", "description", "duration_s")})
-    return {key: value for key, value in flat.items() if not changes_while_running(key)}
-
-
-def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
-    """Return what a running rig is set to for a trial, with every default in it, so that nothing of the last one stays.
-
-    Args:
-        document: The scenario of the trial.
-        seed: The seed of the link where the scenario gives none.
-    """
-    law = flatten(_section(document, "controller", ControllerConfig).model_dump(mode="json"))
-    given = document.get("delay_node", {})
-    link = flattened(
-        _section({**document, "delay_node": {"seed": seed, **given}}, "delay_node", LinkSettings), only_set=True
-    )
-    hand = document.get("haptic_node", {})
-    operator = hand.get("operator", {})
-    is_person = operator.get("kind") == "interactive" or hand.get("driver", "simulated") not in _SIMULATED
-    disturbed = {name: document.get(name, {}).get("disturbances", {}) for name in ("haptic_node", "afm_node")}
-    flat = {name: flatten({"disturbances": keys}) for name, keys in disturbed.items()}
-    return Wanted(
-        law={key: value for key, value in law.items() if key != "period_s" and _is_scalar(value)},
-        link={key: value for key, value in link.items()},
-        operator="" if is_person else json.dumps(operator or _NO_HAND),
-        hand={key: value for key, value in flat["haptic_node"].items() if _is_scalar(value)},
-        tip={**{key: value for key, value in flat["afm_node"].items() if _is_scalar(value)}, **_spring(document)},
-    )
-
-
-def _spring(document: Mapping[str, Any]) -> dict[str, Scalar]:
-    """Return the stiffness of a spring in the place of a sample, which a running rig takes."""
-    afm = _section(document, "afm_node", AfmConfig)
-    is_spring = afm.driver == "simulated" and afm.environment == "spring"
-    return {"spring.stiffness_n_per_m": afm.spring.stiffness_n_per_m} if is_spring else {}
-
-
-def _is_scalar(value: Any) -> bool:
-    return isinstance(value, bool | int | float | str)
-
-
-def _of_way(link: Mapping[str, Scalar], way: str) -> dict[str, Scalar]:
-    return {key.removeprefix(f"{way}."): value for key, value in link.items() if key.startswith(f"{way}.")}
-
-
-def constant_delays_ns(link: Mapping[str, Scalar]) -> dict[str, int]:
-    """Return the delays that the link will report, by direction, where nothing but a fixed delay makes them [ns]."""
-    found = {}
-    for way in ("forward", "backward"):
-        keys = {key for key, value in _of_way(link, way).items() if value not in ("none", 0, 0.0, False)}
-        if all(key in ("delay_s", "reliable") or key.startswith(("loss.", "corruption.")) for key in keys):
-            delay_ns = round(1e9 * float(link.get(f"{way}.delay_s", 0.0)))
-            found[way] = delay_ns - delay_ns % DELAY_STEP_NS
-    return found

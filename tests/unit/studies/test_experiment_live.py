@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from experiment_bench import plan_of
 
-from proto.errors import RecordingError
+from proto.errors import RecordingError, RigError
 from recording.channel_filter import Selection
 from recording.rewrite import filter_recording
 from services.controller.config import ControllerConfig, changed_config
 from services.delay_node.config import changed, flattened, parse_settings
-from studies.experiments.apparatus.live import Live, constant_delays_ns, kept_keys, wanted_of
+from studies.experiments.apparatus.live import Live
+from studies.experiments.apparatus.wanted import Wanted, constant_delays_ns, kept_keys, wanted_of
 from studies.experiments.desk import Desk
 from studies.experiments.disturbances import disturbances
 from studies.experiments.recorded_trial import RecordedTrial
@@ -91,51 +92,89 @@ def test_a_recording_without_a_programme_is_no_trial(tmp_path: Path, recording_o
 
 
 class Moved(Live):
-    """A rig whose tip is where the test says, at each look."""
+    """A rig whose tip is as far from the hand's place as the test says, at each look; it may refuse to be coupled."""
 
-    def __init__(self, plan: Any, folder: Path, bases_nm: list[float]) -> None:
+    def __init__(self, plan: Any, folder: Path, offs_nm: list[float], refusals: int = 0) -> None:
         super().__init__(plan, folder, Desk(plan), lambda text: self.told.append(text))
-        self.bases_nm, self.told, self.started = bases_nm, [], 0
+        self.offs_nm, self.told, self.started, self.coupled, self.refusals = offs_nm, [], 0, 0, refusals
+        self.conditions: list[float] = []
         self._running = False
 
     def _rig_of(self, trial: Any, document: Any) -> Any:
         if not self._running:
-            self.started, self._running, self._first_base_m = self.started + 1, True, None
+            self.started, self._running = self.started + 1, True
         return "rig"
 
     def _ready(self) -> None:
         """Nothing is in emergency stop."""
 
-    def _change(self, wanted: Any) -> None:
-        """The condition is set."""
+    def _rest(self, wanted: Wanted) -> None:
+        """The hand is at rest."""
 
     def _states(self) -> dict[str, Any]:
-        return {"afm/state": SimpleNamespace(base_position_m=(0.0, 0.0, -1e-9 * self.bases_nm.pop(0)))}
+        # the hand is at 3 mm, which the scale of the law makes 3 nm
+        self.off_nm = self.offs_nm.pop(0)
+        tip = SimpleNamespace(base_position_m=(0.0, 0.0, -1e-9 * (3.0 + self.off_nm)))
+        return {"afm/state": tip, "haptic/state": SimpleNamespace(position_m=(0.0, 0.0, -3e-3))}
+
+    def _couple(self) -> None:
+        self.coupled += 1
+        if self.refusals:
+            self.refusals -= 1
+            raise RigError("the hand presses")
+
+    def _prepare_sample(self, document: Any) -> None:
+        """There is nothing across."""
+
+    def _condition(self, wanted: Wanted) -> None:
+        self.conditions.append(self.off_nm)
 
     def close(self) -> None:
         self._running = False
 
 
 @pytest.mark.parametrize(
-    ("bases_nm", "started", "is_person"),
+    ("offs_nm", "refusals", "coupled", "started", "is_person"),
     [
-        ([0.1, 0.3, -0.4, 1.9], 1, False),
+        ([0.1, 0.3, -0.4, 1.9], 0, 0, 1, False),
         # a stall had moved the tip by 48.6 nm in a run of 72 trials, and those after it missed the sample
-        ([-0.2, -48.8, 0.1, 0.2, 0.0], 2, False),
-        ([0.0, 65.8, -65.8, 65.8, 0.0], 1, True),
+        ([-0.2, -48.8, 0.1, 0.2, 0.0], 0, 1, 1, False),
+        # a person's rig is not started anew under their hands
+        ([0.0, 65.8, 65.8, 0.1, 65.8, -0.1, 0.2], 1, 3, 1, True),
+        # a simulated hand's is, where both cannot be coupled
+        ([0.0, 65.8, 0.1, 0.0, 0.0], 1, 1, 2, False),
     ],
 )
-def test_a_coupling_that_has_moved_costs_a_new_rig_and_no_trial(
-    tmp_path: Path, bases_nm: list[float], started: int, is_person: bool
+def test_a_coupling_that_has_moved_costs_no_trial(
+    tmp_path: Path, offs_nm: list[float], refusals: int, coupled: int, started: int, is_person: bool
 ) -> None:
     plan = plan_of(tmp_path, operator={"kind": "person" if is_person else "simulated"})
-    live = Moved(plan, tmp_path, list(bases_nm))
+    live = Moved(plan, tmp_path, list(offs_nm), refusals)
     trial = plan.trials("P01")[0]
     document = plan.document(trial.settings, "")
     wanted = wanted_of(document, 1)
     assert bool(wanted.operator) != is_person
     for _ in range(4):
         live._rig_in(trial, document, wanted)
-        assert is_person or abs(live._base_m) <= 2e-9
-    assert live.started == started
-    assert len(live.told) == started - 1
+    assert len(live.conditions) == 4 and max(map(abs, live.conditions)) <= 2.0
+    assert (live.coupled, live.started) == (coupled, started)
+
+
+def test_where_a_person_cannot_be_coupled_the_run_ends_with_the_reason(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, operator={"kind": "person"})
+    live = Moved(plan, tmp_path, [65.8] * 20, refusals=9)
+    trial = plan.trials("P01")[0]
+    document = plan.document(trial.settings, "")
+    with pytest.raises(RigError, match="the hand presses"):
+        live._rig_in(trial, document, wanted_of(document, 1))
+    assert not live.conditions and (live.coupled, live.started) == (3, 1)
+
+
+def test_a_law_that_keeps_the_tip_elsewhere_is_coupled_once_for_each_trial_and_goes_on(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, operator={"kind": "simulated"})
+    live = Moved(plan, tmp_path, [65.8] * 4)
+    trial = plan.trials("P01")[0]
+    document = plan.document(trial.settings, "")
+    for _ in range(2):
+        live._rig_in(trial, document, wanted_of(document, 1))
+    assert live.conditions == [65.8, 65.8] and (live.coupled, live.started) == (2, 1)
