@@ -21,7 +21,7 @@ from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings
 from studies.loops.cells import Cell, Environment
 
-VERSION = 1
+VERSION = 2
 
 TaskName = Literal["touch", "hold", "track"]
 HandName = Literal["force", "soft", "stiff", "reacting"]

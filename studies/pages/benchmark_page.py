@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from services.delay_node.profiles import PROFILES
 from studies.benchmark.plan import HANDS, TASKS, VERSION, Plan
 from studies.benchmark.results import Row, Spread, choices
-from studies.benchmark.run import DIGITS, MEASURES
+from studies.benchmark.run import DIGITS, MEASURES, MOST_PEAK
 from studies.pages.page import Page, text
 
 if TYPE_CHECKING:
@@ -93,10 +93,11 @@ def benchmark_page(plan: Plan, summary: dict[str, Any], rows: Sequence[Row], ima
     page.paragraph(f"{summary['runs']} runs. SHA-256 of runs.csv: {summary['digest']}.")
     page.table(CHOICE_HEAD, choice_rows(rows))
     page.paragraph(
-        "Held: the verdict is stable, that is, the force comes to rest where the hand means it to. At least: lower end"
-        " of the 95 % interval of the share held (Wilson). The law to take held most runs, and of equal ones it"
-        " followed the swing nearest. Made energy: runs in which the loop gave at least 1 uJ more than the hand had put"
-        " in. The laws are as they come, none is tuned for a network."
+        "Held: the verdict is stable, that is, the force comes to rest where the hand means it to, and it was never"
+        f" above {MOST_PEAK:g} times that; where it was, the run is struck. At least: lower end of the 95 % interval of"
+        " the share held (Wilson). The law to take held most runs, and of equal ones it followed the swing nearest."
+        " Made energy: runs in which the loop gave at least 1 uJ more than the hand had put in. The laws are as they"
+        " come, none is tuned for a network."
     )
     page.image(
         image,

@@ -23,7 +23,7 @@ from studies.benchmark.etvo import LAG_WEIGHT, etvo
 from studies.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
 from studies.benchmark.recordings import course_text, write_recordings
 from studies.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
-from studies.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
+from studies.benchmark.run import MEASURES, MOST_PEAK, RUNS, STRUCK, Outcome, outcome_from, run
 from studies.loops.link import schedule_of
 from studies.loops.sweep import Journal, Sweep
 from telenano.cli.root import app
@@ -114,6 +114,19 @@ def test_the_verdicts_are_those_of_the_document_of_the_laws():
     """K = 38 N/m bears 22.44 ms with the paper's law; New York to Paris and back takes 78."""
     assert run(run_of(PAPER, "touch", "transatlantic")).verdict in ("limit_cycle", "diverged")
     assert run(run_of("wave", "touch", "transatlantic")).verdict == "stable"
+
+
+def test_a_word_does_not_hide_the_force_that_it_stands_beside():
+    """A late message that leaves 2.3 mN is no growth, and what came to rest after 20 N was not held."""
+    quiet = run(run_of("passivity", "track", "wifi", "reacting", 7))
+    assert quiet.verdict == "stable"
+    assert quiet.measures["peak_force_n"] < 1.0
+    struck = run(run_of("smith", "hold", "satellite"))
+    assert struck.verdict == STRUCK
+    assert "times the force to hold" in struck.reason
+    assert struck.measures["peak_force_n"] > MOST_PEAK * TASKS["hold"].force_n
+    (row,) = rows_of([struck])
+    assert (row.held, row.verdicts) == (0, {STRUCK: 1})
 
 
 def test_a_longer_draw_of_a_link_begins_with_the_shorter_one():
