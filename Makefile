@@ -16,7 +16,7 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: firmware setup page demo test endurance mutation lint bench reliability schemas site dist lock image-locks images clean
+.PHONY: firmware setup page demo test endurance mutation lint bench reliability schemas site pictures dist lock image-locks images clean
 
 setup: $(VENV)/.complete
 
@@ -90,12 +90,19 @@ schemas: setup
 	$(BIN)/python -m analysis.summary >presets/schemas/summary.json
 	$(BIN)/python -m analysis.summary --markdown >docs/summary.md
 
-# the documents with their reference, in out/site
+# the documents with their reference and the results of the notebooks, in out/site
 site: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[site]'
-	$(BIN)/mkdocs build --strict --quiet
-	$(BIN)/telenano study gallery --out out/site/gallery
-	@echo "out/site/index.html"
+	@test -f out/fig12/session.mcap || $(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/fig12
+	@test -d out/experiment/analysis || { \
+	  $(BIN)/telenano experiment run delay_and_law --apparatus lockstep --out out/experiment && \
+	  $(BIN)/telenano experiment analyse out/experiment; }
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "out/site/index.html; to search in it: python3 -m http.server -d out/site"
+
+# the pictures of the gallery and of the tutorial, each by the command beside it; look at them before you commit them
+pictures: setup
+	TELENANO_PICTURES=docs $(BIN)/pytest -m endurance tests/stack/test_pictures.py
 
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page

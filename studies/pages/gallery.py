@@ -86,20 +86,26 @@ def gallery(
     }
 
 
-def page_of(document: dict[str, Any]) -> str:
-    """Return the gallery as one HTML file with everything in it."""
+def fragment_of(document: dict[str, Any]) -> str:
+    """Return the gallery as a part of a page, with its style, its data and its code in it."""
     style, code = ((FOLDER / name).read_text(encoding="utf-8") for name in ("gallery.css", "gallery.js"))
     # nothing in a script may end it
     data = json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
     return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width">'
-        f"<title>What a delay does</title><style>{style}</style></head>\n"
-        '<body class="gallery-page"><main><h1>What a delay does</h1><div id="gallery"></div></main>\n'
-        f'<script type="application/json" id="data">{data}</script>\n'
+        f'<style>{style}</style>\n<div id="delay-gallery"></div>\n'
+        f'<script type="application/json" id="delay-gallery-data">{data}</script>\n'
         f'<script type="module">{code}\n'
-        'new Gallery(document.getElementById("gallery"), JSON.parse(document.getElementById("data").textContent));'
-        "</script></body></html>\n"
+        'new Gallery(document.getElementById("delay-gallery"), '
+        'JSON.parse(document.getElementById("delay-gallery-data").textContent));</script>\n'
+    )
+
+
+def page_of(document: dict[str, Any]) -> str:
+    """Return the gallery as one HTML file with everything in it."""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width"><title>What a delay does</title></head>\n'
+        f'<body class="gallery-page"><main><h1>What a delay does</h1>\n{fragment_of(document)}</main></body></html>\n'
     )
 
 

@@ -82,14 +82,14 @@ README: dict[str, tuple[str, ...]] = {
         "test_running_rig.py::test_switching_the_law_moves_neither_tip_nor_hand",
     ),
     "comes in a package that pip installs, and nothing here is edited": (
-        "test_documents_run.py::test_a_law_of_ones_own_is_made_installed_and_run_by_the_letter",
+        "test_documents_by_letter.py::test_a_law_of_ones_own_is_made_installed_and_run_by_the_letter",
         "test_packages.py::test_the_law_is_listed_and_keeps_the_rules_compiled",
     ),
     "lets a person without a haptic device press the tip with the pointer": (
         "test_view_page.py::test_the_virtual_hand_presses_the_tip_and_the_force_comes_back",
     ),
     "# the same page for a recording": (
-        "test_documents_run.py::test_the_page_of_the_recording_of_the_readme_is_served",
+        "test_documents_by_letter.py::test_the_page_of_the_recording_of_the_readme_is_served",
         "test_view_recording.py::test_a_recording_plays_and_its_surface_grows",
     ),
     "# … or Foxglove and Lichtblick": (
@@ -132,7 +132,7 @@ README: dict[str, tuple[str, ...]] = {
         "test_running_rig.py::test_killed_recorders_leave_files_that_lack_no_more_than_a_flush",
     ),
     "replays through the bus instead of any node": (
-        "test_documents_run.py::test_the_hand_of_a_recording_is_replayed_into_the_rig_that_the_readme_names",
+        "test_documents_by_letter.py::test_the_hand_of_a_recording_is_replayed_into_the_rig_that_the_readme_names",
     ),
     "re-runs a node, the link included, bit by bit": (
         "test_virtual_rig.py::test_a_rerun_gives_the_same_bits",
@@ -150,7 +150,7 @@ README: dict[str, tuple[str, ...]] = {
         "test_two_sites.py::test_who_is_not_known_receives_nothing",
     ),
     "with a trial of the two sites on one machine": (
-        "test_documents_run.py::test_two_sites_of_the_readme_run_on_one_machine_as_the_page_of_deployment_says",
+        "test_documents_by_letter.py::test_two_sites_of_the_readme_run_on_one_machine_as_the_page_of_deployment_says",
     ),
     "has a table of the faults that were injected": ("test_ledger.py::test_the_page_has_every_fault_and_its_promise",),
     "One function judges recordings, maps and validation alike": (

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from documented_lines import RULES, differing, lines, makes, pictures, rule_of, runner_of
+from typer.testing import CliRunner
 
 from services.afm_node.programs.settings import requested
 from services.console.command_client import parse_parameters
@@ -16,27 +18,25 @@ from services.launcher.plan import Plan, UpRequest, make_plan
 from services.runtime.bus.observer import known_name
 from telenano.cli.lazy_commands import load
 from telenano.cli.model_options import validated
+from telenano.cli.root import app
 
 ROOT = Path(__file__).parents[3]
-PAGES = sorted(path for path in (*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("*/README.md")))
-PAGES += sorted((*ROOT.glob("services/*/README.md"), *ROOT.glob("docs/devices/*.md")))
 # what a page runs the command by, besides its own name
 RUNNERS = ("docker", "docker-compose", "sudo")
 
 
 def documented() -> Iterator[tuple[str, list[str]]]:
     """Return the arguments of each command line with `telenano`, and where it is."""
-    for page in PAGES:
-        for block in re.findall(r"^ *```(?:sh|bash)?\n(.*?)^ *```", page.read_text(), re.DOTALL | re.MULTILINE):
-            for line in block.replace("\\\n", " ").splitlines():
-                yield from ((page.name, found) for found in arguments_in(line))
+    for line in lines():
+        if line.language not in ("python", "matlab"):
+            yield from ((Path(line.page).name, found) for found in arguments_in(line.text))
     # the last cell of each row of the map of the paper
-    for line in re.findall(r"`(telenano [^`]+)` \|$", (ROOT / "docs" / "paper.md").read_text(), re.MULTILINE):
-        yield from (("paper.md", found) for found in arguments_in(line))
+    for text in re.findall(r"`(telenano [^`]+)` \|$", (ROOT / "docs" / "paper.md").read_text(), re.MULTILINE):
+        yield from (("paper.md", found) for found in arguments_in(text))
 
 
 def arguments_in(line: str) -> Iterator[list[str]]:
-    for part in re.split(r"&&|\|", line.strip().removeprefix("$ ")):
+    for part in re.split(r"&&|\|", line):
         if "telenano" not in part:
             continue
         words = shlex.split(part, comments=True)
@@ -116,6 +116,33 @@ def test_a_documented_command_is_one_that_there_is(page: str, arguments: list[st
         check_settings("delay_node", options["settings"], tmp_path)
     elif path.startswith("topic") and "topic" in options:
         known_name(options["topic"])
+
+
+def test_every_line_of_every_block_is_run_by_a_test_or_says_why_not() -> None:
+    assert len(lines()) > 200
+    assert [f"{line.page}: {line.text}" for line in lines() if not runner_of(line)] == []
+    used = {rule_of(line) for line in lines()}
+    assert [rule for rule in RULES if rule not in used] == []
+
+
+def test_the_tests_that_run_the_lines_exist() -> None:
+    there = {
+        f"{path.name}::{name}"
+        for path in (ROOT / "tests").rglob("test_*.py")
+        for name in re.findall(r"^def (test_\w+)\(", path.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert {rule.test for rule in RULES if rule.test} <= there
+
+
+def test_a_picture_of_the_gallery_is_what_its_command_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All others take longer, or a rig: tests/stack/test_pictures.py."""
+    (picture,) = [one for one in pictures() if one.path == "pictures/dots.png"]
+    (line,) = [one for one in lines() if one.page == picture.page and makes(one, picture.origin)]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    result = CliRunner().invoke(app, line.words)
+    assert result.exit_code == 0, result.output
+    assert differing(tmp_path / picture.origin, ROOT / "docs" / picture.path) < 0.01, "run `make pictures`"
 
 
 def link_of(plan: Plan) -> LinkSettings:

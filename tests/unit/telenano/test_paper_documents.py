@@ -73,7 +73,7 @@ def test_every_link_between_the_pages_leads_somewhere() -> None:
     broken = []
     for page in pages:
         text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-        for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        for target in re.findall(r"\]\(([^)\s]+)(?: \"[^\"]*\")?\)", text):
             path, _, anchor = target.partition("#")
             if re.match(r"[a-z]+:", target):
                 continue
