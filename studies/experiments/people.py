@@ -82,15 +82,6 @@ class People:
         if self.known.pop(pseudonym, None) is not None:
             self._write()
 
-    def require_consent(self, pseudonym: str) -> None:
-        """Raise ConfigError unless a participant may take part."""
-        person = self.known.get(pseudonym, Person())
-        if person.excluded:
-            raise ConfigError(f"{pseudonym} is excluded: {person.excluded}")
-        if not (person.consent or person.simulated):
-            how = f"`telenano experiment people add {self.path.parent} {pseudonym} --consent`"
-            raise ConfigError(f"{pseudonym} has not given consent: note it with {how}")
-
     def _write(self) -> None:
         rows = {name: person.model_dump() for name, person in sorted(self.known.items())}
         self.path.parent.mkdir(parents=True, exist_ok=True)
