@@ -115,7 +115,7 @@ FAULTS = {
     "pulled device": Fault(
         order("unplugged", 1.0),
         order("unplugged", 0.0),
-        "is gone: plug it in|: communication error|hdBeginFrame failed: Communication error",
+        "is gone: plug it in|: communication error|Frame failed: Communication error",
     ),
     "no number": Fault(order("not_a_number", 1.0), order("not_a_number", 0.0), "was not a finite number"),
     "jump of 10 mm": Fault(order("offset_m", 0.01), order("offset_m", 0.0), "its position jumped"),
