@@ -143,7 +143,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "Listener: _last_batch_ns: int = 0 [0 => 1]": "read only after the first batch, which sets it",
     },
     "recording/verify.py": {
-        "_Check.__init__: self._last_ns = 0 [0 => 1]": "no message was received a nanosecond after 1970",
         "_Check.run: first, last, log_ns = self._open_gaps.get((channel.channel_topic, channel.src), (0, 0, 0))"
         " [0 => 1] (3)": "this time belongs to a gap that begins at number 0, and a newest number of -1 does not exist",
     },

@@ -213,11 +213,12 @@ def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signa
     words = ["scan", "--sample", "flat", "--size", "10000", "--pixels", "64", "--lines", "4000", "--json",
              "--out", "out"]  # fmt: skip
     for delay_s in (4.0, 12.0, 36.0):
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
         ended = interrupted(words, tmp_path, number, delay_s)
         assert ended.code == CODES[number], ended
-        if files_below(tmp_path):
+        # an image of one line is no map that could be read again
+        if files_below(tmp_path) and (document := json.loads(ended.stdout))["lines"] > 1:
             break
-    document = json.loads(ended.stdout)
     assert document["partial"] == f"{document['lines']} of 4000 lines"
     assert f"interrupted: {document['partial']} are kept" in ended.stderr
     assert files_below(tmp_path) == ["out/scan.gsf", "out/scan.gwy", "out/scan.nxs", "out/scan.png"]
