@@ -163,6 +163,14 @@ def test_what_a_publisher_sent_last_is_missing_by_its_own_count(make: Callable[.
     assert verify([whole.close()]).findings == ()
 
 
+def test_the_end_counts_where_it_follows_another_event_of_its_publisher(make: Callable[..., File]) -> None:
+    file = make()
+    file.write(0)
+    file.write(0, "session/event", kind="node", level="info")
+    file.end({"haptic/state": 3, "session/event": 2}, seq=1)
+    assert numbers(verify([file.close()])) == ["1 to 2 (2)"]
+
+
 def test_the_end_of_another_publisher_says_nothing_of_this_one(make: Callable[..., File]) -> None:
     file = make()
     file.write(0)
