@@ -151,7 +151,8 @@ def _trace(
     # A message that was given up and came after all has two rows; the one with its arrival counts.
     order = np.lexsort((columns["lost_flag"], columns["number"]))
     number = columns["number"][order]
-    first = np.concatenate([[True], number[1:] != number[:-1]])
+    first = np.ones(len(number), dtype=bool)
+    first[1:] = number[1:] != number[:-1]
     number, lost = number[first], columns["lost_flag"][order][first] == 1
     delay_ns = columns["delay_ns"][order][first]
     sent_ns = columns["arrived_ns"][order][first] - delay_ns

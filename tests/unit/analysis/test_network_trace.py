@@ -78,6 +78,13 @@ def test_what_says_nothing_of_a_network_is_refused_or_left_out() -> None:
     assert traces_of(reports("forward", valid=False)) == {}
     with pytest.raises(TelenanoError, match=r"forward: 5[0-9] datagrams arrived, too few"):
         traces_of(reports("forward", count=60))
+    # nor does a direction in which nothing crossed while it was looked at
+    none = np.zeros(0, dtype="i8")
+    fields = {name: Array.from_numpy(none) for name in ("number", "arrived_ns", "delay_ns")}
+    fields["lost_flag"] = Array.from_numpy(none.astype("u1"))
+    silent = [report.model_copy(update=fields) for report in reports("backward", count=60)]
+    with pytest.raises(TelenanoError, match="backward: 0 datagrams arrived, too few"):
+        traces_of(silent)
     forward = traces_of(reports("forward"))["forward"]
     # one that was given up and came after all arrived
     rows = [
