@@ -26,7 +26,7 @@ from telenano.cli.commands.device_controllers import (
     simulate_gwyscope,
     simulate_nanonis,
 )
-from telenano.cli.commands.device_files import run_ahead, write_document
+from telenano.cli.commands.device_files import run_ahead, section_of, write_document
 from telenano.cli.commands.device_impedance import (
     DEVICES,
     KindOption,
@@ -277,7 +277,8 @@ def simulate_handle(
         Path, typer.Option("--link", metavar="FILE", help="Name of the port, a link as those of /dev/serial/by-id.")
     ] = Path("/tmp/telenano-handle"),
     scenario: Annotated[
-        Path | None, typer.Option("--scenario", metavar="FILE", help="Scenario whose device and hand are emulated.")
+        Path | None,
+        typer.Option("--scenario", metavar="NAME|FILE", help="Scenario whose device and hand are emulated."),
     ] = None,
     board: Annotated[
         BoardName, typer.Option("--board", help="posix: the core of the firmware; avr328p: its image, in simavr.")
@@ -293,9 +294,8 @@ def simulate_handle(
         from services.haptic_node.config import HapticConfig
         from services.haptic_node.devices import avr_board, emulated_handle
         from services.haptic_node.devices.handle_on_pty import EmulatedBoard, HandleOnPty
-        from services.runtime.settings.scenario import load_scenario
 
-        config = HapticConfig() if scenario is None else load_scenario(scenario).section("haptic_node", HapticConfig)
+        config = section_of(scenario, "haptic_node", HapticConfig)
         handle: EmulatedBoard
         if board is BoardName.AVR328P:
             handle, fitting = avr_board.AvrHandle(config), avr_board.calibration_of(config)
@@ -360,7 +360,8 @@ def simulate_t7(
     host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="TCP port; 502 needs privileges.")] = 5020,
     scenario: Annotated[
-        Path | None, typer.Option("--scenario", metavar="FILE", help="Scenario whose AFM is behind the converters.")
+        Path | None,
+        typer.Option("--scenario", metavar="NAME|FILE", help="Scenario whose AFM is behind the converters."),
     ] = None,
     latency: Annotated[
         float, typer.Option("--latency", min=0.0, max=1.0, metavar="S", help="Time that it takes for a request [s].")
@@ -378,9 +379,8 @@ def simulate_t7(
         from services.afm_node.config import AfmConfig
         from services.afm_node.devices.t7_model import T7Model, calibration_of, instrument_of
         from services.afm_node.devices.t7_server import serve_t7
-        from services.runtime.settings.scenario import load_scenario
 
-        config = AfmConfig() if scenario is None else load_scenario(scenario).section("afm_node", AfmConfig)
+        config = section_of(scenario, "afm_node", AfmConfig)
         if calibration is not None:
             plant = config.to_params().plant
             write_document(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from proto.errors import ConfigError
-from telenano.cli.commands.device_files import run_ahead, write_document
+from telenano.cli.commands.device_files import run_ahead, section_of, write_document
 from telenano.cli.options import command_group
 from telenano.cli.output import report_errors
 
@@ -18,7 +18,7 @@ guard = command_group()
 
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")]
 ScenarioOption = Annotated[
-    Path | None, typer.Option("--scenario", metavar="FILE", help="Scenario whose AFM is behind the controller.")
+    Path | None, typer.Option("--scenario", metavar="NAME|FILE", help="Scenario whose AFM is behind the controller.")
 ]
 NoiseOption = Annotated[
     float, typer.Option("--noise", min=0.0, max=1.0, metavar="V", help="Noise of the deflection [V], one sigma.")
@@ -245,9 +245,8 @@ def _simulated(scenario: Path | None) -> tuple[Any, Any]:
     """Return the configuration of a simulated instrument, and the instrument, opened."""
     from services.afm_node.config import AfmConfig
     from services.afm_node.instrument import driver_of
-    from services.runtime.settings.scenario import load_scenario
 
-    config = AfmConfig() if scenario is None else load_scenario(scenario).section("afm_node", AfmConfig)
+    config = section_of(scenario, "afm_node", AfmConfig)
     afm = driver_of(config.model_copy(update={"driver": "simulated"}))
     afm.open()
     return config, afm

@@ -1,12 +1,17 @@
-"""What the commands of `telenano device` share: calibration files that are written, and the scheduling of a device."""
+"""What the commands of `telenano device` share: scenarios read, calibration files written, scheduling of a device."""
 
 from pathlib import Path
+from typing import TypeVar
 
 import typer
 import yaml
+from pydantic import BaseModel
 
+from presets import find_scenario
 from proto.errors import TelenanoError
 from recording.whole_files import whole_file
+
+Section = TypeVar("Section", bound=BaseModel)
 
 
 def run_ahead() -> None:
@@ -16,6 +21,13 @@ def run_ahead() -> None:
 
     configure_logging()
     apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("device"), "device")
+
+
+def section_of(scenario: Path | None, name: str, model: type[Section]) -> Section:
+    """Return a section of a scenario that is named or a file, or its defaults; ConfigError names what is wrong."""
+    from services.runtime.settings.scenario import load_scenario
+
+    return model() if scenario is None else load_scenario(find_scenario(str(scenario))).section(name, model)
 
 
 def write_document(path: Path, document: dict[str, object]) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli.commands.device_files import run_ahead
+from telenano.cli.commands.device_files import run_ahead, section_of
 from telenano.cli.output import report_errors
 
 KindOption = Annotated[
@@ -110,9 +110,8 @@ def simulate_haply(
         from services.haptic_node.devices.emulated_arm import INVERSE3, EmulatedArm
         from services.haptic_node.devices.haply import BUTTONS
         from services.haptic_node.devices.haply_service import HaplyService, serve_haply
-        from services.runtime.settings.scenario import load_scenario
 
-        config = HapticConfig() if scenario is None else load_scenario(scenario).section("haptic_node", HapticConfig)
+        config = section_of(scenario, "haptic_node", HapticConfig)
         reach_m = (INVERSE3.radius_m,) * 3
         hand = person_of(reach_m, len(BUTTONS) * grip, 1, steps_of(mass), mass) if person else None
         service = HaplyService(EmulatedArm(INVERSE3, config.operator.to_params(), hand), device_id, grip)
