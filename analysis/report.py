@@ -32,7 +32,7 @@ from analysis.line import lines_of
 from analysis.missing import Spans, cut_off, gaps, recording_facts
 from analysis.programme import is_by_hand, planned_holds
 from analysis.summary import Summary
-from proto import TOPICS
+from proto import TOPICS, extras
 from proto.errors import RecordingError, ReportError
 from proto.nodes import LAUNCHER, name_of
 from recording.arrays import columns, last_session
@@ -155,7 +155,8 @@ def write_report(
 
     Raises:
         RecordingError: A file lacks something; the message names the file and what it lacks.
-        ReportError: A file cannot be written; the error has the summary, and none is left half written.
+        ReportError: A file cannot be written, and none is left half written; or the figure needs a package that is
+            not installed, and the summary is written without it. The error has the summary.
     """
     paths = [path] if isinstance(path, Path) else path
     # What is missing is found by reading the whole; the session by the index, which takes half of the time.
@@ -170,12 +171,19 @@ def write_report(
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
     origin = described(session.scenario, session.conditions)
-    figures = fig12_files(session.series(gaps_s), _title(session, summary), options, origin)
     text = json.dumps(summary, indent=2) + "\n"
+    figures: dict[str, bytes] = {}
+    undrawn = ""
+    try:
+        figures = fig12_files(session.series(gaps_s), _title(session, summary), options, origin)
+    except ModuleNotFoundError as error:
+        undrawn = f"{out / 'summary.json'} is written, and no figure is drawn: {extras.missing(error.name or '')}"
     try:
         write_files(out, {**figures, "summary.json": text.encode()})
     except OSError as error:
         raise ReportError(f"{error.filename}: cannot be written: {error.strerror}", summary) from error
+    if undrawn:
+        raise ReportError(undrawn, summary)
     return summary
 
 

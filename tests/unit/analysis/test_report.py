@@ -108,6 +108,20 @@ def test_a_disk_that_fills_up_leaves_the_summary_and_no_half_file(parts: list[Pa
     assert list(tmp_path.iterdir()) == []
 
 
+def test_without_the_package_of_figures_the_summary_is_written(
+    parts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def undrawn(*given: Any) -> Any:
+        raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+
+    monkeypatch.setattr("analysis.report.fig12_files", undrawn)
+    said = r"summary\.json is written, and no figure is drawn: matplotlib is not installed: pip install"
+    with pytest.raises(ReportError, match=said) as caught:
+        write_report(parts[1], tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+    assert json.loads((tmp_path / "summary.json").read_text())["law"] == caught.value.summary["law"]
+
+
 @pytest.mark.usefixtures("full_disk")
 def test_what_stands_in_the_place_of_a_file_that_cannot_be_written_stays(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text("of the session before")
