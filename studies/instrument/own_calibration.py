@@ -50,6 +50,8 @@ _IMAGINARY = (
 )
 # The correction was fitted to Reynolds numbers in this range.
 _REYNOLDS = (1e-6, 1e4)
+# From the softest levers of magnetic resonance to quartz resonators, with a margin; beyond it the units are wrong.
+_STIFFNESS = (1e-5, 1e7)  # [N/m]
 
 
 class Stiffness(NamedTuple):
@@ -164,6 +166,11 @@ def _stiffness(known: Thermal, fit: Any) -> Stiffness:
     except ValueError as error:
         raise ConfigError(str(error)) from error
     k = known.factor * BOLTZMANN_J_PER_K * known.temperature_k / found.mean_square_m2
+    if not _STIFFNESS[0] <= k <= _STIFFNESS[1]:
+        raise ConfigError(
+            f"a stiffness of {k:.3g} N/m is that of no cantilever: a spectrum is needed in V^2/Hz and a record in V, "
+            "beside the way for a volt in nm/V; a file in m^2/Hz or V/sqrt(Hz) is converted first"
+        )
     by_sader = None
     if known.width_m is not None and known.length_m is not None:
         by_sader = sader_n_per_m(known.width_m, known.length_m, found.resonance_hz, found.quality)
