@@ -122,5 +122,10 @@ def _value_text(value: Any) -> Text:
     if isinstance(value, bool):
         return Text("yes" if value else "no", "green" if value else "red")
     if isinstance(value, list | tuple):
-        return Text(printable(", ".join(str(item) for item in value)) or "-")
-    return Text(f"{value:.6g}" if isinstance(value, float) else printable(str(value)))
+        return Text(", ".join(map(_plain, value)) or "-")
+    return Text(_plain(value))
+
+
+def _plain(value: Any) -> str:
+    # 0.0 is added because it makes 0 of -0
+    return f"{value + 0.0:.6g}" if isinstance(value, float) else printable(str(value))

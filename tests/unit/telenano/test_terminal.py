@@ -27,6 +27,12 @@ def telenano(*arguments: str, **environment: str) -> subprocess.CompletedProcess
     )  # fmt: skip
 
 
+def test_numbers_in_a_list_have_as_many_digits_as_others() -> None:
+    drawn = Console(file=io.StringIO(), width=100)
+    drawn.print(rows_table([{"target_m": (-1.0000000000000002e-06, -0.0, 3, "z"), "error_m": 1.0376432e-08}]))
+    assert "-1e-06, 0, 3, z" in drawn.file.getvalue()  # type: ignore[attr-defined]
+
+
 def test_only_what_a_terminal_obeys_is_written_out() -> None:
     assert printable(HOSTILE) == SHOWN
     assert printable("tabs\tlines\n12 µm, 3 Å: größer 漢 \u00a0") == "tabs\tlines\n12 µm, 3 Å: größer 漢 \u00a0"
