@@ -54,7 +54,8 @@ def page_folder() -> Path | None:
 def missing_packages(extra: str) -> str:
     """Return in words what this installation lacks to serve anything, and the extra that has it."""
     absent = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
-    return f"{', '.join(absent)} is not installed: {how_to_install(extra)}" if absent else ""
+    verb = "are" if len(absent) > 1 else "is"
+    return f"{', '.join(absent)} {verb} not installed: {how_to_install(extra)}" if absent else ""
 
 
 def missing_for_view() -> str:

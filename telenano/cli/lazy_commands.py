@@ -89,7 +89,7 @@ LAZY_COMMANDS = {
     ),
     "push": LazyCommand("telenano.cli.commands.push", "push", "Push one particle, in simulated time or on a rig."),
     "calibrate": LazyCommand(
-        "telenano.cli.commands.calibrate", "app", "Calibrate the simulated instrument: read-out and stiffness."
+        "telenano.cli.commands.calibrate", "app", "Calibrate read-out and stiffness: simulated, or of own measurements."
     ),
     "reproduce": LazyCommand(
         "telenano.cli.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."

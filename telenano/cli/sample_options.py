@@ -60,7 +60,8 @@ def require(*modules: str) -> None:
     """Raise ConfigError naming what is not installed, before anything takes its time."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
-        raise ConfigError(f"{', '.join(missing)} is not installed: {how_to_install('instrument')}")
+        verb = "are" if len(missing) > 1 else "is"
+        raise ConfigError(f"{', '.join(missing)} {verb} not installed: {how_to_install('instrument')}")
 
 
 @contextlib.contextmanager

@@ -85,6 +85,8 @@ def check(law: LawArgument, as_json: JsonOption = False) -> None:
             typer.echo(f"{'broken' if faults else 'kept  '}  {rule}")
             for fault in faults:
                 typer.echo(f"        {fault}")
+        count = sum(map(bool, broken.values()))
+        typer.echo(f"{law} breaks {count} of {len(broken)} rules" if count else f"{law} keeps all {len(broken)} rules")
     if any(broken.values()):
         raise typer.Exit(EXIT_FAILED)
 
