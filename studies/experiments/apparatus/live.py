@@ -261,20 +261,26 @@ class Live(Apparatus):
         # In mode position the way of the tip is that of the hand, which goes on from where it is.
         scale = across.position_scale if across.mode == "position" else 0.0
         x_m, y_m = (scale * place_m for place_m in self._states()["haptic/state"].position_m[:2])
-        self._command("set", TIP, {"lateral.x_m": x_m, "lateral.y_m": y_m})
+
+        def put() -> None:
+            self._command("set", TIP, {"lateral.x_m": x_m, "lateral.y_m": y_m})
 
         def is_there(state: AfmState) -> bool:
             return math.dist(state.base_position_m[:2], (x_m, y_m)) <= _SAME_PLACE_M
 
-        self._await_tip(is_there, "that the tip is at its place over the sample")
+        # A hand that still comes to rest across has the stage and keeps the tip where it is: the tip is told again.
+        self._await_tip(is_there, "that the tip is at its place over the sample", put)
         if "particles" in document.get("afm_node", {}).get("sample", {}):
             self._command("set", TIP, {"sample.restore": True})
 
-    def _await_tip(self, is_so: Callable[[AfmState], bool], what: str) -> None:
+    def _await_tip(self, is_so: Callable[[AfmState], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:
+        """Wait until something holds of the tip, and ask for it each time before looking."""
         deadline_s = time.monotonic() + _PATIENCE_S
+        ask()
         while not is_so(self._states()["afm/state"]):
             if time.monotonic() >= deadline_s:
                 raise RigError(f"the rig did not report {what} within {_PATIENCE_S:g} s")
+            ask()
 
     def _ready(self) -> None:
         """Arm what an earlier condition has brought to a stop; an emergency stop is left to a person."""

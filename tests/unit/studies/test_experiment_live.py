@@ -178,3 +178,33 @@ def test_a_law_that_keeps_the_tip_elsewhere_is_coupled_once_for_each_trial_and_g
     for _ in range(2):
         live._rig_in(trial, document, wanted_of(document, 1))
     assert live.conditions == [65.8, 65.8] and (live.coupled, live.started) == (2, 1)
+
+
+class Across(Live):
+    """A rig whose hand still comes to rest across: what the tip is told first, the hand undoes."""
+
+    def __init__(self, plan: Any, folder: Path, undone: int) -> None:
+        super().__init__(plan, folder, Desk(plan))
+        self.place_m, self.told, self.undone = (-295e-9, 0.0), 0, undone
+
+    def _states(self) -> dict[str, Any]:
+        tip = SimpleNamespace(base_position_m=(*self.place_m, 0.0))
+        return {"afm/state": tip, "haptic/state": SimpleNamespace(position_m=(-8e-3, 0.0, 0.0))}
+
+    def _command(self, name: Any, target: str, parameters: Any = None) -> None:
+        assert (name, target) == ("set", "afm_node@slave")
+        self.told += 1
+        if self.told > self.undone:
+            self.place_m = (parameters["lateral.x_m"], parameters["lateral.y_m"])
+
+
+@pytest.mark.parametrize("undone", [0, 1, 3])
+def test_the_tip_is_told_of_its_place_over_the_sample_until_it_is_there(tmp_path: Path, undone: int) -> None:
+    plan = plan_of(tmp_path)
+    across = {"mode": "position", "position_scale": 5e-5}
+    document = {**plan.document(plan.trials("P01")[0].settings, ""), "controller": {"lateral": across}}
+    document["haptic_node"] = {"lateral": {}}
+    rig = Across(plan, tmp_path, undone)
+    rig._prepare_sample(document)
+    assert rig.told == undone + 1
+    assert rig.place_m == pytest.approx((-400e-9, 0.0), abs=1e-15)
