@@ -14,6 +14,7 @@ import pytest
 import yaml
 from stack_rig import ROOT
 
+from proto.errors import RecordingError
 from recording.reader import Recording
 from studies.experiments import journal
 
@@ -92,9 +93,14 @@ class Study:
         found = sorted((self.folder / "rig").glob("*/session/session*.mcap"))
         if not found:
             return False
-        states = list(Recording(found[-1]).messages(["haptic/state"]))
-        marked = any(m.decode().data.get("state") == "begin" for m in Recording(found[-1]).messages(["session/event"]))
-        return bool(states) and marked and states[-1].decode().session_s > 0.5
+        try:
+            recording = Recording(found[-1])
+            marked = any(m.decode().data.get("state") == "begin" for m in recording.messages(["session/event"]))
+            states = list(recording.messages(["haptic/state"])) if marked else []
+        except RecordingError:
+            # A new file is empty at first, and that of before a trial is deleted when the trial begins.
+            return False
+        return bool(states) and states[-1].decode().session_s > 0.5
 
     def close(self) -> None:
         if self.process is not None and self.process.poll() is None:
@@ -157,14 +163,17 @@ def test_a_stall_disturbs_and_is_repeated_and_an_outage_of_the_link_is_an_outcom
     again = [row for row in others if row["index"] == first["index"]]
     assert again and again[-1]["status"] == "done" and again[-1]["seed"] != first["seed"]
     # The pause has moved hand and tip against each other: they were coupled anew, and the rig was not started again.
-    assert all(row["measures"]["success"] for row in others if row["status"] == "done"), others
+    assert again[-1]["measures"]["success"], again[-1]
     assert len(list((found.folder / "rig").iterdir())) == 1
     out = [row for row in others if row["condition"]["link"] == "outage"]
-    # the instrument held for half a second, which the link explains
+    # The hold of the instrument expired before the outage was over, so the tip was withdrawn and the trial failed: the
+    # link explains that, and it is the outcome of this condition.
     assert out[-1]["status"] == "done", json.dumps(out)
     assert not any("held" in row["disturbance"] for row in out)
+    assert not out[-1]["measures"]["success"], out[-1]
     recording = Recording(found.folder / out[-1]["recording"])
-    assert "hold" in {message.decode().mode for message in recording.messages(["afm/state"])}
+    modes = {message.decode().mode for message in recording.messages(["afm/state"])}
+    assert {"hold", "retracted"} <= modes, modes
 
 
 def test_a_simulated_hand_pushes_a_particle_and_another_follows_a_profile(study: Any) -> None:
