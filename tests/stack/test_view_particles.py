@@ -178,6 +178,8 @@ def test_the_recording_of_an_assembly_shows_it_again(tmp_path: Path) -> None:
             page = open_page(chromium, view.operator, headset=True)
             page.until("document.querySelector('#particles-list') !== null", "the panel of the particles")
             page.value("document.querySelector('#tab-particles')?.click()")
+            page.click("#show-flat")
+            drawn = page.value("telenano.view.frames")
             transport(page, "rate", 10.0)
             page.until("document.querySelectorAll('#particles-list li').length === 1", "a particle in the first image")
             # A push takes half a second, which a page without a graphics processor draws a few times of.
@@ -189,6 +191,9 @@ def test_the_recording_of_an_assembly_shows_it_again(tmp_path: Path) -> None:
             # 400 and 100 nm, and the drift meanwhile
             at_goal = "(() => { const [x, y] = document.querySelector('#particles-list li').textContent.split(/[, ]+/)"
             page.until(f"{at_goal}; return Math.hypot(x - 400, y - 100) < 40; }})()", "the particle at its goal")
+            # the scene is not drawn while only the flat image is shown
+            assert page.value("telenano.view.frames") == drawn
+            page.click("#show-solid")
             # the circles lie in the scene in three dimensions as well, which is that of a headset
             page.until("telenano.view.sheet.mesh.visible", "circles in three dimensions")
             page.until("document.querySelector('#vr').hidden === false", "a browser with a headset")

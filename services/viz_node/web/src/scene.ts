@@ -317,6 +317,8 @@ export class View {
   }
 
   private draw(): void {
+    // Nobody sees it, and without a graphics processor it is drawn in software.
+    if (this.solid.hidden && !this.headset.isPresenting) return;
     const now = performance.now();
     const isDue = this.pace.isDue(now);
     if (!(this.dirty && isDue) && !this.headset.isPresenting) return;
