@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import machine
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -181,8 +182,11 @@ def browser() -> Iterator[Any]:
     """Return a browser that is closed at the end."""
     from playwright.sync_api import sync_playwright
 
+    # as anybody would start it: it draws in software, and not ahead of the rig's launcher and server of the page
+    machine.usual_priority()
     with sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=list(_FLAGS))
+        machine.keep_our_turn()
         try:
             yield found
         finally:
