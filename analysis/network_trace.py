@@ -172,6 +172,7 @@ def _trace(
     if known.sum() < _FEWEST:
         raise TelenanoError(
             f"{direction}: {known.sum()} datagrams arrived, too few for a trace: does the link receive as datagrams?"
+            " Over a line that is full, the reports to the master leave them out; `telenano link show` says both"
         )
     inside = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     number, lost, delay_ns, sent_ns, known = (x[inside] for x in (number, lost, delay_ns, sent_ns, known))
