@@ -29,7 +29,7 @@ from services.afm_node.config import AfmConfig
 from services.console.live_program import LiveImage
 from services.runtime.settings.config import validate
 
-# of the definitions that are followed
+# The version of the definitions that are followed.
 DEFINITION = "2026.01"
 _UNKNOWN = "not recorded"
 _CHANNELS = ("afm/state", "haptic/state", "afm/scanline")

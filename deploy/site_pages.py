@@ -34,7 +34,7 @@ _STILL = re.compile(r"^!\[[^\]]*\]\(view/gallery\.png\)$", re.MULTILINE)
 _SLIDER = "<!-- the gallery of delay -->"
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\](?:\([^)]*\))?)*)\]\(([^)\s]+)((?:\s+\"[^\"]*\")?)\)")
-# what a kernel says stays on sockets of the user
+# What a kernel says stays on sockets of the user.
 _PRIVATE = Config({"KernelManager": {"transport": "ipc"}})
 # a cell that compiles every law is the slowest
 _LONGEST_CELL_S = 900
@@ -94,7 +94,7 @@ def linked(found: re.Match[str], uri: str) -> str:
 def executed(path: Path) -> tuple[str, dict[str, bytes]]:
     """Return a notebook as Markdown with what its cells printed, and its figures by file name."""
     notebook = nbformat.read(path, as_version=4)
-    # as the notebook of a person who started Jupyter in the repository finds its files
+    # The folder is the one from which a notebook finds its files, where Jupyter was started in the repository.
     execute = ExecutePreprocessor(timeout=_LONGEST_CELL_S, config=_PRIVATE)
     execute.preprocess(notebook, {"metadata": {"path": str(ROOT)}})
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"unique_key": path.stem})

@@ -175,7 +175,7 @@ def _checked(annotation: Any, metadata: tuple[Any, ...] = ()) -> Any:
     if origin is Annotated:
         return _checked(parts[0], (*_rules(annotation.__metadata__), *metadata))
     if annotation == Scalar:
-        # what the declared model has beside it makes its error shorter
+        # The rest of what is annotated only shortens the error of the declared model.
         return bool | int | Annotated[float, msgspec.Meta(ge=-sys.float_info.max, le=sys.float_info.max)] | str
     metadata = tuple(rule for rule in metadata if not isinstance(rule, FailFast))
     if annotation is str:

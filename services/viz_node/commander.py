@@ -19,7 +19,7 @@ from services.runtime.loop.participant import open_participant
 from services.viz_node.connections import DescriptorReserve
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
-# of several commands: hand and tip are coupled anew
+# This one consists of several commands: hand and tip are coupled anew.
 COUPLE = "couple"
 # which nodes the commands of the page are for; `*` for those that have several
 _EVERYBODY = "*"

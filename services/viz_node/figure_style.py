@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "pdf", "svg")
 STYLES = ("screen", "paper")
-# one column of most journals of the field [inch]
+# This is one column of most journals of the field [inch].
 COLUMN_IN = 3.5
 # print needs 600 for lines; text and lines of PDF and SVG have no resolution
 _DOTS_PER_INCH = {"screen": 130, "paper": 600}

@@ -7,7 +7,7 @@ from services.viz_node.access import Role
 
 # two seconds: a page that is further behind begins anew
 MOST_QUEUED = 60
-# of a page that reads nothing the oldest go
+# The oldest answers go, where a page reads nothing.
 _MOST_ANSWERS = 256
 REQUESTS_PER_S = 200
 

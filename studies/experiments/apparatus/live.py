@@ -81,7 +81,7 @@ class Live(Apparatus):
         self._kept = ""
         self._set = Wanted({}, {}, "", {}, {})
         self._document: Mapping[str, Any] = {}
-        # where hand and base were when the trial began, and how far the base was from the hand's place [m]
+        # When the trial began: the places of hand and base, and how far the base was from that of the hand [m].
         self._place_m, self._base_m, self._apart_m = 0.0, 0.0, 0.0
         # A simulated hand that steers the tip pushes at the place of a page.
         self._page: PageHand | None = None
