@@ -12,38 +12,11 @@ from proto.messages import (
     TeleopBackward,
     TeleopForward,
 )
-from services.controller import energy
+from services.controller import energy, integration
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
-from services.controller.integration import (
-    ANSWER,
-    ANSWER_EARLY,
-    GO_ON,
-    NOTHING,
-    Heard,
-    MasterTiming,
-    Settled,
-    SlaveTiming,
-    TimingParams,
-    master_begin,
-    master_heard,
-    master_sampled,
-    master_settled,
-    master_silenced,
-    master_stalled,
-    round_trip_periods,
-    slave_begin,
-    slave_commanded,
-    slave_measured,
-    slave_passed_over,
-    slave_passes_over,
-    slave_signalled,
-    slave_silenced,
-    slave_stalled,
-    slave_stepped,
-    slave_unanswered,
-)
+from services.controller.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
 from services.controller.lateral import (
     DIRECT,
     LOST,
@@ -158,7 +131,7 @@ class MasterController(ControllerHalf):
         self._tip_reference_m = 0.0
         self._switch_s = 0.0
         self._lost_ns = 0
-        self.timing = master_begin()
+        self.timing = integration.master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
         self._across = lateral_at_rest()
@@ -198,7 +171,7 @@ class MasterController(ControllerHalf):
             self._on_hand(message)
         elif type(message) is TeleopBackward:
             if self.receive_signal(message):
-                self.timing = master_heard(self.timing, received.received_ns, message.hand_t_ns)
+                self.timing = integration.master_heard(self.timing, received.received_ns, message.hand_t_ns)
                 if self.switching:
                     self._take_over()
             self._answered_hand_stamp = (message.hand_seq, message.hand_t_ns)
@@ -217,7 +190,7 @@ class MasterController(ControllerHalf):
 
     def forget(self) -> None:
         super().forget()
-        self.timing = master_stalled(self.timing)
+        self.timing = integration.master_stalled(self.timing)
 
     def retuned(self, old: Any, new: Any) -> Any:
         """Carry the state over without a jump at the tip."""
@@ -229,11 +202,11 @@ class MasterController(ControllerHalf):
     def round_trip_s(self) -> tuple[float, bool]:
         if self.heard.received_ns < 0:
             return ROUND_TRIP_UNKNOWN
-        return round_trip_periods(self.timing, self.timing_params) * self.config.period_s, True
+        return integration.round_trip_periods(self.timing, self.timing_params) * self.config.period_s, True
 
     def _switch(self) -> None:
         super()._switch()
-        self.timing = master_silenced(self.timing)
+        self.timing = integration.master_silenced(self.timing)
         self._switch_s = 0.0
         if self.switching:
             self.law_state = self._resumed(self.reference, self._tip_reference_m)
@@ -253,7 +226,9 @@ class MasterController(ControllerHalf):
             self.hand, self.state = self.hand._replace(following=False), "safe"
             return
         commanded, repeated = self._settle(), message.device == "stale"
-        self.timing, found = master_sampled(self.timing, self.timing_params, message.t_ns, repeated, commanded)
+        self.timing, found = integration.master_sampled(
+            self.timing, self.timing_params, message.t_ns, repeated, commanded
+        )
         if not repeated:
             self._take_sample(message, found.periods * self.config.period_s, begins=found.begins)
         if found.repeats:
@@ -361,7 +336,7 @@ class MasterController(ControllerHalf):
         dt_s = self.timing.due * self.config.period_s
         if not dt_s:
             return False
-        self.timing = master_settled(self.timing)
+        self.timing = integration.master_settled(self.timing)
         self.reference = self._coasting(dt_s) if self.switching else self._step_law(dt_s)
         self.state = "running" if self.reference.active else "safe"
         self._send_reference()
@@ -408,7 +383,7 @@ class SlaveController(ControllerHalf):
         super().__init__(context, config)
         self.tip = NO_TIP
         self.reference = SlaveReference(0.0, True)
-        self.timing = slave_begin()
+        self.timing = integration.slave_begin()
         self._clamp = config.clamp_params()
         self._instrument_ns = 0
         self._instrument_lost = False
@@ -469,7 +444,7 @@ class SlaveController(ControllerHalf):
 
     def forget(self) -> None:
         super().forget()
-        self.timing = slave_stalled(self.timing)
+        self.timing = integration.slave_stalled(self.timing)
         if self.tip.following:
             self._lose_instrument()
 
@@ -482,7 +457,7 @@ class SlaveController(ControllerHalf):
 
     def _switch(self) -> None:
         super()._switch()
-        self.timing = slave_silenced(self.timing)
+        self.timing = integration.slave_silenced(self.timing)
         if self.switching:
             self.law_state = self._standing()
 
@@ -502,12 +477,12 @@ class SlaveController(ControllerHalf):
             # The instrument has not answered the last tick, so its newest sample is used for as long as it is fresh.
             self._doubt_instrument()
         early = self.law.local_loop and not self._instrument_lost and not self.switching
-        self.timing, settled = slave_unanswered(self.timing, early)
+        self.timing, settled = integration.slave_unanswered(self.timing, early)
         self._settle(settled)
         self._hand_stamp = (message.hand_seq, message.hand_t_ns)
         understood = self.receive_signal(message)
         self.switching = self.switching and not (understood and message.active)
-        self.timing, begins = slave_signalled(
+        self.timing, begins = integration.slave_signalled(
             self.timing, self.timing_params, received_ns, message.hand_t_ns, understood
         )
         if self.law_state is None:
@@ -521,8 +496,8 @@ class SlaveController(ControllerHalf):
             self._across = lateral_slave_step(
                 self.lateral, self._across, self.far_lateral, self.lateral_m, follows, elapsed_s
             )
-        if goes_on and slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
-            self.timing = slave_passed_over(self.timing)
+        if goes_on and integration.slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
+            self.timing = integration.slave_passed_over(self.timing)
         else:
             if self._instrument_lost:
                 self.reference = SlaveReference(self.reference.position_m, False)
@@ -534,7 +509,7 @@ class SlaveController(ControllerHalf):
 
     def _receive(self, signal: PortSignal, elapsed: int) -> None:
         """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
-        self.timing = slave_stepped(self.timing, self.timing_params, self.clock.now_ns(), elapsed)
+        self.timing = integration.slave_stepped(self.timing, self.timing_params, self.clock.now_ns(), elapsed)
         dt_s = self.timing.pacing.step * self.config.period_s
         tip = TipMeasurement(*self.tip[:-1], self._asked_m[0] - self._carried_out_m)
         self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, tip, dt_s)
@@ -553,7 +528,7 @@ class SlaveController(ControllerHalf):
             hand_t_ns=self._hand_stamp[1],
             **across,
         )
-        self.timing = slave_commanded(self.timing, command.seq, answers)
+        self.timing = integration.slave_commanded(self.timing, command.seq, answers)
         self._asked_m = (self.reference.position_m, *self._asked_m[:_MOST_OUTSTANDING])
 
     def _doubt_instrument(self) -> None:
@@ -593,7 +568,9 @@ class SlaveController(ControllerHalf):
         number = message.command_seq if message.hand_t_ns > 0 else _NO_COMMAND
         later = max(self.timing.commands.newest - number, 0)
         self._carried_out_m = self._asked_m[min(later, len(self._asked_m) - 1)]
-        self.timing, settled = slave_measured(self.timing, self.timing_params, now_ns, number, self.switching, follows)
+        self.timing, settled = integration.slave_measured(
+            self.timing, self.timing_params, now_ns, number, self.switching, follows
+        )
         self._settle(settled)
 
     def _count_port_energy(self) -> None:
@@ -605,16 +582,16 @@ class SlaveController(ControllerHalf):
 
     def _settle(self, settled: Settled) -> None:
         """Carry out what is due after a state of the instrument, or where none came."""
-        if settled.what not in (NOTHING, GO_ON):
-            if settled.what == ANSWER and self.switching:
+        if settled.what not in (integration.NOTHING, integration.GO_ON):
+            if settled.what == integration.ANSWER and self.switching:
                 self.law_state = self._standing()
             dt_s = settled.periods * self.config.period_s
             state, signal = self.law.slave_send(self.params, self.law_state, self.tip, dt_s)
-            if settled.what != ANSWER_EARLY:
+            if settled.what != integration.ANSWER_EARLY:
                 self.law_state = state
             if settled.answers:
                 self._publish_answer(signal)
-        if settled.what == GO_ON or settled.goes_on:
+        if settled.what == integration.GO_ON or settled.goes_on:
             self._receive(self.latest_signal(), 0)
             self._publish_command(answers=False)
 

@@ -11,27 +11,10 @@ from proto.topics import LOOP_DEADLINE_S
 from services.afm_node import safety as afm_safety
 from services.afm_node.physics.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
 from services.afm_node.physics.step import step as instrument_step
+from services.controller import integration
 from services.controller.clamp import ClampParams, clamped
 from services.controller.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
-from services.controller.integration import (
-    GO_ON,
-    Heard,
-    MasterTiming,
-    Settled,
-    SlaveTiming,
-    TimingParams,
-    master_begin,
-    master_heard,
-    master_sampled,
-    master_settled,
-    round_trip_periods,
-    silence_ns,
-    slave_begin,
-    slave_commanded,
-    slave_measured,
-    slave_signalled,
-    slave_stepped,
-)
+from services.controller.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
 from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
 from services.haptic_node import safety as haptic_safety
 from services.haptic_node.physics.step import HapticInputs, HapticParams, found
@@ -96,7 +79,7 @@ def _latest(signal: PortSignal, heard: Heard, now_ns: int, round_trip_s: float) 
         separation_valid=signal.separation_valid,
         in_contact=signal.in_contact,
         active=signal.active,
-        silence_s=silence_ns(heard, now_ns) * 1e-9,
+        silence_s=integration.silence_ns(heard, now_ns) * 1e-9,
         round_trip_s=round_trip_s,
     )
 
@@ -205,12 +188,12 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
     """Let the master half integrate what is due, and command the hand."""
     if m.timing.due == 0:
         return m
-    round_trip_s = round_trip_periods(m.timing, halves.master) * halves.period_s
+    round_trip_s = integration.round_trip_periods(m.timing, halves.master) * halves.period_s
     signal = _latest(m.signal, m.timing.heard, now_ns, round_trip_s)
     law, reference = master_receive(halves.law, m.law, m.hand, signal, m.timing.due * halves.period_s)
     mode = haptic_safety.MODE_POSITION if reference.active else haptic_safety.MODE_OFF
     return Master(
-        timing=master_settled(m.timing),
+        timing=integration.master_settled(m.timing),
         law=law,
         hand=m.hand,
         signal=m.signal,
@@ -225,7 +208,7 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
 def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int) -> tuple[Master, PortSignal, bool]:
     """Return the master half after a sample, the signal that it sends, and whether the dead band lets it through."""
     m = _master_settled(halves, m, now_ns)
-    timing, found = master_sampled(m.timing, halves.master, now_ns, False, False)
+    timing, found = integration.master_sampled(m.timing, halves.master, now_ns, False, False)
     law = master_start(halves.law, hand) if found.begins else m.law
     dt = found.periods * halves.period_s
     law, signal = master_send(halves.law, law, hand, dt)
@@ -249,7 +232,7 @@ def master_with_answer(
 ) -> Master:
     """Return the master half after a signal that answers the sample of hand_ns, which was there at there_ns [ns]."""
     heard = Master(
-        timing=master_heard(m.timing, now_ns, hand_ns),
+        timing=integration.master_heard(m.timing, now_ns, hand_ns),
         law=m.law,
         hand=m.hand,
         signal=signal,
@@ -264,7 +247,7 @@ def master_with_answer(
 @inlined
 def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> Slave:
     """Return the slave half after a signal that descends from the sample of hand_ns [ns], with a new command."""
-    timing, begins = slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    timing, begins = integration.slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
     law = s.law
     if s.timing.heard.received_ns < 0:
         law = slave_start(halves.law, s.tip)
@@ -278,11 +261,11 @@ def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int
 @inlined
 def _slave_stepped(halves: Halves, s: Slave, now_ns: int, elapsed: int, answers: bool) -> Slave:
     """Step the slave half and command the instrument."""
-    timing = slave_stepped(s.timing, halves.slave, now_ns, elapsed)
+    timing = integration.slave_stepped(s.timing, halves.slave, now_ns, elapsed)
     signal = _latest(s.signal, timing.heard, now_ns, 0.0)
     law, wanted = slave_receive(halves.law, s.law, signal, s.tip, timing.pacing.step * halves.period_s)
     return Slave(
-        timing=slave_commanded(timing, timing.commands.newest + 1, answers),
+        timing=integration.slave_commanded(timing, timing.commands.newest + 1, answers),
         law=law,
         signal=s.signal,
         tip=s.tip,
@@ -362,13 +345,13 @@ def put_answer(row: Array, lateral: Lateral) -> None:
 def counts(m: Master, path: AcrossPath, now_ns: int) -> bool:
     """Return whether the newest answer tells where the tip is."""
     heard = m.timing.heard
-    return heard.received_ns >= 0 and m.signal.active and silence_ns(heard, now_ns) * 1e-9 <= path.silence_s
+    return heard.received_ns >= 0 and m.signal.active and integration.silence_ns(heard, now_ns) * 1e-9 <= path.silence_s
 
 
 @inlined
 def goes_on(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int, now_ns: int) -> tuple[bool, float]:
     """Return whether a signal follows the one before while the instrument follows, and how much later it is [s]."""
-    timing, begins = slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
+    timing, begins = integration.slave_signalled(s.timing, halves.slave, now_ns, hand_ns, True)
     follows = not begins and s.timing.heard.received_ns >= 0 and signal.active and s.tip.following
     return follows, timing.pacing.elapsed * halves.period_s
 
@@ -398,7 +381,7 @@ def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -
     """Let the instrument step by itself, and the slave half with it, where its last signal still counts."""
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, False)
     s, settled = _slave_measured(halves, s, tip, now_ns)
-    if settled.what == GO_ON:
+    if settled.what == integration.GO_ON:
         s = _slave_stepped(halves, s, now_ns, 0, False)
         s, i, _ = carried_out(halves, params, s, i, now_ns)
     return s, i
@@ -408,7 +391,9 @@ def went_on(halves: Halves, params: Any, s: Slave, i: Instrument, now_ns: int) -
 def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) -> tuple[Slave, Settled]:
     """Return the slave half after what the instrument measured, and what it does about that."""
     follows = s.signal.active and tip.following
-    timing, settled = slave_measured(s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows)
+    timing, settled = integration.slave_measured(
+        s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows
+    )
     s = Slave(timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
     return s, settled
 
@@ -434,7 +419,7 @@ def master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainSta
     """Return the master half before the first sample."""
     hand = HandSample(found(haptic.plant, haptic_state.plant)[0], 0.0, 0.0, False)
     return Master(
-        timing=master_begin(),
+        timing=integration.master_begin(),
         law=master_start(halves.law, hand),
         hand=hand,
         signal=NO_SIGNAL,
@@ -449,7 +434,7 @@ def master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainSta
 def slave_at(halves: Halves) -> Slave:
     """Return the slave half before the first signal."""
     return Slave(
-        timing=slave_begin(),
+        timing=integration.slave_begin(),
         law=slave_start(halves.law, NO_TIP),
         signal=NO_SIGNAL,
         tip=NO_TIP,
