@@ -26,7 +26,7 @@ from proto import TOPICS, decode, encode
 from proto.contract import examples
 from proto.sequence import Arrival
 from services.controller.config import ControllerConfig
-from services.controller.node import MasterController
+from services.controller.master_half import MasterController
 from services.delay_node.config import parse_settings
 from services.delay_node.node import DelayNode
 from services.runtime.bus.bus import Received, Subscriber, ZmqBus

@@ -39,7 +39,7 @@ SOURCES = (
     # deadlines, which are compiled into the loop
     *("proto/topics.py", "services/runtime/loop/freshness.py"),
 )
-_SHELLS = ("node.py", "__main__.py")
+_SHELLS = ("node.py", "half.py", "__main__.py")
 # Raise it with every change of what `compile_cache` writes, or of the options of the compiler.
 _CACHE_FORMAT = "6"
 # Files of other checkouts and of obsolete signatures are removed after so many days.
@@ -94,7 +94,7 @@ def _digest_of_process() -> str:
 def _source_files(root: Path) -> Iterator[Path]:
     for source in SOURCES:
         for path in sorted((root / source).rglob("*.py")) or [root / source]:
-            if path.name not in _SHELLS and path.is_file():
+            if not path.name.endswith(_SHELLS) and path.is_file():
                 yield path
 
 

@@ -7,15 +7,15 @@ from proto import TOPICS
 from proto.nodes import LINK, START_ORDER, VIEW, name_of, site_of
 from proto.topics import Topic
 from services.afm_node.node import INPUTS as AFM_INPUTS
-from services.controller.node import MASTER_INPUTS, SLAVE_INPUTS
+from services.controller.node import HALVES
 from services.haptic_node.node import INPUTS as HAPTIC_INPUTS
 
 # Every node sends these topics, and only people and the launcher read them; they would hide the loop.
 _EVERYBODY = ("node/health", "session/event", "node/journal", "session/control")
 _INPUTS = {
     "haptic_node@master": HAPTIC_INPUTS,
-    "controller@master": MASTER_INPUTS,
-    "controller@slave": SLAVE_INPUTS,
+    "controller@master": HALVES["master"].inputs,
+    "controller@slave": HALVES["slave"].inputs,
     "afm_node@slave": AFM_INPUTS,
 }
 

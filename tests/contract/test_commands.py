@@ -17,7 +17,8 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 from services.controller.config import ControllerConfig
-from services.controller.node import MasterController, SlaveController
+from services.controller.master_half import MasterController
+from services.controller.slave_half import SlaveController
 from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig

@@ -40,7 +40,7 @@ from services.afm_node import node as afm_node
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
-from services.controller.node import SlaveController
+from services.controller.slave_half import SlaveController
 from studies.loops import sites
 from studies.loops.cells import Cell, rig_of
 from studies.loops.link import schedule_of, symmetric_link

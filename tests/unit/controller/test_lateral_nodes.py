@@ -9,7 +9,8 @@ from test_controller_node import answer_fields, forward_fields, hand_fields, tip
 from proto.errors import RefusedError
 from proto.messages import SessionControl
 from services.controller.config import ControllerConfig
-from services.controller.node import MasterController, SlaveController
+from services.controller.master_half import MasterController
+from services.controller.slave_half import SlaveController
 from services.runtime.loop.node_state import pack, restore
 
 PERIOD_NS = 1_000_000

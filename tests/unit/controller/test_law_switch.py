@@ -7,7 +7,8 @@ import pytest
 
 from proto.sequence import Arrival
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.node import MasterController, SlaveController
+from services.controller.master_half import MasterController
+from services.controller.slave_half import SlaveController
 from services.runtime.bus.bus import Received
 
 PERIOD_NS = 1_000_000

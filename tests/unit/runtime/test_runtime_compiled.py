@@ -90,7 +90,7 @@ def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
 
 def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
     first = source_digest(tree)
-    shells = ("services/afm_node/node.py", "services/controller/__main__.py")
+    shells = ("services/afm_node/node.py", "services/controller/slave_half.py", "services/controller/__main__.py")
     for name in (*shells, "services/afm_node/notes.md", "studies/figures.py"):
         (tree / name).write_text("B = 1\n")
     assert source_digest(tree) == first

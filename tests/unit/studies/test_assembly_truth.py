@@ -9,7 +9,7 @@ import pytest
 from proto import TOPICS
 from proto.instrument import AfmParticles
 from services.afm_node import node as afm
-from services.controller import node as controller
+from services.controller.node import HALVES
 from services.haptic_node import node as haptic
 from services.viz_node.source import TOPICS_SHOWN
 
@@ -66,7 +66,7 @@ def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
 def test_the_truth_is_recorded_and_goes_to_no_other_machine_and_to_no_node() -> None:
     row = TOPICS[TRUTH]
     assert row.recorded and row.bridged is None and row.publishers == ("afm_node",)
-    inputs = (afm.INPUTS, controller.MASTER_INPUTS, controller.SLAVE_INPUTS, haptic.INPUTS, TOPICS_SHOWN)
+    inputs = (afm.INPUTS, *(half.inputs for half in HALVES.values()), haptic.INPUTS, TOPICS_SHOWN)
     assert not any(TRUTH in topics for topics in inputs)
 
 

@@ -1,0 +1,321 @@
+"""The half of a law at the operator's site, as a node: it runs on the arrival of messages."""
+
+import math
+from typing import Any, NamedTuple, cast
+
+from proto.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
+from services.controller import energy, integration
+from services.controller.config import ControllerConfig
+from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
+from services.controller.integration import Heard, MasterTiming, TimingParams
+from services.controller.lateral import (
+    DIRECT,
+    LOST,
+    MET,
+    NO_NEWS,
+    LateralFar,
+    LateralHand,
+    LateralMasterState,
+    Store,
+    lateral_at_rest,
+    lateral_master_step,
+)
+from services.controller.law import EnergyAccount, HandSample, MasterReference
+from services.numerics.frames import to_paper_axis, to_site_frame
+from services.runtime.bus.bus import Received
+from services.runtime.loop.node import NodeContext
+from services.runtime.loop.node_state import FindInput
+
+# A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
+_FOLLOWING_DEVICE = (None, "ok")
+# A hand that is lost is silent for so long [ns], which is more than a tip holds before it is withdrawn.
+_LOST_NS = 1_000_000_000
+# The hand comes to rest like a free virtual mass while this half waits for the other one.
+_COASTING_S = 0.005
+# A way of the tip across the sample that is worth a signal of its own [m].
+_LEAST_SENT_M = 1e-10
+_NEWS = {
+    MET: "met: the tip has met something across the sample, {force:.3g} N",
+    LOST: "lost: the tip has lost what it pushed, {force:.3g} N are left",
+}
+
+
+class MasterState(NamedTuple):
+    """The state of the master half.
+
+    across: the lateral path, where it has a mode of its own, and sent_m, its reference as it was sent last [m]; hand,
+    reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
+    switch_s: time since a change of law [s]; lost_ns: since when the hand's device is lost [ns], 0 while it is not;
+    answered: number and time stamp [ns] of the sample of the hand that the newest answer descends from.
+    """
+
+    half: HalfState
+    timing: MasterTiming
+    hand: HandSample
+    reference: MasterReference
+    tip_reference_m: float
+    switch_s: float
+    lost_ns: int
+    answered: tuple[int, int]
+    slave_status: LawStatus | None
+    across: LateralMasterState
+    sent_m: tuple[float, float]
+
+
+class MasterController(ControllerHalf):
+    """The half at the operator's site: haptic/state in, teleop/forward out; teleop/backward in, haptic/command out.
+
+    One command a tick of the hand: when the answer to the tick comes, or else at the next tick.
+    """
+
+    inputs = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
+    state_kind = MasterState
+    # After this the tick is at the slave's side.
+    idle_after = "haptic/state"
+
+    def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
+        super().__init__(context, config)
+        self.hand = HandSample(0.0, 0.0, 0.0, False)
+        self.reference = MasterReference(0.0, 0.0, 0.0, False)
+        self._tip_reference_m = 0.0
+        self._switch_s = 0.0
+        self._lost_ns = 0
+        self.timing = integration.master_begin()
+        self._answered_hand_stamp = (0, 0)
+        self._slave_status: LawStatus | None = None
+        self._across = lateral_at_rest()
+        self._sent_m = ZERO_XY
+
+    def capture(self) -> MasterState:
+        return MasterState(
+            half=self.capture_half(),
+            timing=self.timing,
+            hand=self.hand,
+            reference=self.reference,
+            tip_reference_m=self._tip_reference_m,
+            switch_s=self._switch_s,
+            lost_ns=self._lost_ns,
+            answered=self._answered_hand_stamp,
+            slave_status=self._slave_status,
+            across=self._across,
+            sent_m=self._sent_m,
+        )
+
+    def restore(self, state: MasterState, find: FindInput) -> None:
+        self.restore_half(state.half)
+        self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
+        self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
+        self._lost_ns = state.lost_ns
+        self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
+        self._across, self._sent_m = state.across, state.sent_m
+
+    def started(self) -> Any:
+        return self.law.master_start(self.params, self.hand)
+
+    def on_message(self, received: Received) -> None:
+        if self.rejects(received):
+            return
+        message = received.message
+        if type(message) is HapticState:
+            self._on_hand(message)
+        elif type(message) is TeleopBackward:
+            if self.receive_signal(message):
+                self.timing = integration.master_heard(self.timing, received.received_ns, message.hand_t_ns)
+                if self.switching:
+                    self._take_over()
+            self._answered_hand_stamp = (message.hand_seq, message.hand_t_ns)
+            self._settle()
+        elif type(message) is LawStatus:
+            self._slave_status = message
+        elif type(message) is LinkDelay:
+            self.freshness.record(message)
+
+    @property
+    def heard(self) -> Heard:
+        return self.timing.heard
+
+    def timing_of(self, config: ControllerConfig) -> TimingParams:
+        return config.master_timing()
+
+    def forget(self) -> None:
+        super().forget()
+        self.timing = integration.master_stalled(self.timing)
+
+    def retuned(self, old: Any, new: Any) -> Any:
+        """Carry the state over without a jump at the tip."""
+        return self.law.retune(old, new, self.law_state)
+
+    def energy_account(self) -> EnergyAccount:
+        return cast(EnergyAccount, self.law.master_energy_account(self.params, self.law_state))
+
+    def round_trip_s(self) -> tuple[float, bool]:
+        if self.heard.received_ns < 0:
+            return ROUND_TRIP_UNKNOWN
+        return integration.round_trip_periods(self.timing, self.timing_params) * self.config.period_s, True
+
+    def _switch(self) -> None:
+        super()._switch()
+        self.timing = integration.master_silenced(self.timing)
+        self._switch_s = 0.0
+        if self.switching:
+            self.law_state = self._resumed(self.reference, self._tip_reference_m)
+
+    def _resumed(self, reference: MasterReference, tip_reference_m: float) -> Any:
+        sample = HandSample(reference.position_m, reference.velocity_m_per_s, self.hand.force_n, self.hand.following)
+        return self.law.master_resume(self.params, sample, tip_reference_m)
+
+    def _take_over(self) -> None:
+        """Run the new law from the position of the hand and from where the slave reports the base."""
+        self.switching = False
+        tip_m = self.signal.position_m if self.signal.active else self._tip_reference_m
+        self.law_state = self._resumed(self.reference, tip_m)
+
+    def _on_hand(self, message: HapticState) -> None:
+        if self._hand_is_lost(message):
+            self.hand, self.state = self.hand._replace(following=False), "safe"
+            return
+        commanded, repeated = self._settle(), message.device == "stale"
+        self.timing, found = integration.master_sampled(
+            self.timing, self.timing_params, message.t_ns, repeated, commanded
+        )
+        if not repeated:
+            self._take_sample(message, found.periods * self.config.period_s, begins=found.begins)
+        if found.repeats:
+            self._send_reference()
+        if found.periods:
+            self._send_signal(found.periods * self.config.period_s)
+
+    def _hand_is_lost(self, message: HapticState) -> bool:
+        """Return whether this half keeps silent: nobody is at the hand, as after its node was killed.
+
+        The tip holds and withdraws meanwhile, by the deadlines of its own guard. After that this half goes on with an
+        inactive hand, so that the tip can be armed.
+        """
+        if message.device != "lost":
+            self._lost_ns = 0
+            return False
+        self._lost_ns = self._lost_ns or message.t_ns
+        return message.t_ns - self._lost_ns < _LOST_NS
+
+    def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
+        """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on its way."""
+        self._hand_stamp = (message.seq, message.t_ns)
+        following = self.hand.following
+        self.hand = HandSample(
+            to_paper_axis(message.position_m),
+            to_paper_axis(message.velocity_m_per_s),
+            to_paper_axis(message.operator_force_n),
+            message.mode != "off" and message.device in _FOLLOWING_DEVICE,
+        )
+        x, y, _ = message.position_m
+        if self.lateral.motion.mode != DIRECT:
+            self._move_across(message, dt_s)
+        elif x or y:
+            self.lateral_m = self._at_the_tip(x, y)
+        else:
+            self.lateral_m = ZERO_XY
+        if self.law_state is None:
+            self.law_state = self.law.master_start(self.params, self.hand)
+        if begins:
+            self.port = energy.opened(self.hand.position_m, self.hand.force_n)
+        # the sample's force acted over the way to the sample's position
+        counts = not begins and following and self.hand.following and self.reference.active
+        count = energy.with_inflow if counts and not self.switching else energy.moved_to
+        self.port = count(self.port, self.hand.position_m, self.hand.force_n)
+
+    def _send_signal(self, dt_s: float) -> None:
+        hand = self.hand._replace(following=False) if self.switching else self._guided_hand()
+        self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, dt_s)
+        self._tip_reference_m = signal.position_m
+        # What the hand moves across is sent whether or not the dead band passes the law's signal.
+        if self.passes_deadband(signal, dt_s) or self._has_moved_across():
+            self._sent_m = self.lateral_m
+            self.publish("teleop/forward", **self.signal_fields(signal), force_n=to_site_frame(signal.force_n))
+        self.steps += 1
+        slave = self._slave_status
+        self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
+
+    def _at_the_tip(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Return where a hand of three axes wants the tip over the sample [m]."""
+        scale = self.config.law_config().position_scale
+        return scale * x_m, scale * y_m
+
+    def _move_across(self, message: HapticState, dt_s: float) -> None:
+        """Take the hand's way across, in a mode of its own, and say what it has met or lost."""
+        if dt_s <= 0.0:
+            return
+        x, y, _ = message.position_m
+        speed_x, speed_y, _ = message.velocity_m_per_s
+        follows = self.hand.following and not self.switching
+        hand = LateralHand(x, y, self.hand.position_m, speed_x, speed_y, self.hand.velocity_m_per_s, following=follows)
+        known = self.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
+        far = LateralFar(*self.far_lateral, *self.far_place, known=known)
+        self._across = lateral_master_step(self.lateral, self._across, hand, far, dt_s)
+        travel = self._across.travel
+        self.lateral_m = travel.x_m, travel.y_m
+        if self._across.news != NO_NEWS:
+            force_n = math.sqrt(self.far_lateral[0] ** 2 + self.far_lateral[1] ** 2)
+            text = _NEWS[self._across.news]
+            self.event("mode", "info", text.format(force=force_n), lateral=text.split(":")[0], force_n=force_n)
+
+    def _has_moved_across(self) -> bool:
+        if self.lateral.motion.mode == DIRECT:
+            return False
+        (x, y), (sent_x, sent_y) = self.lateral_m, self._sent_m
+        return abs(x - sent_x) + abs(y - sent_y) >= _LEAST_SENT_M
+
+    def _guided_hand(self) -> HandSample:
+        """Return the hand with the force of the hold of its depth, as a law takes it."""
+        force_n = self._across.force_n[2]
+        return self.hand._replace(force_n=self.hand.force_n + force_n) if force_n else self.hand
+
+    def lateral_account(self) -> Store:
+        return self._across.store
+
+    def _lateral_force(self) -> tuple[float, float]:
+        """Return the lateral force of the sample at the hand's scale [N]."""
+        if self.lateral.motion.mode != DIRECT:
+            return self._across.force_n[:2]
+        x, y = self.far_lateral
+        scale = self.config.law_config().force_scale if x or y else 0.0
+        return scale * x, scale * y
+
+    def _settle(self) -> bool:
+        """Send the command that is due; return whether one was."""
+        dt_s = self.timing.due * self.config.period_s
+        if not dt_s:
+            return False
+        self.timing = integration.master_settled(self.timing)
+        self.reference = self._coasting(dt_s) if self.switching else self._step_law(dt_s)
+        self.state = "running" if self.reference.active else "safe"
+        self._send_reference()
+        return True
+
+    def _send_reference(self) -> None:
+        self.publish(
+            "haptic/command",
+            mode="position" if self.reference.active else "off",
+            position_m=to_site_frame(self.reference.position_m),
+            velocity_m_per_s=to_site_frame(self.reference.velocity_m_per_s),
+            force_n=(*self._lateral_force(), self.reference.force_n),
+            hand_seq=self._answered_hand_stamp[0],
+            hand_t_ns=self._answered_hand_stamp[1],
+        )
+
+    def _step_law(self, dt_s: float) -> MasterReference:
+        signal = self.latest_signal()
+        self.law_state, reference = self.law.master_receive(
+            self.params, self.law_state, self._guided_hand(), signal, dt_s
+        )
+        return cast(MasterReference, reference)
+
+    def _coasting(self, dt_s: float) -> MasterReference:
+        """Return the reference while the other half is waited for: it comes to rest, and the force shown stays."""
+        self._switch_s += dt_s
+        last, fades = self.reference, math.exp(-dt_s / _COASTING_S)
+        active = last.active and self._switch_s <= self.config.switch_limit_s
+        position_m, velocity_m_per_s = self.hand.position_m, 0.0
+        if self.hand.following:
+            position_m = last.position_m + _COASTING_S * (1.0 - fades) * last.velocity_m_per_s
+            velocity_m_per_s = fades * last.velocity_m_per_s
+        return MasterReference(position_m, velocity_m_per_s, last.force_n, active)

@@ -1,0 +1,283 @@
+"""The half of a law at the instrument's site, as a node: it runs on the arrival of messages."""
+
+from typing import Any, Literal, NamedTuple, cast
+
+from proto.instrument import AfmProgram
+from proto.messages import AfmState, LinkDelay, TeleopForward
+from services.controller import energy, integration
+from services.controller.clamp import clamped
+from services.controller.config import ControllerConfig
+from services.controller.half import ZERO_XY, ControllerHalf, HalfState
+from services.controller.integration import Heard, Settled, SlaveTiming, TimingParams
+from services.controller.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
+from services.controller.law import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
+from services.numerics.frames import to_paper_axis
+from services.runtime.bus.bus import Received
+from services.runtime.loop.freshness import DEADLINES_S
+from services.runtime.loop.node import NodeContext
+from services.runtime.loop.node_state import FindInput
+
+# A program that is silent for so long is over [ns]: it reports ten times a second.
+_PROGRAM_SILENCE_NS = 500_000_000
+_NO_COMMAND = -2
+# An instrument that is behind by more commands than this is taken to be at the oldest of them.
+_MOST_OUTSTANDING = 7
+
+
+class SlaveState(NamedTuple):
+    """The state of the slave half.
+
+    tip, reference: the newest sample, and the newest reference; asked_m: the references of the newest commands, the
+    newest first, and carried_out_m, that of the one which the instrument had carried out at its newest sample [m];
+    lateral_n: force on the tip in x and y [N]; instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a
+    program of the instrument [ns].
+    """
+
+    half: HalfState
+    timing: SlaveTiming
+    tip: TipMeasurement
+    reference: SlaveReference
+    asked_m: tuple[float, ...]
+    carried_out_m: float
+    lateral_n: tuple[float, float]
+    instrument_ns: int
+    instrument_lost: bool
+    occupied_until_ns: int
+    across: LateralSlaveState
+
+
+class SlaveController(ControllerHalf):
+    """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
+
+    inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
+    state_kind = SlaveState
+    # After this the tick is in the link, which may share its processor.
+    idle_after = "afm/state"
+
+    def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
+        super().__init__(context, config)
+        self.tip = NO_TIP
+        self.reference = SlaveReference(0.0, True)
+        self.timing = integration.slave_begin()
+        self._clamp = config.clamp_params()
+        self._instrument_ns = 0
+        self._instrument_lost = False
+        self._lateral_n = ZERO_XY
+        self._asked_m: tuple[float, ...] = (0.0,)
+        self._carried_out_m = 0.0
+        # The instrument images or measures by itself until then, and obeys no hand.
+        self._occupied_until_ns = 0
+        self._across = lateral_slave_at_rest()
+
+    def capture(self) -> SlaveState:
+        return SlaveState(
+            half=self.capture_half(),
+            timing=self.timing,
+            tip=self.tip,
+            reference=self.reference,
+            asked_m=self._asked_m,
+            carried_out_m=self._carried_out_m,
+            lateral_n=self._lateral_n,
+            instrument_ns=self._instrument_ns,
+            instrument_lost=self._instrument_lost,
+            occupied_until_ns=self._occupied_until_ns,
+            across=self._across,
+        )
+
+    def restore(self, state: SlaveState, find: FindInput) -> None:
+        self.restore_half(state.half)
+        self.timing, self.tip, self.reference = state.timing, state.tip, state.reference
+        self._asked_m, self._carried_out_m = state.asked_m, state.carried_out_m
+        self._lateral_n, self._instrument_ns = state.lateral_n, state.instrument_ns
+        self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
+        self._across = state.across
+
+    def started(self) -> Any:
+        return self.law.slave_start(self.params, self.tip)
+
+    def on_message(self, received: Received) -> None:
+        if self.rejects(received):
+            return
+        message = received.message
+        if type(message) is TeleopForward:
+            self._on_forward(message, received.received_ns)
+        elif type(message) is AfmState:
+            self._instrument_ns = self.freshness.stamp_ns(message.t_ns, received.received_ns)
+            self._on_instrument(message, received.received_ns)
+        elif type(message) is AfmProgram:
+            occupied = message.program != "tactile" and message.state in ("running", "paused")
+            self._occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
+        elif type(message) is LinkDelay:
+            self.freshness.record(message)
+
+    @property
+    def heard(self) -> Heard:
+        return self.timing.heard
+
+    def timing_of(self, config: ControllerConfig) -> TimingParams:
+        return config.slave_timing()
+
+    def forget(self) -> None:
+        super().forget()
+        self.timing = integration.slave_stalled(self.timing)
+        if self.tip.following:
+            self._lose_instrument()
+
+    def energy_account(self) -> EnergyAccount:
+        return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
+
+    def _adopt(self, config: ControllerConfig) -> None:
+        super()._adopt(config)
+        self._clamp = config.clamp_params()
+
+    def _switch(self) -> None:
+        super()._switch()
+        self.timing = integration.slave_silenced(self.timing)
+        if self.switching:
+            self.law_state = self._standing()
+
+    def _standing(self) -> Any:
+        """Return the state of a half that begins at the last reference of the base."""
+        return self.law.slave_start(self.params, self.tip._replace(base_position_m=self.reference.position_m))
+
+    def _interrupted(self) -> Any:
+        """Return the state of a half that takes the signals up anew.
+
+        What it counts goes on: a master that has not noticed would take lower counters for those of old signals.
+        """
+        return self.law.slave_receive(self.params, self.law_state, NO_SIGNAL, self.tip, self.config.period_s)[0]
+
+    def _on_forward(self, message: TeleopForward, received_ns: int) -> None:
+        if self.timing.commands.waiting:
+            # The instrument has not answered the last tick, so its newest sample is used for as long as it is fresh.
+            self._doubt_instrument()
+        early = self.law.local_loop and not self._instrument_lost and not self.switching
+        self.timing, settled = integration.slave_unanswered(self.timing, early)
+        self._settle(settled)
+        self._hand_stamp = (message.hand_seq, message.hand_t_ns)
+        understood = self.receive_signal(message)
+        self.switching = self.switching and not (understood and message.active)
+        self.timing, begins = integration.slave_signalled(
+            self.timing, self.timing_params, received_ns, message.hand_t_ns, understood
+        )
+        if self.law_state is None:
+            self.law_state = self.law.slave_start(self.params, self.tip)
+        elif begins and not self.switching:
+            self.law_state = self._interrupted()
+        goes_on = not (begins or self._instrument_lost or self.switching)
+        if self.lateral.motion.mode != DIRECT:
+            follows = goes_on and understood and message.active and self.tip.following
+            elapsed_s = self.timing.pacing.elapsed * self.config.period_s
+            self._across = lateral_slave_step(
+                self.lateral, self._across, self.far_lateral, self.lateral_m, follows, elapsed_s
+            )
+        if goes_on and integration.slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
+            self.timing = integration.slave_passed_over(self.timing)
+        else:
+            if self._instrument_lost:
+                self.reference = SlaveReference(self.reference.position_m, False)
+            elif not self.switching:
+                self._receive(self.latest_signal(), self.timing.pacing.elapsed)
+            self._publish_command(answers=True)
+        self.steps += 1
+        self.report_status(None)
+
+    def _receive(self, signal: PortSignal, elapsed: int) -> None:
+        """Step the half by what it is behind the hand; elapsed: periods that a signal has brought, 0 without one."""
+        self.timing = integration.slave_stepped(self.timing, self.timing_params, self.clock.now_ns(), elapsed)
+        dt_s = self.timing.pacing.step * self.config.period_s
+        tip = TipMeasurement(*self.tip[:-1], self._asked_m[0] - self._carried_out_m)
+        self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, tip, dt_s)
+        self.reference = clamped(self._clamp, wanted, signal, tip)
+
+    def _publish_command(self, *, answers: bool) -> None:
+        mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
+        is_direct = self.lateral.motion.mode == DIRECT
+        moves = not is_direct and hand_moves(self._across)
+        across = {"lateral_m": (self._across.x_m, self._across.y_m)} if moves else {}
+        command = self.publish(
+            "afm/command",
+            mode=mode,
+            base_position_m=(*(self.far_lateral if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
+            hand_seq=self._hand_stamp[0],
+            hand_t_ns=self._hand_stamp[1],
+            **across,
+        )
+        self.timing = integration.slave_commanded(self.timing, command.seq, answers)
+        self._asked_m = (self.reference.position_m, *self._asked_m[:_MOST_OUTSTANDING])
+
+    def _doubt_instrument(self) -> None:
+        """Mark an instrument that has been silent for too long as not following, whatever it published last."""
+        silence_s = (self.clock.now_ns() - self._instrument_ns) * 1e-9
+        if self.tip.following and silence_s > DEADLINES_S["afm/state"]:
+            self._lose_instrument()
+            text = f"the AFM has been silent for {silence_s * 1e3:.0f} ms: the hand is let go"
+            self.event("fault", "warning", text, silence_s=silence_s)
+
+    def _lose_instrument(self) -> None:
+        """Hold the base where it was last commanded to be, until the instrument says where it is."""
+        self.tip = self.tip._replace(following=False)
+        self.state = "safe"
+        self._instrument_lost = True
+
+    def _on_instrument(self, message: AfmState, now_ns: int) -> None:
+        self.lateral_m, self._lateral_n = message.base_position_m[:2], message.tip_force_n[:2]
+        self.tip = TipMeasurement(
+            base_position_m=to_paper_axis(message.base_position_m),
+            force_n=message.tip_force_n[2],
+            separation_m=message.separation_m,
+            separation_valid=message.separation_valid,
+            in_contact=message.in_contact,
+            following=message.mode in ("follow", "hold")
+            and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
+            outstanding_m=0.0,
+        )
+        self.state = "running" if self.tip.following else "safe"
+        if self._instrument_lost:
+            self._instrument_lost = False
+            self.reference = SlaveReference(self.tip.base_position_m, True)
+            self.law_state = self._standing()
+        self._count_port_energy()
+        follows = self.law_state is not None and self.signal.active and self.tip.following
+        # an instrument that has no command yet names the first one
+        number = message.command_seq if message.hand_t_ns > 0 else _NO_COMMAND
+        later = max(self.timing.commands.newest - number, 0)
+        self._carried_out_m = self._asked_m[min(later, len(self._asked_m) - 1)]
+        self.timing, settled = integration.slave_measured(
+            self.timing, self.timing_params, now_ns, number, self.switching, follows
+        )
+        self._settle(settled)
+
+    def _count_port_energy(self) -> None:
+        section = self.config.law_config()
+        count = energy.with_outflow if self.tip.following else energy.moved_to
+        self.port = count(
+            self.port, self.tip.base_position_m / section.position_scale, section.force_scale * self.tip.force_n
+        )
+
+    def _settle(self, settled: Settled) -> None:
+        """Carry out what is due after a state of the instrument, or where none came."""
+        if settled.what not in (integration.NOTHING, integration.GO_ON):
+            if settled.what == integration.ANSWER and self.switching:
+                self.law_state = self._standing()
+            dt_s = settled.periods * self.config.period_s
+            state, signal = self.law.slave_send(self.params, self.law_state, self.tip, dt_s)
+            if settled.what != integration.ANSWER_EARLY:
+                self.law_state = state
+            if settled.answers:
+                self._publish_answer(signal)
+        if settled.what == integration.GO_ON or settled.goes_on:
+            self._receive(self.latest_signal(), 0)
+            self._publish_command(answers=False)
+
+    def _publish_answer(self, signal: PortSignal) -> None:
+        if not self.passes_deadband(signal, self.timing.pacing.elapsed * self.config.period_s):
+            return
+        self.publish(
+            "teleop/backward",
+            **self.signal_fields(signal),
+            force_n=(*self._lateral_n, signal.force_n),
+            separation_m=signal.separation_m,
+            separation_valid=signal.separation_valid,
+            in_contact=signal.in_contact,
+        )
