@@ -51,8 +51,3 @@ NASA_TLX = (
 )
 # What an experiment's file may name.
 INSTRUMENTS: dict[str, tuple[Question, ...]] = {"nasa_tlx": NASA_TLX, "consent": (CONSENT,)}
-
-
-def raw_tlx(values: dict[str, float]) -> float:
-    """Return the raw load of an answer, the mean of the six scales from 0 to 100; KeyError for one that is absent."""
-    return sum(float(values[question.name]) for question in NASA_TLX) / len(NASA_TLX)

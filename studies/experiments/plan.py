@@ -26,7 +26,7 @@ from studies.experiments.orders import (
     sequences_of_design,
 )
 from studies.experiments.psychophysics.methods import checked, most_trials
-from studies.experiments.tasks import TASKS
+from studies.experiments.tasks import INSTALLED, TASKS
 from studies.experiments.tasks.base import Task
 from studies.experiments.types import Trial
 
@@ -297,9 +297,8 @@ def load_plan(path: Path, known: Mapping[str, Task] | None = None) -> Plan:
     known = TASKS if known is None else known
     for number, entry in enumerate(experiment.tasks):
         if entry.name not in known:
-            raise ConfigError(
-                f"{path}: tasks.{number}.name: {entry.name}: is no task; {known_names(entry.name, known)}"
-            )
+            absent = f"{entry.name}: is no task; {known_names(entry.name, known)}"
+            raise ConfigError(f"{path}: tasks.{number}.name: {INSTALLED.problems.get(entry.name, absent)}")
     plan = Plan(experiment, path, {entry.name: known[entry.name] for entry in experiment.tasks})
     _check_design(plan)
     for task, held in plan.block_conditions:

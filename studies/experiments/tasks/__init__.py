@@ -1,14 +1,11 @@
 """The tasks that an experiment may name: those of the project, and those of installed packages (`telenano.tasks`)."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
 from presets.plugins import load
-from proto.errors import ConfigError
-from services.runtime.settings.config import validate
-from studies.experiments.tasks.base import Measure, Parameters, Task
+from studies.experiments.tasks.base import Measure, Task
 from studies.experiments.tasks.detect_contact import DETECT_CONTACT
 from studies.experiments.tasks.discriminate_stiffness import DISCRIMINATE_STIFFNESS
 from studies.experiments.tasks.follow_profile import FOLLOW_PROFILE
@@ -53,22 +50,3 @@ def checked(name: str, value: Any) -> Task:
 
 INSTALLED = load("tasks", checked, tuple(task.name for task in OWN_TASKS))
 TASKS: dict[str, Task] = {task.name: task for task in OWN_TASKS} | INSTALLED.found
-
-
-def task_named(name: str, parameters: Mapping[str, Any], origin: str, section: str = "") -> tuple[Task, Parameters]:
-    """Return a task with its parameters.
-
-    Args:
-        name: The name of the task.
-        parameters: Its parameters as a file has them.
-        origin: The file, for the message of an error.
-        section: The key of the parameters in it.
-
-    Raises:
-        ConfigError: No such task is there, or a parameter is wrong; the message names file and key.
-    """
-    if name not in TASKS:
-        problem = INSTALLED.problems.get(name, f"{name}: is no task; there are {', '.join(TASKS)}")
-        raise ConfigError(f"{origin}: {section + '.' if section else ''}name: {problem}")
-    task = TASKS[name]
-    return task, validate(task.parameters, dict(parameters), origin, section)

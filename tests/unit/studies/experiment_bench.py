@@ -7,11 +7,12 @@ from typing import Any
 import yaml
 from pydantic import Field
 
+from studies.experiments import tasks
 from studies.experiments.apparatus.base import Apparatus, Course, Take
 from studies.experiments.apparatus.lockstep import empty
 from studies.experiments.desk import Desk
 from studies.experiments.plan import Plan, load_plan
-from studies.experiments.tasks.base import Judged, Measure, Parameters, Plain
+from studies.experiments.tasks.base import Judged, Measure, Parameters, Plain, Task
 from studies.experiments.types import TrialData
 
 
@@ -49,6 +50,11 @@ class Other(_Task):
 
 TASKS = {"tiny": _Task(), "other": Other()}
 DATA = TrialData(empty("afm/state"), empty("haptic/state"), empty("law/status"))
+
+
+def task_named(name: str, parameters: Mapping[str, Any]) -> tuple[Task, Parameters]:
+    """Return a task of the project with its parameters."""
+    return tasks.TASKS[name], tasks.TASKS[name].parameters(**parameters)
 
 
 class Bench(Apparatus):

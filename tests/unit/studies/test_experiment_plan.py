@@ -11,6 +11,7 @@ from presets import EXPERIMENT_DIRECTORY
 from proto.errors import ConfigError
 from studies.experiments.plan import attempt_seed, changes_while_running, load_plan
 from studies.experiments.summary import summary_of
+from studies.experiments.tasks import INSTALLED
 from tests.contract.command_table import settable
 
 
@@ -137,6 +138,13 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 def test_a_wrong_file_is_refused_with_file_and_key(tmp_path: Path, changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         plan_of(tmp_path, **changes)
+
+
+def test_why_a_task_of_a_package_cannot_be_used_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = "press of the package lab-tasks 0.1 cannot be used: a task has judge as well"
+    monkeypatch.setitem(INSTALLED.problems, "press", problem)
+    with pytest.raises(ConfigError, match=f"experiment.yaml: tasks.0.name: {problem}"):
+        plan_of(tmp_path, tasks=["press"])
 
 
 @pytest.mark.parametrize("path", sorted(EXPERIMENT_DIRECTORY.glob("*.yaml")), ids=lambda path: path.stem)

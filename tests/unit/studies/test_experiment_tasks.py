@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from experiment_bench import task_named
 
 from presets import find_scenario
-from proto.errors import ConfigError
 from recording.column_table import ColumnTable
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.experiments.tasks import TASKS, checked, task_named
+from studies.experiments.tasks import TASKS, checked
 from studies.experiments.tasks.base import Plain, Series, held_from, joined
 from studies.experiments.tasks.discriminate_stiffness import ANSWER, comparison_is_first
 from studies.experiments.tasks.push_particle import PLACE_M, goal_of
@@ -44,7 +44,7 @@ def clock(end_s: float, period_s: float = 1e-3) -> Series:
 
 @pytest.mark.parametrize("name", TASKS)
 def test_a_task_declares_just_what_it_judges_whatever_the_data(name: str) -> None:
-    task, p = task_named(name, {}, "made")
+    task, p = task_named(name, {})
     time_s = clock(task.duration_s(p), 0.01)
     for made in (data(time_s, np.zeros_like(time_s)), data(np.empty(0), np.empty(0))):
         judged = task.judge(made, p, 3)
@@ -59,7 +59,7 @@ def test_a_task_declares_just_what_it_judges_whatever_the_data(name: str) -> Non
 
 @pytest.mark.parametrize("name", TASKS)
 def test_a_target_is_a_function_of_the_seed_and_ends_with_the_trial(name: str) -> None:
-    task, p = task_named(name, {}, "made")
+    task, p = task_named(name, {})
     for seed in SEEDS:
         course = task.target(p, seed)
         if course is None:
@@ -74,7 +74,7 @@ def test_a_target_is_a_function_of_the_seed_and_ends_with_the_trial(name: str) -
 
 @pytest.mark.parametrize("name", TASKS)
 def test_what_a_task_sets_is_a_scenario(name: str) -> None:
-    task, p = task_named(name, {}, "made")
+    task, p = task_named(name, {})
     touch = read_yaml(find_scenario("touch"))
     for interval in task.intervals(p, 1):
         document = merge(touch, nested({**task.settings(p, 1), **interval.settings}, "made"))
@@ -93,7 +93,7 @@ def test_a_force_that_settles_is_measured() -> None:
     force_n = np.where(time_s < 1.0, 0.0, np.where(time_s < 3.0, 14e-9, 10.5e-9))
     push_n = np.full_like(time_s, 2.0)
     made = data(time_s, force_n, base_m=time_s * 1e-9, place_m=time_s * 1e-3, push_n=push_n)
-    task, p = task_named("touch_and_hold", {"force_n": 10e-9, "band": 0.1}, "made")
+    task, p = task_named("touch_and_hold", {"force_n": 10e-9, "band": 0.1})
     found = task.judge(made, p, 0)
     assert found["contact_time_s"] == pytest.approx(1.0)
     assert found["completion_time_s"] == pytest.approx(3.0)
@@ -112,7 +112,7 @@ def test_a_force_that_settles_is_measured() -> None:
 def test_a_force_that_leaves_the_band_too_soon_is_no_success() -> None:
     time_s = clock(12.0)
     inside = (time_s % 1.0) < 0.9
-    task, p = task_named("touch_and_hold", {"hold_s": 0.95}, "made")
+    task, p = task_named("touch_and_hold", {"hold_s": 0.95})
     found = task.judge(data(time_s, np.where(inside, 10e-9, 5e-9)), p, 0)
     assert (found["success"], found["completion_time_s"], found["mean_force_n"]) == (False, None, None)
     assert held_from(time_s, inside, 0.85) == 0.0
@@ -132,14 +132,14 @@ def test_a_force_that_leaves_the_band_too_soon_is_no_success() -> None:
 def test_contact_is_detected_between_touch_and_answer(answered_s: float | None, found: dict[str, Any]) -> None:
     time_s = clock(10.0)
     answers = [] if answered_s is None else [{"name": "contact", "value": True, "time_s": answered_s}]
-    task, p = task_named("detect_contact", {}, "made")
+    task, p = task_named("detect_contact", {})
     judged = task.judge(data(time_s, np.where(time_s < 2.0, 0.0, -2e-9), answers=answers), p, 0)
     assert {key: judged[key] for key in found} == pytest.approx(found)
     assert judged["contact_time_s"] == pytest.approx(2.0)
 
 
 def test_the_stiffer_of_two_intervals_is_the_right_answer() -> None:
-    task, p = task_named("discriminate_stiffness", {"ratio": 1.5, "interval_s": 2.0}, "made")
+    task, p = task_named("discriminate_stiffness", {"ratio": 1.5, "interval_s": 2.0})
     firsts = set()
     for seed in range(20):
         first, second = (each.settings["afm_node.spring.stiffness_n_per_m"] for each in task.intervals(p, seed))
@@ -162,7 +162,7 @@ def test_the_stiffer_of_two_intervals_is_the_right_answer() -> None:
 @pytest.mark.parametrize("late_s", [0.0, 0.15, 0.62, 1.4])
 @pytest.mark.parametrize("quantity", ["force", "position"])
 def test_the_lag_behind_a_moving_target_is_found(late_s: float, quantity: str) -> None:
-    task, p = task_named("track", {"quantity": quantity, "duration_s": 30.0}, "made")
+    task, p = task_named("track", {"quantity": quantity, "duration_s": 30.0})
     for seed in SEEDS:
         course = task.target(p, seed)
         assert course is not None
@@ -185,7 +185,7 @@ def test_a_course_that_does_not_move_has_no_lag() -> None:
 
 
 def test_a_particle_that_comes_to_rest_at_its_target_is_placed() -> None:
-    task, p = task_named("push_particle", {}, "made")
+    task, p = task_named("push_particle", {})
     goal = goal_of(p, 7)  # type: ignore[arg-type]
     assert math.dist(goal, PLACE_M) == pytest.approx(500e-9)
     time_s = clock(40.0, 0.1)
@@ -200,7 +200,7 @@ def test_a_particle_that_comes_to_rest_at_its_target_is_placed() -> None:
 
 
 def test_a_profile_is_followed_as_long_as_there_is_contact() -> None:
-    task, p = task_named("follow_profile", {}, "made")
+    task, p = task_named("follow_profile", {})
     time_s = clock(24.0, 0.01)
     base_m = 5e-9 * (np.sin(time_s) > 0.0)
     found = task.judge(data(time_s, np.where(time_s < 14.0, 12e-9, 0.0), base_m), p, 0)
@@ -208,19 +208,6 @@ def test_a_profile_is_followed_as_long_as_there_is_contact() -> None:
     assert found["in_band"] == pytest.approx(0.5, abs=0.01)
     assert found["height_range_m"] == pytest.approx(5e-9, abs=0.0)
     assert found["success"] is False
-
-
-@pytest.mark.parametrize(
-    ("name", "given", "fault"),
-    [
-        ("touch", {}, r"mine\.yaml: tasks\.0\.name: touch: is no task; there are touch_and_hold"),
-        ("track", {"quantity": "heat"}, r"mine\.yaml: tasks\.0\.quantity"),
-        ("track", {"amplitud": 1e-9}, r"mine\.yaml: tasks\.0\.amplitud"),
-    ],
-)
-def test_what_is_wrong_with_a_task_is_named(name: str, given: dict[str, Any], fault: str) -> None:
-    with pytest.raises(ConfigError, match=fault):
-        task_named(name, given, "mine.yaml", "tasks.0")
 
 
 def test_an_entry_of_a_package_has_to_be_a_task() -> None:
