@@ -75,11 +75,6 @@ class Marks:
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
-    @property
-    def leaving_base_m(self) -> float:
-        """D of Fig. 5, where the tip leaves the sample [m]: where the meniscus breaks, else the pull-off."""
-        return self.pull_off_base_m if self.break_base_m is None else self.break_base_m
-
 
 def force_curve(
     config: AfmConfig,

@@ -24,11 +24,11 @@ from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.commands import CommandHandler
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.settings.config import flatten
+from tests.doubles.virtual_clock import VirtualClock
 
 COMMANDS = get_args(SessionControl.model_fields["command"].annotation)
 _SPEC = command_table.SPEC.read_text(encoding="utf-8")

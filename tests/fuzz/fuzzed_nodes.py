@@ -46,10 +46,10 @@ from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, ZmqBus
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
+from tests.doubles.virtual_clock import VirtualClock
 
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood

@@ -37,13 +37,13 @@ from services.haptic_node.config import HapticConfig
 from services.recorder.config import RecorderConfig
 from services.recorder.provenance import write_provenance
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from services.runtime.settings.config import flag_overrides, merge
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+from tests.doubles.virtual_clock import VirtualClock
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"

@@ -14,9 +14,9 @@ from proto.sequence import Arrival
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
+from tests.doubles.virtual_clock import VirtualClock
 
 
 class Bench:

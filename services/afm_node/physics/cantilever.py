@@ -90,13 +90,6 @@ def volts_per_m(bridge_supply_v: float, amplifier_gain: float, sensitivity_per_m
 
 
 @compiled
-def base_for(plant: Plant, distance_m: float, contact: bool, meniscus: bool) -> float:
-    """Return the base position X [m] that holds the tip in equilibrium at h [m] on the branch (contact, meniscus)."""
-    force, _ = branch_force(plant.tip, distance_m, contact, meniscus)
-    return plant.rest_distance_m - distance_m + force / plant.stiffness_n_per_m
-
-
-@compiled
 def deflection_m(plant: Plant, distance_m: float, base_m: float) -> float:
     """Deflection zeta = h + x_s - L [m], positive away from the sample (Eq. 4)."""
     return distance_m + base_m - plant.rest_distance_m

@@ -350,15 +350,6 @@ def damping_at(viscosity: Viscosity, h: float) -> float:
     return viscosity.liquid_kg_per_s * max(1.0 - h / viscosity.liquid_thickness_m, 0.0)
 
 
-def drive_work_j(plant: DynamicPlant, drive_m: float, in_phase_m: float, quadrature_m: float) -> float:
-    """Return the energy that the shaken base gives in a period of steady vibration [J].
-
-    The base exerts k zeta + 2 m b zeta' and moves by x_d; only the part of zeta at the drive's frequency does work.
-    """
-    w = 2.0 * math.pi * plant.drive_hz
-    return math.pi * drive_m * (plant.damping_kg_per_s * w * in_phase_m - plant.stiffness_n_per_m * quadrature_m)
-
-
 def steady_state(plant: DynamicPlant, base_m: float, drive_m: float, surface_m: float = 0.0) -> DynamicState:
     """Return the state of a tip that vibrates steadily far from any sample: what a scan or a curve begins with."""
     velocity = plant.steady_quadrature * 2.0 * math.pi * plant.drive_hz

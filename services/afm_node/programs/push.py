@@ -5,8 +5,7 @@ it touches the surface, goes up by the height at which it pushes, and drives on.
 rest: with F the lateral force on the tip, the particle lies in the direction -F, d away (the distance of the axes of a
 tip and a sphere that touch). Modes:
 
-- *straight*: along the line from the believed place to the goal. A particle that was found beside it slips off: see
-  `longest_straight_m`.
+- *straight*: along the line from the believed place to the goal. A particle that was found beside it slips off.
 - *steered*: the tip turns the particle towards the goal (`physics.particles.steering`).
 - *sweep*: lines across, each nearer to the goal than the last by a share of d; where the particle begins beside them
   does not matter.
@@ -338,12 +337,3 @@ def _lines(plan: PushPlan) -> int:
 
 def _beyond(place: Place, bearing: float, way_m: float) -> Place:
     return Place(place.x_m + way_m * math.cos(bearing), place.y_m + way_m * math.sin(bearing))
-
-
-def longest_straight_m(distance_m: float, error_m: float, deviations: float = 3.0) -> float:
-    """Return the longest straight push [m] that holds a particle whose place is known to error_m [m].
-
-    A start b beside the line grows by e^(s / d): at that many standard deviations it is lost after d arcosh(d / (z b)).
-    """
-    share = distance_m / max(deviations * error_m, 1e-15)
-    return distance_m * math.acosh(share) if share > 1.0 else 0.0

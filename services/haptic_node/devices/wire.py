@@ -187,27 +187,6 @@ def parse_answer(payload: bytes) -> Answer:
 _ANSWERS = {HELLO: _HELLO, CONFIGURED: _CONFIG, STATE: _STATE, FAULT: _FAULT}
 
 
-def pack_hello(hello: Hello) -> bytes:
-    """Return the payload of HELLO, for a device that is emulated and for tests."""
-    *numbers, model = hello
-    return _HELLO.pack(HELLO, *numbers, 0, model.encode())
-
-
-def pack_state(state: State) -> bytes:
-    """Return the payload of STATE, for tests."""
-    return _STATE.pack(STATE, *state)
-
-
-def pack_configured(answer: Configured) -> bytes:
-    """Return the payload that answers CONFIG, for tests."""
-    return _CONFIG.pack(CONFIGURED, 0, answer.seq, answer.session, *answer.limits)
-
-
-def pack_fault(fault: DeviceFault) -> bytes:
-    """Return the payload of FAULT, for tests."""
-    return _FAULT.pack(FAULT, 0, fault.seq, fault.code, fault.severity, fault.text.encode())
-
-
 class FrameReader:
     """Splits a stream of bytes into payloads; whatever is none is counted by kind, and the next zero begins anew."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from presets import EXPERIMENT_DIRECTORY, find_experiment
+from presets import find_experiment
 from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
@@ -350,8 +350,3 @@ def _apparatus(plan: "Plan", folder: Path, show: Any) -> Iterator[tuple["Apparat
     desk = PersonDesk(plan) if is_person else BusDesk(plan)
     with contextlib.closing(Live(plan, folder, desk, show)) as apparatus:
         yield apparatus, desk
-
-
-def known_experiments() -> list[str]:
-    """Return the names of the experiments that come with the project."""
-    return sorted(path.stem for path in EXPERIMENT_DIRECTORY.glob("*.yaml"))

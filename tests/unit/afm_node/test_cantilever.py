@@ -2,10 +2,10 @@ import math
 
 import numpy as np
 import pytest
+from instrument_theory import base_for
 
 from services.afm_node.physics.cantilever import (
     PlantState,
-    base_for,
     build_plant,
     deflection_m,
     equilibrium,

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from instrument_theory import drive_work_j
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import equilibrium, initial_state
@@ -13,7 +14,6 @@ from services.afm_node.physics.dynamic import (
     NO_NOISE,
     DynamicState,
     advance,
-    drive_work_j,
     free_amplitude_m,
     steady_state,
 )

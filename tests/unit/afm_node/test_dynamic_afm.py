@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from instrument_theory import drive_work_j
 from pydantic import ValidationError
 
 from proto.errors import ConfigError, RefusedError
@@ -11,7 +12,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import dynamic_afm
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, DisturbanceConfig
-from services.afm_node.physics.dynamic import drive_work_j, free_amplitude_m
+from services.afm_node.physics.dynamic import free_amplitude_m
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.safety import MODE_RETRACTED

@@ -14,7 +14,7 @@ from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
 from services.afm_node.programs import push, scan
 from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.program import Inputs, Instrument
-from services.afm_node.programs.push import Push, PushSettings, PushState, longest_straight_m
+from services.afm_node.programs.push import Push, PushSettings, PushState
 from services.afm_node.programs.settings import requested
 from services.afm_node.virtual import VirtualInstrument
 from services.runtime.settings.config import validate
@@ -142,11 +142,6 @@ def test_a_sweep_brings_a_particle_along_whose_place_is_not_well_known() -> None
         state = pushed(afm, mode="sweep", x1_m=1e-6, speed_m_per_s=1e-5)
         assert state.why == push.AT_GOAL
         assert truth(afm)[0] == pytest.approx(1e-6, abs=0.26 * 333e-9)
-
-
-def test_the_longest_straight_push_is_that_of_the_growth_of_an_error() -> None:
-    assert longest_straight_m(333.48e-9, 20e-9) * 1e9 == pytest.approx(800.4, rel=1e-3)
-    assert longest_straight_m(333.48e-9, 120e-9) == 0.0
 
 
 @pytest.mark.parametrize(

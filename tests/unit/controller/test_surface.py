@@ -7,9 +7,9 @@ import pytest
 from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
+from instrument_theory import base_for
 
 from services.afm_node.config import AfmConfig
-from services.afm_node.physics.cantilever import base_for
 from services.controller.laws.model_mediated import ModelMediatedConfig
 from services.controller.laws.shared.surface import (
     Surface,

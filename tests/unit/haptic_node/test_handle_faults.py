@@ -10,6 +10,7 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
+from handle_answers import pack_fault, pack_hello
 from handle_line import MS, PATH, Line, Rig
 
 from proto.errors import ConfigError
@@ -115,7 +116,7 @@ def exchange_for(**answer: Any) -> Callable[[Line], None]:
         def other(sent: bytes) -> bytes:
             found = list(reader.answers(sent))
             hellos = [hello._replace(**answer) for hello in found if isinstance(hello, wire.Hello)]
-            return b"".join(wire.encode_frame(wire.pack_hello(hello)) for hello in hellos) if hellos else sent
+            return b"".join(wire.encode_frame(pack_hello(hello)) for hello in hellos) if hellos else sent
 
         line.to_host = other
         line.handle.reset(0x1234)
@@ -140,7 +141,7 @@ def stop_reading(line: Line) -> None:
 
 
 def report_fault(line: Line) -> None:
-    fault = wire.encode_frame(wire.pack_fault(wire.DeviceFault(0, 9, wire.SEVERITY_FATAL, "supply too low")))
+    fault = wire.encode_frame(pack_fault(wire.DeviceFault(0, 9, wire.SEVERITY_FATAL, "supply too low")))
     line.to_host = lambda sent: sent + fault if sent else b""
 
 

@@ -5,6 +5,7 @@ import shutil
 from itertools import pairwise
 
 import pytest
+from handle_answers import pack_configured, pack_fault, pack_hello, pack_state
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,10 +38,10 @@ def test_frames_have_their_golden_bytes() -> None:
 @pytest.mark.parametrize(
     ("payload", "answer", "size"),
     [
-        (wire.pack_hello(HELLO), HELLO, 52),
-        (wire.pack_state(STATE), STATE, 36),
-        (wire.pack_configured(wire.Configured(3, 0xBEEF, LIMITS)), wire.Configured(3, 0xBEEF, LIMITS), 32),
-        (wire.pack_fault(wire.DeviceFault(4, 9, 2, "hot")), wire.DeviceFault(4, 9, 2, "hot"), 38),
+        (pack_hello(HELLO), HELLO, 52),
+        (pack_state(STATE), STATE, 36),
+        (pack_configured(wire.Configured(3, 0xBEEF, LIMITS)), wire.Configured(3, 0xBEEF, LIMITS), 32),
+        (pack_fault(wire.DeviceFault(4, 9, 2, "hot")), wire.DeviceFault(4, 9, 2, "hot"), 38),
     ],
 )
 def test_answers_come_back_and_may_grow_but_not_shrink(payload: bytes, answer: wire.Answer, size: int) -> None:
@@ -81,7 +82,7 @@ def test_one_flipped_bit_never_passes(payload: bytes, bit: int) -> None:
 
 def test_faults_are_counted_by_kind_and_the_next_zero_begins_anew() -> None:
     reader = wire.FrameReader()
-    good = wire.encode_frame(wire.pack_state(STATE))
+    good = wire.encode_frame(pack_state(STATE))
     broken = bytearray(good)
     broken[9] ^= 0x10
     stream = bytes(broken) + b"\xff\x01\0" + b"x" * 300 + b"\0" + wire.encode_frame(b"\x55abcd") + b"\0\0" + good

@@ -8,6 +8,7 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
+from handle_answers import pack_fault, pack_hello
 from handle_line import PATH, Line, Rig, calibration
 
 from proto.errors import ConfigError, RefusedError
@@ -274,7 +275,7 @@ def test_wrong_device_is_refused_at_open_and_nothing_is_driven(answer: dict[str,
 
     def other(sent: bytes) -> bytes:
         found = list(wire.FrameReader().answers(sent))
-        hellos = [wire.pack_hello(hello._replace(**answer)) for hello in found if isinstance(hello, wire.Hello)]
+        hellos = [pack_hello(hello._replace(**answer)) for hello in found if isinstance(hello, wire.Hello)]
         return b"".join(map(wire.encode_frame, hellos))
 
     line.to_host = other
@@ -306,7 +307,7 @@ def test_nobody_there_is_a_sentence_after_three_seconds() -> None:
 
 
 def test_fault_of_the_device_is_a_loss_with_its_text(line: Line) -> None:
-    fault = wire.encode_frame(wire.pack_fault(wire.DeviceFault(0, 9, 2, "supply too low")))
+    fault = wire.encode_frame(pack_fault(wire.DeviceFault(0, 9, 2, "supply too low")))
     line.to_host = lambda sent: sent + fault
     tick(line)
     assert line.driver.report.status == "lost"

@@ -14,9 +14,9 @@ from services.launcher.rig_node import RigNode
 from services.launcher.session import SessionNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
+from tests.doubles.virtual_clock import VirtualClock
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

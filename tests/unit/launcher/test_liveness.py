@@ -1,7 +1,7 @@
 import pytest
 
 from services.launcher.liveness import NODE_TIMEOUT_S, SITE_TIMEOUT_S, Change, LivenessMonitor
-from services.runtime.loop.clock import VirtualClock
+from tests.doubles.virtual_clock import VirtualClock
 
 SECOND_NS = 1_000_000_000
 NODES = ("afm_node@slave", "controller@slave")

@@ -21,10 +21,11 @@ from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.restart_policy import RestartPolicy
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcessSample, Watchdog
-from services.runtime.loop.clock import SystemClock, VirtualClock
+from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.healthcheck import endpoint_of, receive_health
 from services.runtime.loop.main import EXIT_BAD_START, EXIT_DIED
 from services.viz_node import serve
+from tests.doubles.virtual_clock import VirtualClock
 
 NODE = "afm_node@slave"
 PATIENCE_S = 60.0

@@ -1,7 +1,7 @@
 import pytest
 
 from services.launcher.restart_policy import RestartPolicy, RestartTracker, describe_exit
-from services.runtime.loop.clock import VirtualClock
+from tests.doubles.virtual_clock import VirtualClock
 
 NODE = "afm_node@slave"
 SECOND_NS = 1_000_000_000

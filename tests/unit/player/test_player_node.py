@@ -26,10 +26,10 @@ from services.recorder.config import RecorderConfig
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.main import load_site
 from services.runtime.loop.node import NodeContext
+from tests.doubles.virtual_clock import VirtualClock
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 MakeFile = Callable[..., Path]

@@ -21,9 +21,9 @@ from services.recorder.node import HELD_S, RecorderBus
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
 from services.runtime.bus.publisher import NullPublisher, ZmqPublisher
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import OBSERVER, open_participant
+from tests.doubles.virtual_clock import VirtualClock
 
 HAND, AFM = "haptic_node@master", "afm_node@slave"
 TOPICS_OF = {HAND: ["haptic/state", "node/health", "session/control"], AFM: ["afm/state", "node/health"]}

@@ -19,8 +19,8 @@ from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus.bus import Subscriber
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.security.peer_connections import MessagePermissions
+from tests.doubles.virtual_clock import VirtualClock
 
 MakeListener = Callable[[str], Listener]
 

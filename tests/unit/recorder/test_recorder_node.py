@@ -27,11 +27,12 @@ from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.bus.transport import Transport
-from services.runtime.loop.clock import SystemClock, VirtualClock
+from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.main import Wiring
 from services.runtime.loop.node import NodeContext, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
+from tests.doubles.virtual_clock import VirtualClock
 
 PATIENCE_S = 30.0
 

@@ -22,10 +22,10 @@ from services.recorder.open_recording import open_recording
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import NullPublisher
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from services.runtime.settings.config import validate
+from tests.doubles.virtual_clock import VirtualClock
 
 SECOND_NS = 1_000_000_000
 

@@ -13,7 +13,7 @@ from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus.bus import Subscriber
-from services.runtime.loop.clock import VirtualClock
+from tests.doubles.virtual_clock import VirtualClock
 
 MESSAGES = 8000
 

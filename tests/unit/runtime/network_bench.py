@@ -17,8 +17,8 @@ from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.bus.transport import Transport, open_context
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.security.keyring import Keyring, Role
+from tests.doubles.virtual_clock import VirtualClock
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

@@ -17,12 +17,12 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.loop.kept_stop import keep
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
+from tests.doubles.virtual_clock import VirtualClock
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from proto.messages import SessionControl, SessionEvent
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.commands import Command, CommandClient, CommandHandler
+from tests.doubles.virtual_clock import VirtualClock
 
 MS, SECOND = 1_000_000, 1_000_000_000
 NODE = "haptic_node@master"

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import pytest
 
-from services.runtime.loop.clock import NEVER_NS, VirtualClock
+from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
+from tests.doubles.virtual_clock import VirtualClock
 
 US, MS = 1_000, 1_000_000
 

@@ -25,7 +25,8 @@ from proto.nodes import NODES, name_of
 from proto.sequence import Arrival
 from services.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
 from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
-from services.runtime.loop.clock import SystemClock, VirtualClock
+from services.runtime.loop.clock import SystemClock
+from tests.doubles.virtual_clock import VirtualClock
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024

@@ -1,7 +1,8 @@
 import pytest
 
 from proto.errors import ConfigError
-from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock, VirtualClock
+from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock
+from tests.doubles.virtual_clock import VirtualClock
 
 
 def test_header_time_is_the_monotonic_clock_with_a_constant_offset() -> None:

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.deadlines import LatenessWindow, PeriodicDeadline, SpinMargin
+from tests.doubles.virtual_clock import VirtualClock
 
 MS = 1_000_000
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.runtime.loop.clock import VirtualClock
 from services.runtime.loop.log import RateLimitedLog, StructuredLog, configure_logging
+from tests.doubles.virtual_clock import VirtualClock
 
 
 @pytest.fixture(autouse=True)

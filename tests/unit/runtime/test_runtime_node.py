@@ -24,7 +24,7 @@ from proto.ranges import limited
 from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.loop import journal
-from services.runtime.loop.clock import NEVER_NS, VirtualClock
+from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import (
@@ -36,6 +36,7 @@ from services.runtime.loop.node import (
     resident_bytes,
 )
 from services.runtime.loop.realtime import RealtimeStatus
+from tests.doubles.virtual_clock import VirtualClock
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

@@ -38,13 +38,14 @@ from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.bus.transport import Transport
-from services.runtime.loop.clock import SystemClock, VirtualClock
+from services.runtime.loop.clock import SystemClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.accept_limiter import BURST, PER_S, AcceptLimiter
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
 from services.runtime.security.zap_authenticator import BoundEndpoint
+from tests.doubles.virtual_clock import VirtualClock
 
 OPERATOR = "controller@master"
 

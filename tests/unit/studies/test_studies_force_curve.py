@@ -64,9 +64,9 @@ def test_c_is_the_contact_and_d_the_leaving_as_in_the_paper():
         before = down.base_m < marks.snap_in_base_m
         # before C no more than the attraction of a tip in the air, and after D none that is felt
         assert np.abs(down.force_n[before]).max() < 0.1 * abs(marks.pull_off_force_n)
-        after = up.base_m < marks.leaving_base_m
+        after = up.base_m < marks.break_base_m
         assert np.abs(up.force_n[after]).max() < 0.1 * abs(marks.pull_off_force_n)
-        assert marks.leaving_base_m < marks.snap_in_base_m
+        assert marks.break_base_m < marks.snap_in_base_m
 
 
 def test_a_stiff_cantilever_over_a_dry_sample_loses_nothing():

@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
-# Files that are read by what is in them, whatever their names are; these are the usual ones.
-KNOWN = (".001", ".di", ".jpk", ".mdt", ".mi", ".nid", ".spm", ".stp", ".tiff", ".top", ".txt")
 _WITHOUT_A_NAME = "Default"
 
 
