@@ -123,27 +123,36 @@ def test_a_gap_record_without_a_message_after_it_is_missing_at_the_end(make: Cal
     assert verify([other.close()]).findings == ()
 
 
+# The order of the first is mended while it is read; on the link the order of reception is the measurement.
+OVERTAKEN_AT = {"publisher": ("haptic/state", HAND, ""), "link": ("teleop/forward", "controller@master", "slave")}
+
+
+@pytest.mark.parametrize("at", OVERTAKEN_AT.values(), ids=OVERTAKEN_AT)
 @pytest.mark.parametrize("late", [2, 3, 4])
 def test_a_message_that_was_overtaken_is_not_missing_wherever_in_its_gap_it_belongs(
-    make: Callable[..., File], late: int
+    make: Callable[..., File], late: int, at: tuple[str, str, str]
 ) -> None:
     file = make()
-    file.write(0)
-    file.write(1)
+    file.write(0, *at)
+    file.write(1, *at)
     sent_ns = file.now_ns + MILLISECOND_NS // 2
-    file.write(5)
-    file.write(late, t_ns=sent_ns)
+    file.write(5, *at)
+    file.write(late, *at, t_ns=sent_ns)
     expected = {2: ["3 to 4 (2)"], 3: ["2 to 2 (1)", "4 to 4 (1)"], 4: ["2 to 3 (2)"]}
     assert numbers(verify([file.close()])) == expected[late]
 
 
-def test_when_all_of_a_gap_has_arrived_late_nothing_is_missing(make: Callable[..., File]) -> None:
+@pytest.mark.parametrize("at", OVERTAKEN_AT.values(), ids=OVERTAKEN_AT)
+def test_when_all_of_a_gap_has_arrived_late_nothing_is_missing(
+    make: Callable[..., File], at: tuple[str, str, str]
+) -> None:
     file = make()
-    file.write(0)
+    file.write(0, *at)
     sent_ns = file.now_ns
-    file.write(4)
-    for seq in (2, 1, 3):
-        file.write(seq, t_ns=sent_ns + seq)
+    file.write(4, *at)
+    file.write(6, *at)
+    for seq in (2, 1, 3, 5):
+        file.write(seq, *at, t_ns=sent_ns + seq)
     assert gaps(verify([file.close()])) == []
 
 
