@@ -125,6 +125,9 @@ class Simulation(Protocol):
     def particles(self) -> Particles | None:
         """Return where the particles really are, which no instrument knows; None without any."""
 
+    def take_spring(self, stiffness_n_per_m: float) -> bool:
+        """Take another stiffness of the environment [N/m]; return whether it is a spring."""
+
     def restore_sample(self) -> None:
         """Take a sample as it was in the beginning, with its particles where they lay."""
 

@@ -25,9 +25,9 @@ from services.afm_node.programs.runner import RunnerState
 from services.afm_node.programs.settings import (
     STIFFNESS,
     InstrumentRequest,
+    changed_simulation,
     is_of_simulation,
     requested,
-    told_simulation,
 )
 from services.afm_node.programs.table import CHANGES
 from services.numerics.frames import to_paper_axis
@@ -231,10 +231,10 @@ class AfmNode(Node):
 
     def _set(self, control: SessionControl) -> str:
         """Begin or change a program, or move the tip over the sample."""
-        told = {key: value for key, value in control.parameters.items() if is_of_simulation(key)}
-        request = requested({key: value for key, value in control.parameters.items() if key not in told}, told)
-        sentences = told_simulation(self._driver, told)
-        self._other_spring |= STIFFNESS in told
+        changes = {key: value for key, value in control.parameters.items() if is_of_simulation(key)}
+        request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
+        sentences = changed_simulation(self._driver, changes)
+        self._other_spring |= STIFFNESS in changes
         lateral = request.lateral
         if lateral.x_m is not None or lateral.y_m is not None:
             if self._driver.stage is None:

@@ -98,31 +98,32 @@ def is_of_simulation(key: str) -> bool:
     return key in (STIFFNESS, RESTORE) or key.startswith(_DISTURBANCES)
 
 
-def told_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> list[str]:
-    """Tell a simulated instrument what `set` changes of it (`is_of_simulation`), and return what it did, in sentences.
+def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> list[str]:
+    """Change what `set` changes of a simulated instrument (`is_of_simulation`), all or nothing; return it in sentences.
 
     Raises:
         RefusedError: The instrument is real, or has no such thing, or a value is wrong.
     """
-    sentences = []
-    if STIFFNESS in parameters:
-        stiffness_n_per_m = _stiffness(parameters[STIFFNESS])
-        take = getattr(driver, "take_spring", lambda stiffness: False)
-        if not take(stiffness_n_per_m):
-            raise RefusedError(f"{STIFFNESS}: only the simulated environment spring has one")
-        sentences.append(f"the sample has {stiffness_n_per_m:g} N/m")
-    if RESTORE in parameters:
-        if driver.simulation is None or parameters[RESTORE] is not True:
-            raise RefusedError(f"{RESTORE}: has to be true, and only a simulated sample can be restored")
-        driver.simulation.restore_sample()
-        sentences.append("the sample is as it was in the beginning")
+    simulation, sentences = driver.simulation, []
+    disturbances = None
     if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
-        simulation = driver.simulation
         if simulation is None:
             raise RefusedError("disturbances: a real instrument has its own")
         if simulation.disturbances is None:
             raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
-        simulation.configure(changed_disturbances(simulation.disturbances, changes))
+        disturbances = changed_disturbances(simulation.disturbances, changes)
+    if RESTORE in parameters and (simulation is None or parameters[RESTORE] is not True):
+        raise RefusedError(f"{RESTORE}: has to be true, and only a simulated sample can be restored")
+    if STIFFNESS in parameters:
+        stiffness_n_per_m = _stiffness(parameters[STIFFNESS])
+        if simulation is None or not simulation.take_spring(stiffness_n_per_m):
+            raise RefusedError(f"{STIFFNESS}: only the simulated environment spring has one")
+        sentences.append(f"the sample has {stiffness_n_per_m:g} N/m")
+    if simulation is not None and RESTORE in parameters:
+        simulation.restore_sample()
+        sentences.append("the sample is as it was in the beginning")
+    if simulation is not None and disturbances is not None:
+        simulation.configure(disturbances)
         sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
     return sentences
 

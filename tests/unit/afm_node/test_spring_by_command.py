@@ -50,6 +50,17 @@ def test_what_is_no_stiffness_changes_nothing(spring: Imager, value: Any) -> Non
     assert spring.node.capture() is not None
 
 
+@pytest.mark.parametrize(
+    "refused", [{"sample.restore": False}, {"disturbances.thermal.enabled": True}], ids=["restore", "disturbances"]
+)
+def test_a_command_that_is_refused_changes_nothing_of_the_simulation(spring: Imager, refused: dict[str, Any]) -> None:
+    before_n = force_n(spring)
+    with pytest.raises(RefusedError, match=next(iter(refused)).partition(".")[0]):
+        spring.set(**{KEY: 5.0}, **refused)
+    assert force_n(spring) == before_n
+    assert spring.node.capture() is not None
+
+
 def test_a_real_sample_has_its_own(bench_of: Any) -> None:
     with pytest.raises(RefusedError, match="only the simulated environment spring has one"):
         Imager(bench_of("afm_node@slave"), SOFT).set(**{KEY: 5.0})
