@@ -129,11 +129,13 @@ def load(name: str) -> Any:
     """Import a command of the table."""
     row = LAZY_COMMANDS[name]
     # What an import makes stays: looking through it for garbage, again and again, takes a sixth of its time.
+    collects = gc.isenabled()
     gc.disable()
     try:
         found = getattr(importlib.import_module(row.module), row.attribute)
     finally:
-        gc.enable()
+        if collects:
+            gc.enable()
     if isinstance(found, typer.Typer):
         command = typer.main.get_command(found)
         command.help = command.help or row.about

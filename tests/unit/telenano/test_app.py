@@ -360,3 +360,15 @@ def test_a_site_file_of_the_project_has_a_name(tmp_path: Path, monkeypatch: pyte
         assert site_file_named(path) == path
     (tmp_path / "two_sites").write_text("nodes: {}")
     assert site_file_named(Path("two_sites")) == Path("two_sites")
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_the_import_of_a_command_leaves_the_garbage_collector_as_it_was(
+    collects: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    states: list[bool] = []
+    monkeypatch.setattr("gc.isenabled", lambda: collects)
+    monkeypatch.setattr("gc.disable", lambda: states.append(False))
+    monkeypatch.setattr("gc.enable", lambda: states.append(True))
+    load("doctor")
+    assert states == ([False, True] if collects else [False])
