@@ -62,7 +62,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 WINDOWS = 8
 # the windows that a trend is taken from: the first show the answer to the step before them
 _LATE_WINDOWS = 6
-# of the hand's force
+# These are shares of the hand's force.
 SMALL_SHARE = 0.05
 FORCE_ERROR_SHARE = 0.1
 # a read-out noisier than this, as a standard deviation, is taken for motion
@@ -79,7 +79,7 @@ _CLEAR_TREND = 0.85
 _LATE_ONSET = 4.0
 # cycles in a hold below which a motion is a drift and no swing; and below which noise makes its growth uncertain
 _DRIFT_CYCLES = 0.25
-# of the motion at the end of the hold: a growing mode that is smaller is a residue of the rest
+# A growing mode below this share of the motion at the end of the hold is a residue of the rest.
 _RESIDUE_SHARE = 0.1
 # cycles that a hold has to have for a swing to be looked for in its turning points, and those that a fit of the band
 # about zero may have; the share of a swing by which the force has to turn, and that which is left in its last quarter
@@ -99,7 +99,7 @@ _OF_LANDINGS = ("drifting", "limit_cycle", "wrong_force", "contact_lost")
 _UNDER_WAY_SHARE = 0.25
 # A motion that has come to rest by this last share of the hold has settled.
 _SETTLED_SHARE = 0.25
-# of the hand's force: what a hand sets in motion and what grows is larger, and a rest of rounding is not
+# What a hand sets in motion and what grows is above this share of the hand's force, and rounding errors are not.
 _NOTHING_SHARE = 1e-6
 
 
@@ -323,7 +323,7 @@ def _is_seen(values: Series, mode: Mode, motion: _Motion) -> bool:
     return _size(last, motion.noise_n) >= _SEEN_AT_END * size_n
 
 
-def _is_made_up(values: Series, mode: Mode, length_s: float) -> bool:
+def _is_spurious(values: Series, mode: Mode, length_s: float) -> bool:
     """Return whether a mode is said to grow for sure, and the force moves less at the end than it does in any phase."""
     grows = mode.explained and mode.growth_per_s > _SURE_ERRORS * mode.error_per_s
     if not grows or mode.frequency_hz <= 0.0:
@@ -443,7 +443,7 @@ def _motion(values: Series, period_s: float, noise_n: float, floor_n: float) -> 
     late = slice(WINDOWS - _LATE_WINDOWS, None)
     growth, trend = growth_rate(centres[late], sizes[late], floor_n)
     change = growth * float(centres[-1] - centres[WINDOWS - _LATE_WINDOWS]) if growth is not None else 0.0
-    modes = [mode for mode in modes_of(values, period_s, noise_n, floor_n) if not _is_made_up(values, mode, length_s)]
+    modes = [mode for mode in modes_of(values, period_s, noise_n, floor_n) if not _is_spurious(values, mode, length_s)]
     return _Motion(length_s, sizes, modes, growth, change, trend, noise_n)
 
 

@@ -31,10 +31,10 @@ from services.runtime.loop.realtime import RealtimeConfig, ahead_of_others, appl
 
 PERIOD_NS = 1_000_000
 SPIN_NS = 100_000
-# of the processes to start and to connect
+# The processes take so long to start and to connect.
 _SETTLE_S = 1.0
 
-# of each process in the chain over ZeroMQ: topic in -> topic out, and the endpoint that it goes out at
+# Each process in the chain over ZeroMQ answers a topic with another, at an endpoint.
 ROUTES: dict[str, dict[str, tuple[str, str]]] = {
     "controller@master": {
         "haptic/state": ("teleop/forward", "controller@master"),
@@ -50,7 +50,7 @@ ROUTES: dict[str, dict[str, tuple[str, str]]] = {
     },
     "afm_node@slave": {"afm/command": ("afm/state", "afm_node@slave")},
 }
-# of each process, where it takes its topics
+# Each process takes its topics from these sources.
 _SOURCES: dict[str, dict[str, str]] = {
     "controller@master": {"haptic_node@master": "haptic/state", "delay_node@master": "teleop/backward"},
     "delay_node@master": {"controller@master": "teleop/forward", "controller@slave": "teleop/backward"},

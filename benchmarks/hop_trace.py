@@ -21,7 +21,7 @@ _TIMED = (
     (ZmqPublisher, "publish", "build"),
     (ZmqPublisher, "send", "send"),
 )
-# of a node at 1 kHz, half a minute
+# These are half a minute of a node at 1 kHz.
 _MOST_HOPS = 60_000
 
 

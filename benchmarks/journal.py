@@ -39,7 +39,7 @@ from services.runtime.loop.realtime import RealtimeStatus
 
 TURNS = 1000
 REPEATS = 50
-# of a rig: signals at 1 kHz each way, the law's status at 100 Hz
+# A second of a rig has signals at 1 kHz each way, and the law's status at 100 Hz.
 SECOND = (("teleop/forward", "controller@master", 1000), ("teleop/backward", "controller@slave", 1000))
 SECOND += (("law/status", "controller@slave", 100),)
 LINKS: dict[str, dict[str, Any]] = {

@@ -50,7 +50,7 @@ class IceoryxEnd:
         self._publisher = out.publisher_builder().initial_max_slice_len(_MOST_BYTES).create()
         self._notifier, self._listener = told.notifier_builder().create(), heard.listener_builder().create()
         self._subscriber = into.subscriber_builder().create()
-        # of the two ends of a service the later one opens what the earlier one made
+        # The later of the two ends of a service opens what the earlier one made.
         self._services = (out, told, into, heard)
 
     def recv(self, _size: int) -> bytes:

@@ -77,7 +77,7 @@ def on_page_content(html: str, **_: Any) -> str:
 def linked(found: re.Match[str], uri: str) -> str:
     """Return a link of a document as the site has it: text alone where it leads to a file that is no document."""
     image, text, target, title = found.groups()
-    if re.match(r"[a-z]+:|#|mailto", target):
+    if re.match(r"[a-z]+:|#", target):
         return found[0]
     path, hash_, anchor = target.partition("#")
     origin = uri.removeprefix(_PREFIX) if uri.startswith(_PREFIX) else f"docs/{uri}"

@@ -262,7 +262,7 @@ class _Lags:
     def add(self, lag_ns: int) -> None:
         self.most = max(self.most, lag_ns)
         if self._count % self._step == 0:
-            # of a file with times beyond 64 bits
+            # A file may have times beyond 64 bits.
             self._kept.append(max(-(2**62), min(lag_ns, 2**62)))
             if len(self._kept) >= _MOST_LAGS:
                 self._kept = self._kept[::2]

@@ -47,7 +47,7 @@ from recording.overtaken import BlockOrder, OvertakenFinder, Place
 from recording.records import RECORDS
 
 _END_OF_TIME = 2**64
-# of a file: the next one begins at once, or with the next trigger
+# A file that ends so is followed by another one, at once or with the next trigger.
 _PLANNED_ENDS = ("split", "snapshot")
 
 DamageCallback = Callable[[Damage], None]

@@ -10,10 +10,10 @@ from recording.messages import ChannelFilter, RecordedMessage
 from recording.reader import Recording
 from recording.tables import columns_of, uniform
 
-# of a channel, what is written at once
+# The rows of a channel are written when there are so many, or so many bytes of them.
 _MOST_ROWS = 4096
 _MOST_BYTES = 4 << 20
-# of all channels together, what waits to be written [bytes]
+# Rows of all channels together wait to be written up to this size [bytes].
 _MOST_WAITING = 16 << 20
 
 Columns = dict[str, list[Any]]

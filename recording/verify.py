@@ -20,7 +20,7 @@ from recording.records import GAP_TOPIC, RECORDS
 Check = Literal["crc", "order", "gap", "schema", "end", "index"]
 Level = Literal["error", "warning", "info"]
 _SEQUENCE_MASK = 0xFFFF_FFFF
-# of each kind and channel; a file that is wrong throughout does not need a line for every message
+# So many findings of each kind and channel are reported: a file that is wrong throughout needs no line a message.
 _MAX_REPORTED = 5
 
 

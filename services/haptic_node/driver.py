@@ -48,7 +48,7 @@ class Capabilities(NamedTuple):
     # 1: along the paper's axis; 3: with the lateral x and y of the master frame, whose workspace is in lateral_m
     axes: int = 1
     lateral_m: tuple[Pair, Pair] = ((0.0, 0.0), (0.0, 0.0))
-    # of the servo that drives it [Hz]; 0.0: it is that of the node
+    # The rate of the servo that drives it [Hz]; 0.0 stands for that of the node.
     rate_hz: float = 0.0
     # Physical damping b [N s/m] and moving mass [kg], 0.0 where they are not known; a chosen model says so in identity.
     damping_n_s_per_m: float = 0.0

@@ -23,7 +23,7 @@ from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import StopSignals, open_participant, run_loop
 from services.runtime.loop.realtime import on_time, shallow_idle
 
-# of the beginning, in which one message of each channel is tried; the first of most comes within a second
+# One message of each channel is tried in so much of the beginning; the first of most comes within a second.
 _TRIED_NS = 5_000_000_000
 # at every message the loop would spin through the gap to the next; these few µs are what a sleep is late by
 _SPIN_S = 20e-6

@@ -64,7 +64,7 @@ class Listener:
     _last_batch_ns: int = 0
     _last_ns: int = 0
     # single messages with the time of reception [ns]: those that wait for a batch that may begin before them, and
-    # those that were yielded lately
+    # Those in `_recent` were yielded lately.
     _held: list[tuple[int, Frames]] = field(default_factory=list)
     _recent: deque[tuple[int, Frames]] = field(default_factory=lambda: deque(maxlen=_MOST_RECENT))
 

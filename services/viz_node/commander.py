@@ -21,7 +21,7 @@ from services.viz_node.connections import DescriptorReserve
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
 # This one consists of several commands: hand and tip are coupled anew.
 COUPLE = "couple"
-# which nodes the commands of the page are for; `*` for those that have several
+# A command that is for several nodes is sent to this target.
 _EVERYBODY = "*"
 
 

@@ -26,7 +26,7 @@ Series = npt.NDArray[np.float64]
 
 # a pause in a series of a sample a millisecond
 _LONGEST_STEP_S = 0.05
-# of the span of the distance: what moves less has not turned back
+# A distance that goes back by less than this share of its span has not turned back.
 _TURN_SHARE = 0.05
 # between two samples of a millisecond, in which the base of Fig. 12 goes 15 pm; and against the steps just before
 _JUMP_M = 1e-10

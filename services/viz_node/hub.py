@@ -373,7 +373,7 @@ class Hub:
             return await self._stop_now(commander)
         if self._next_stop is None:
             self._next_stop = asyncio.create_task(self._stop_next(commander))
-        # those that come meanwhile share it, because it has not begun
+        # Requests that come meanwhile share it, because it has not begun.
         return await asyncio.shield(self._next_stop)
 
     async def _stop_next(self, commander: Commander) -> Answers:

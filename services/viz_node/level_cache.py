@@ -19,7 +19,7 @@ from services.viz_node.levels import Levels
 
 _FORMAT = 1
 _ENDS_BYTES = 1 << 16
-# of a file of the cache, and of all of them [bytes]
+# A file of the cache has this size at most, and all of them together that one [bytes].
 _MOST_BYTES, _MOST_TOGETHER = 256 << 20, 512 << 20
 _UNUSABLE = (OSError, RuntimeError, zstandard.ZstdError, TypeError, ValueError, MemoryError)
 _ROOT = Path(__file__).resolve().parents[2]

@@ -14,7 +14,7 @@ from services.runtime.loop.participant import OBSERVER, open_participant
 from services.viz_node.feed import UNREADABLE, Seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN, NoTransport
 
-# of one node at once: ten seconds of the busiest topics come in several calls
+# So many batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
 _MOST_BATCHES = 8
 
 

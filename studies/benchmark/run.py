@@ -26,7 +26,7 @@ DIGITS = 9
 # A step onto an undamped spring overshoots to twice its force; what strikes harder has been given energy by the loop.
 MOST_PEAK = 2.0
 STRUCK = "struck"
-# of the signals that are warped onto one another, and the longest lag
+# Signals that are warped onto one another are sampled at this step, and may lag by so much.
 ETVO_STEP_S, ETVO_LONGEST_S = 0.005, 1.0
 
 
@@ -86,11 +86,11 @@ def run(run: Run) -> Outcome:
     found = {**dict.fromkeys(MEASURES), **_held(result, held, scales, TASKS[run.task])}
     if TASKS[run.task].follows and _followed(course):
         found |= _swung(course, begin_s, scales, TASKS[run.task])
-    verdict, reason = _word(result, TASKS[run.task])
+    verdict, reason = _verdict(result, TASKS[run.task])
     return Outcome(run, verdict, reason, {name: rounded(value) for name, value in found.items()})
 
 
-def _word(result: CellResult, task: Task) -> tuple[str, str]:
+def _verdict(result: CellResult, task: Task) -> tuple[str, str]:
     """Return the verdict with its reason; a hold that came to rest after a blow has a word of its own."""
     peak = (result.peak_n or 0.0) / task.force_n
     if result.verdict != "stable" or peak <= MOST_PEAK:

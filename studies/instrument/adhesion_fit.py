@@ -37,7 +37,7 @@ from studies.instrument.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
 
-# of the contact, and of the way from the sample after it
+# The contact, and the way from the sample after it, are thinned to so many points.
 _MOST_POINTS, _MOST_FREE_POINTS = 200, 400
 _LEAST_POINTS = 12
 _GRID = 600
@@ -47,7 +47,7 @@ _LEFT_OUT = 0.03
 _RADII_M, _WORKS_J_PER_M2 = (1e-10, 1e-4), (1e-6, 10.0)
 # a fit this near to a bound has ended there, as a logarithm
 _AT_BOUND = 0.02
-# of the way that is left after the last jump, at its end: nearer to the sample the tip is attracted
+# The free part is this share of the way after the last jump, at its end: nearer to the sample the tip is attracted.
 _FREE_SHARE = 0.6
 # steps of the fit with the noise that was found, and the change as a share of the errors at which they end
 _MOST_STEPS, _ENOUGH = 8, 0.02

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from services.afm_node.physics.sample.map_libraries import blocks_of, refuse_large_archive, ways_of
 
-# of a curve; at a megahertz that is a quarter of a minute
+# A curve has so many points at most; at a megahertz that is a quarter of a minute.
 _MOST_POINTS = 1 << 24
 _MOST_UNPACKED_BYTES = 1 << 30
 

@@ -30,7 +30,7 @@ from services.runtime.untrusted.limited_child import read_in_child
 
 Array = npt.NDArray[np.float64]
 
-# of the greatest step of the force on the way back: smaller ones are not the break
+# Steps of the force on the way back below this share of the greatest are not the break.
 _JUMP_SHARE = 0.5
 _SPEED_M_PER_S = CurveSettings.in_simulated_time().speed_m_per_s
 

@@ -37,8 +37,9 @@ from studies.loops.link import Schedule
 Array = npt.NDArray[np.float64]
 Pair = tuple[float, float]
 
-# of the course: the stylus [m], the force that it is shown [N], the stage [m], the force on the tip [N], the energy
-# that has entered across and by the hold of the depth [J], and where the particle of a hand that steers really is [m]
+# The columns of the course are the stylus [m], the force that it is shown [N], the stage [m], the force on the tip
+# [N], the energy that has entered across and by the hold of the depth [J], and the true place of the particle of a hand
+# that steers [m].
 X, Y, SHOWN_X, SHOWN_Y, STAGE_X, STAGE_Y, FORCE_X, FORCE_Y, ENTERED, ENTERED_DEPTH, PARTICLE_X, PARTICLE_Y = range(12)
 COLUMNS = 12
 

@@ -75,7 +75,8 @@ class Push(NamedTuple):
     leaves_m: float
 
 
-# what an image says of the first place, and errors of the eye, of the felt force, and of the hand
+# These are the errors of the first image [m] and of the eye [m], and those of the felt force, of the hand's speed and
+# of its heading.
 _IMAGE_M, _PLACE_M, _FORCE_SHARE, _TREMOR, _TURN = 10e-9, 5e-9, 0.1, 0.15, 0.05
 _ERRORS = 2048
 

@@ -62,7 +62,7 @@ _ACROSS = {
     "across_j": (across.ENTERED, "J", "Energy that the hand has put in across the sample"),
     "depth_j": (across.ENTERED_DEPTH, "J", "Energy that the hand has put into the hold of its depth"),
 }
-# and of one who steers it to a particle
+# These columns are added for a hand that steers the tip to a particle.
 _STEERED = {
     "particle_x_m": (across.PARTICLE_X, "m", "Where the particle really is, x"),
     "particle_y_m": (across.PARTICLE_Y, "m", "Where the particle really is, y"),

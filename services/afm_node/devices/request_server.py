@@ -95,7 +95,7 @@ async def serve_requests(
             server.close()
         for writer in (*writers, *listeners):
             writer.close()
-        # those who wait for a request find that it ended
+        # Clients that wait for an answer find that the server has ended.
         await asyncio.sleep(_WATCH_S)
 
 

@@ -1,8 +1,8 @@
 """Files that drive the link: delay over time, delivery opportunities, jitter samples.
 
 Text, one record a line; `#` begins a comment, empty lines are skipped. Delays, losses and samples are read from what
-`ping` printed as well (`ping_log`). Every error names file and line, and shows
-nothing of what is there: whoever may set the link could otherwise read any file that the node can.
+`ping` printed as well (`ping_log`). Every error names file and line, and shows nothing of what is there: whoever may
+set the link could otherwise read any file that the node can.
 """
 
 from bisect import bisect_right

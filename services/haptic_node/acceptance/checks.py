@@ -92,7 +92,7 @@ def _noise(take: Take) -> tuple[Result, str]:
     places = _quiet(take)
     if places is None:
         return "retake", "the handle was moved in the step rest"
-    # of a second each, so that a drift is none
+    # Each window is half a second, so that a drift does not count.
     windows = np.array_split(places, max(1, len(places) // 500))
     most = max(float(window.std(axis=0).max()) for window in windows)
     return _passes(most <= NOISE_M), f"{1e6 * most:.1f} um, one sigma"

@@ -18,7 +18,7 @@ class PlantParams(NamedTuple):
     """Constants of the simulated device and of the hand on it."""
 
     motor: motor.MotorParams
-    # those of one of the models of `operator_models`
+    # The parameters are those of one of the models of `operator_models`.
     operator: Any
 
 

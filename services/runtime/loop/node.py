@@ -29,7 +29,7 @@ from services.runtime.loop.node_state import FindInput
 from services.runtime.loop.realtime import RealtimeStatus
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
-# of a rig that gives no `realtime.rate_hz`
+# This is the period of a rig that gives no `realtime.rate_hz`.
 LOOP_PERIOD_S = 1e-3
 HEALTH_PERIOD_NS = 500_000_000
 # At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.

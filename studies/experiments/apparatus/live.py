@@ -59,7 +59,7 @@ _NOTHING = TrialData(empty("afm/state"), empty("haptic/state"), empty("law/statu
 _AFTER_S = 0.3
 # Hand and tip are coupled where the base is as near as this to the place of the hand, at the scale of the law [m].
 _SAME_PLACE_M = 2e-9
-# so often it is tried
+# They are coupled anew so often before the trial is given up.
 _COUPLINGS = 3
 
 

@@ -61,7 +61,7 @@ class PageHand:
             try:
                 # It listens while it pushes only, because what nobody reads would fill the queues of the nodes.
                 with open_participant(OBSERVER, self._book, publisher=False) as participant:
-                    self._push(over, _Eyes(participant), steers(1, controller.period_s), controller, stylus)
+                    self._push(over, _HandInputs(participant), steers(1, controller.period_s), controller, stylus)
             except Exception as error:  # noqa: BLE001
                 faults.append(error)
 
@@ -78,7 +78,7 @@ class PageHand:
     def _push(
         self,
         over: threading.Event,
-        eyes: "_Eyes",
+        inputs: "_HandInputs",
         hand: Hand,
         controller: ControllerConfig,
         stylus: LateralHandConfig | None,
@@ -86,7 +86,7 @@ class PageHand:
         motion, arm_n_per_m = controller.lateral_params().motion, (stylus or LateralHandConfig()).stiffness_n_per_m
         ticks, neutral_m, speed = 0, None, (0.0, 0.0)
         while not over.is_set():
-            state = eyes.newest(hand)
+            state = inputs.newest(hand)
             if state is None or state.session_s < 0.0:
                 continue
             # It takes hold where the stylus is then.
@@ -101,7 +101,7 @@ class PageHand:
         self._hand.push(0.0)
 
 
-class _Eyes:
+class _HandInputs:
     """What the hand sees and feels: the newest states of the stylus, and what has come over the link."""
 
     def __init__(self, participant: Participant) -> None:

@@ -60,7 +60,7 @@ def wanted_of(document: Mapping[str, Any], seed: int) -> Wanted:
     flat = {name: flatten({"disturbances": keys}) for name, keys in disturbed.items()}
     return Wanted(
         law={key: value for key, value in law.items() if key != "period_s" and _is_scalar(value)},
-        link={key: value for key, value in link.items()},
+        link=dict(link),
         operator="" if is_person else json.dumps(operator or NO_HAND),
         hand={key: value for key, value in flat["haptic_node"].items() if _is_scalar(value)},
         tip={**{key: value for key, value in flat["afm_node"].items() if _is_scalar(value)}, **_spring(document)},

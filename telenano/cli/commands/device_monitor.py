@@ -44,7 +44,7 @@ def monitor(
                 "give --calibration for an instrument, with --port for a handle, or --device for a driver of a package"
             )
         if device is not None:
-            with told_of_package():
+            with errors_of_package():
                 facts = _watch(*_opened_of_package(device, settings or []), duration)
         elif port is not None:
             facts = _watch(*_opened_handle(port, baud, calibration or Path()), duration)
@@ -80,7 +80,7 @@ def package_rows() -> list[dict[str, Any]]:
 
 def probe_package(name: str, settings: list[str]) -> dict[str, Any]:
     """Open the driver of a package without driving its device, and return what it declares and reads."""
-    with told_of_package():
+    with errors_of_package():
         device, tick = _opened_of_package(name, settings)
         try:
             read = tick()
@@ -104,7 +104,7 @@ def probe_package(name: str, settings: list[str]) -> dict[str, Any]:
 
 
 @contextmanager
-def told_of_package() -> Iterator[None]:
+def errors_of_package() -> Iterator[None]:
     """Turn what the code of a package raises into a sentence that names the package and the place in it."""
     try:
         yield

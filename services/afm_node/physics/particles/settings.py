@@ -91,7 +91,7 @@ class ParticlesConfig(Settings):
                 )
             for j in range(i):
                 between_m = math.hypot(x_m - places[j, 0], y_m - places[j, 1])
-                # those that touch may be given with rounded coordinates
+                # Particles that touch may be given with rounded coordinates.
                 if between_m < 2.0 * radius_m * (1.0 - 1e-6):
                     raise ValueError(
                         f"particles.places: numbers {j} and {i} overlap: their centres are {between_m:g} m apart and"
