@@ -1,30 +1,26 @@
-"""What the drivers of AFM controllers have in common: a conversation that is a generator, and ticks that never wait.
+"""What the drivers of AFM controllers have in common: a conversation that is a generator.
 
 A driver is written as the talk that it has with its controller, from the first question to a cycle that goes on for
-ever. A tick gives it the answer that has come and sends the request that it then has. A loss is a state: the connection
-is made anew, and the talk begins at its beginning.
+ever. A tick gives it the answer that has come and sends the request that it then has.
 """
 
 import math
-import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable
+from typing import Any
 
 from services.afm_node.devices import modbus_line
-from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
+from services.afm_node.devices.modbus_line import Line
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import Cut, Incoming, Talk, WireError
+from services.afm_node.devices.request_answer import Cut, Incoming, Talk
+from services.afm_node.devices.tcp_driver import STALE_CYCLES, TcpDriver
 from services.afm_node.driver import DeviceError, DeviceReport
-from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
 
 _MS = 1_000_000
-STALE_CYCLES = 3
-_CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3
 
 
-class RequestDriver(ABC):
+class RequestDriver(TcpDriver[ControllerCalibration]):
     """An `AfmDriver` of a controller that answers one request after the other.
 
     Args:
@@ -33,19 +29,13 @@ class RequestDriver(ABC):
         cut: The rule by which messages are cut out of the stream.
         model: What the controller is called.
         attended: Whether a person stands by who retracts the tip when this process dies.
-        period_s: The period of the loop [s].
-        connect: Connects to the controller; a test replaces it.
-        now_ns: The monotonic clock [ns]; a test replaces it.
-        sleep: Waits in `open`, `retract` and `close`, and nowhere else.
+        options: Those of `TcpDriver`.
 
     Raises:
         DeviceError: Calibration and limits do not fit together.
     """
 
-    state = None
-    vibration = None
-    simulation = None
-    relief = None
+    kind = "controller"
     # how long a controller may be silent while it is driven [ns]
     lost_ns = modbus_line.LOST_NS
 
@@ -57,43 +47,29 @@ class RequestDriver(ABC):
         model: str,
         *,
         attended: bool = False,
-        period_s: float = 1e-3,
-        connect: Connect | None = None,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
+        **options: Any,
     ) -> None:
         if faults := calibration.check(limits):
             raise DeviceError("; ".join(faults))
-        self.calibration, self._limits, self._attended = calibration, limits, attended
-        self._cut, self._model = cut, model
-        self._where = f"{calibration.network.host}:{calibration.network.port}"
-        self._connect: Connect = TcpConnector() if connect is None else connect
-        self._now_ns, self._sleep, self._period_s = now_ns, sleep, period_s
-        self._line: Line | None = None
-        self._talk: Talk | None = None
+        readings = calibration.readings(calibration.z.retract_m, calibration.deflection.zero)
+        super().__init__(calibration, limits, model, readings, **options)
+        self._attended, self._cut = attended, cut
         self._incoming = Incoming(cut)
-        self._ready = self._opened = self._waiting = False
-        # After a (re)connection the tip stays retracted until the guard has it there as well.
-        self._released = False
+        self._waiting = False
         self._base_m = limits.retract_position_m
-        self._begun_ns = self._sent_ns = self._retry_ns = self._sampled_ns = self._ready_ns = 0
+        self._ready_ns = 0
         # z that was sent [m], and when [ns]: a sample may show any of those since the tick before it
         self._history: deque[tuple[int, float]] = deque(maxlen=1024)
         # the place at the rig's 0, 0, the one that is wanted, and the one that was sent last, of the controller [m]
         self._centre: tuple[float, float] | None = None
         self._place: tuple[float, float] | None = None
         self._sent_place: tuple[float, float] | None = None
-        # answers with a sample, and those of them that were not the one before again
-        self.exchanges = self.fresh = 0
+        # those of the exchanges that were not the one before again
+        self.fresh = 0
         # samples since the tip was found in its safe state, 0 while it is not there
         self._retracted = 0
         self.tick_s = 0.0
-        # how often the guard has retracted the tip since it began; None where there is no guard
-        self.retractions: int | None = None
         self._values = math.nan, math.nan
-        self._text = ""
-        self._readings = calibration.readings(calibration.z.retract_m, calibration.deflection.zero)
-        self._report = DeviceReport("lost", 0.0, True, "the controller is not open")
 
     @abstractmethod
     def talk(self) -> Talk:
@@ -102,11 +78,6 @@ class RequestDriver(ABC):
         Raises:
             DeviceError: The controller is another one, refuses, or somebody else has moved the tip.
         """
-
-    @property
-    @abstractmethod
-    def latency_s(self) -> float:
-        """Return what the controller is declared to add to the round trip, in the mean [s]."""
 
     @property
     def stage(self) -> "RequestDriver | None":
@@ -129,22 +100,9 @@ class RequestDriver(ABC):
         return self.calibration.base_m(self.calibration.z.retract_m)
 
     @property
-    def report(self) -> DeviceReport:
-        return self._report
-
-    @property
-    def identity(self) -> str:
-        """Return who the controller is, for a person; known once it is open."""
-        return self._model
-
-    @property
     def heartbeat_s(self) -> float:
         """Return the silence after which the guard retracts [s]; 0 where a person stands by in its place."""
         return 0.0 if self._attended else self.calibration.heartbeat_s
-
-    @property
-    def calibration_identity(self) -> str:
-        return self.calibration.identity
 
     def wanted_z_m(self) -> float:
         """Return the z that is to be sent now [m]: that of the safe state until the guard has the tip there as well."""
@@ -152,8 +110,8 @@ class RequestDriver(ABC):
 
     def begin_cycles(self, identity: str) -> None:
         """Note that the controller is who it should be, set up and retracted."""
-        self._model, self._ready, self._ready_ns = identity, True, self._now_ns()
-        self._text = f"{self._where}: {identity} is ready and retracted, calibration {self.calibration.identity}"
+        self._model, self._ready_ns = identity, self._now_ns()
+        self._come_up(identity)
 
     def refuse_without_guard(self) -> None:
         """Raise DeviceError: nothing would retract the tip."""
@@ -193,111 +151,24 @@ class RequestDriver(ABC):
         is_there = abs(at_m - self.safe_position_m) <= self.calibration.z.tolerance_m
         self._retracted = self._retracted + 1 if is_there else 0
 
-    def open(self) -> None:
-        """Connect, identify, set up, retract and take a first sample.
-
-        Raises:
-            DeviceError: The controller is absent or another one; the message says what was found.
-        """
-        if self._opened:
-            raise RuntimeError("the controller is already open")
-        self._opened = True
-        self._begin(self._now_ns())
-        while not (self._ready and self.exchanges):
-            if self._line is None:
-                self._opened = False
-                raise DeviceError(self._text)
-            self._sleep(_POLL_S)
-            self._poll(self._now_ns())
-        self._judge(self._now_ns())
-
-    def exchange(self, base_m: float) -> AfmSample:
-        """Apply a base position [m] and return the newest sample; `report` has its age and state."""
-        if not abs(base_m) < float("inf"):
-            raise ValueError(f"base position {base_m} m must be finite")
-        if not self._opened:
-            raise RuntimeError("the controller is not open: call open() first")
-        self._released |= self._ready and base_m <= self._limits.retract_position_m
-        self._base_m = base_m
-        now_ns = self._now_ns()
-        self._poll(now_ns)
-        self._judge(now_ns)
-        return self._readings.sample
-
-    def retract(self) -> bool:
-        """Send the safe position, on a new connection if need be; return whether the tip was found there since.
-
-        Waits 0.1 s at most, and 0.3 s for a new connection.
-        """
-        if not self._opened:
-            return False
-        self._released, self._retracted = False, 0
-        wait_s = _CLOSE_S
-        if not self._ready:
-            wait_s = _RECONNECT_S
-            self._drop(self._now_ns())
-            self._begin(self._now_ns())
-        connected, until_ns = self._line, self._now_ns() + round(wait_s * 1e9)
-        while self._line is connected is not None and self._now_ns() < until_ns:
-            self._poll(self._now_ns())
-            # The answer that was under way at the beginning says nothing of the retraction.
-            if self._ready and self._retracted >= 2:
-                return True
-            self._sleep(_POLL_S)
-        return False
-
-    def close(self) -> None:
-        """Retract and disconnect; harmless when already closed."""
-        if self._ready:
-            self.retract()
-        self._drop(self._now_ns())
-        self._opened = False
-
-    def _begin(self, now_ns: int) -> None:
-        self._retry_ns = now_ns + modbus_line.RETRY_NS
-        self._released = self._ready = self._waiting = False
-        self.exchanges = self._retracted = 0
+    def _restart(self) -> None:
+        self._waiting, self._retracted = False, 0
         self._incoming = Incoming(self._cut)
-        try:
-            self._line = self._connect(self.calibration.network.host, self.calibration.network.port)
-        except OSError as error:
-            self._lose(now_ns, f"cannot be reached: {error.strerror or error}")
-            return
-        self._sent_ns = self._begun_ns = now_ns
 
-    def _drop(self, now_ns: int) -> None:
-        if self._line is not None:
-            self._line.close()
-        self._line = self._talk = None
-        self._ready = False
-        self._retry_ns = now_ns + modbus_line.RETRY_NS
+    def _begin_talk(self, now_ns: int, line: Line) -> None:
+        self._talk = self.talk()
+        self._send(next(self._talk), now_ns, line)
 
-    def _lose(self, now_ns: int, text: str) -> None:
-        self._text = f"{self._where}: {self._model}: {text}"
-        self._drop(now_ns)
+    def _want(self, base_m: float) -> None:
+        self._base_m = base_m
 
-    def _poll(self, now_ns: int) -> None:
-        """Do what can be done now; nothing is raised, a loss is a state."""
-        try:
-            if self._line is None:
-                if self._opened and now_ns >= self._retry_ns:
-                    self._begin(now_ns)
-            elif self._talk is None:
-                self._go_on_connecting(now_ns, self._line)
-            else:
-                self._go_on_talking(now_ns, self._line, self._talk)
-        except (WireError, DeviceError) as error:
-            self._lose(now_ns, str(error))
-        except OSError as error:
-            self._lose(now_ns, f"the connection is gone: {error.strerror or error}")
+    def _want_safe(self) -> None:
+        self._retracted = 0
 
-    def _go_on_connecting(self, now_ns: int, line: Line) -> None:
-        ready, self._sent_ns = go_on_connecting(line, now_ns, self._begun_ns, self._sent_ns)
-        if ready:
-            self._talk = self.talk()
-            self._send(next(self._talk), now_ns, line)
+    def _is_safe(self) -> bool:
+        return self._ready and self._retracted >= 2
 
-    def _go_on_talking(self, now_ns: int, line: Line, talk: Talk) -> None:
+    def _go_on_talking(self, now_ns: int, line: Line, talk: Any) -> None:
         if not self._waiting:
             self._send(talk.send(b""), now_ns, line)
             return
@@ -320,14 +191,12 @@ class RequestDriver(ABC):
             self._sent_ns = now_ns
 
     def _judge(self, now_ns: int) -> None:
-        """Renew the report; the age counts from the oldest moment at which the sample can have been taken."""
-        age_s = max(now_ns - self._sampled_ns, 0) * 1e-9 if self._sampled_ns else 0.0
+        age_s = self._age_s(now_ns)
         if not self._ready:
             self._report = DeviceReport("lost", age_s, True, self._text)
             return
-        stale_s = STALE_CYCLES * (self.tick_s + 2.0 * self._period_s)
+        is_fresh = age_s <= STALE_CYCLES * (self.tick_s + 2.0 * self._period_s)
         sample, in_range = self._readings
-        status = "ok" if age_s <= stale_s else "stale"
         self._report = DeviceReport(
-            "ok" if status == "ok" else "stale", age_s, in_range, self._text, input_v=sample.bridge_voltage_v
+            "ok" if is_fresh else "stale", age_s, in_range, self._text, input_v=sample.bridge_voltage_v
         )

@@ -221,6 +221,8 @@ def test_host_that_swallows_everything_costs_no_tick_and_is_a_sentence() -> None
         )
         with pytest.raises(DeviceError, match="does not answer: check address, cable and firewall"):
             driver.open()
+        # as in a session whose network has gone
+        driver._opened = True
         began_ns = clock.monotonic_ns()
         for _ in range(3000):
             clock.advance_ns(MS)
