@@ -31,7 +31,8 @@ from references import (
 )
 
 import proto.codec
-from analysis.rerun import RerunBus, rerun
+from analysis.rerun import rerun
+from analysis.rerun_bus import RerunBus
 from proto import TOPICS, Message
 from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmState

@@ -1,0 +1,138 @@
+"""A bus that compares what a node publishes in a re-run with what is recorded of it."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from analysis.forwarded import Forwarded, compare_forwarded
+from analysis.rerun_inputs import NOT_COMPARED, RecordedNode, start_ns
+from proto import TOPICS, Message, encode
+from proto.journal_messages import NodeJournal
+from proto.nodes import site_of
+from proto.ranges import limited
+from proto.topics import output_name
+from recording.messages import RecordedMessage
+from recording.tolerance import Tolerances, first_difference
+from services.runtime.bus.bus import Received
+from services.runtime.loop.clock import TurnClock
+
+
+class DifferenceError(Exception):
+    """The node publishes something else than what is recorded."""
+
+    def __init__(self, **facts: Any) -> None:
+        super().__init__(facts["difference"])
+        self.facts = facts
+
+
+class RerunBus:
+    """A bus that compares what a node publishes with the recorded message of the same number."""
+
+    def __init__(
+        self,
+        key: str,
+        clock: TurnClock,
+        recorded: RecordedNode,
+        tolerances: Tolerances,
+        take: Callable[[str, Message], None],
+    ) -> None:
+        self.numbers: dict[str, int] = {}
+        self.compared: dict[str, int] = {}
+        self.first_seq: dict[str, int] = {}
+        self._forwarded: dict[str, list[Forwarded]] = {}
+        self._key = key
+        self._clock = clock
+        self._recorded = recorded
+        self._tolerances = tolerances
+        self._take = take
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Compare a message of the node."""
+        return self.publish_as(self._key, topic, fields)
+
+    def publish_as(self, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
+        """Compare a message of one of the node's endpoints; its `t_ns`, the time of sending, is the recorded one."""
+        name, model = output_name(topic, src), TOPICS[topic].model
+        seq = self.numbers.get(name, 0)
+        self.numbers[name] = seq + 1
+        recorded = None if topic in NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
+        t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
+        message = limited(model, {"seq": seq, "t_ns": t_ns, "src": src, "v": model.version_of(fields), **fields})
+        if recorded is not None:
+            self._compare(message, recorded)
+            self.compared[name] = self.compared.get(name, 0) + 1
+            self.first_seq.setdefault(name, seq)
+            self._take(topic, message)
+        return message
+
+    def forward(self, endpoint: str, topic: str, payload: bytes) -> None:
+        """Keep a message that was sent on, for the comparison at the end."""
+        self.numbers[endpoint] = self.numbers.get(endpoint, 0) + 1
+        self._forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, self._clock.time_ns))
+
+    def compare_forwarded(self) -> dict[str, Any]:
+        """Compare what was sent on, in its order; return the facts of the first difference."""
+        for endpoint, sent in self._forwarded.items():
+            found = compare_forwarded(sent, self._recorded.forwarded.get(endpoint, ()))
+            for topic, count in found.compared.items():
+                name = f"{topic}@{site_of(endpoint)}"
+                self.compared[name], self.first_seq[name] = count, found.first_seq[topic]
+            if found.difference:
+                message = sent[found.place]
+                text = f"forwarded at {endpoint}: {found.difference}"
+                return self._difference(message.topic, message.number[0], message.time_ns, found.field, text).facts
+        return {}
+
+    def receive(self) -> Iterator[Received]:
+        """Return nothing: the re-run hands the messages over itself."""
+        return iter(())
+
+    def wait(self, deadline_ns: int) -> None:
+        """Do not wait."""
+
+    def check_counts(self, batch: NodeJournal) -> None:
+        """Raise the difference when the node has sent more or fewer messages than before this batch it had."""
+        for topic in {*self.numbers, *batch.outputs} - set(NOT_COMPARED):
+            sent, expected = self.numbers.get(topic, 0), batch.outputs.get(topic, 0)
+            if sent != expected:
+                text = f"the node sends {sent} messages up to here, its journal counts {expected}"
+                raise self._difference(topic, min(sent, expected), start_ns(batch), "", text)
+
+    def _compare(self, message: Message, recorded: RecordedMessage) -> None:
+        if encode(message) == recorded.payload:
+            return
+        topic, said, kept = recorded.topic, message.model_dump(), recorded.decode().model_dump()
+        found = first_difference(said, kept, self._tolerances.on(topic), _said_since(message, kept))
+        if found is not None:
+            text = f"re-run {found.text} recorded"
+            raise self._difference(topic, message.seq, recorded.publish_ns, found.field, text)
+
+    def _difference(self, topic: str, seq: int, t_ns: int, field: str, text: str) -> DifferenceError:
+        time_s = (t_ns - self._recorded.start_ns) * 1e-9
+        place = f"{topic}, seq {seq}, {time_s:.6f} s after the start"
+        return DifferenceError(difference=f"{place}: {text}", topic=topic, seq=seq, time_s=time_s, field=field)
+
+
+class RerunOutlet:
+    """A further endpoint of a node, where it publishes and sends on what others published."""
+
+    def __init__(self, bus: RerunBus, endpoint: str) -> None:
+        self.node = endpoint
+        self._bus = bus
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        """Compare a message of the endpoint."""
+        return self._bus.publish_as(self.node, topic, fields)
+
+    def send(self, topic: str, payload: bytes) -> None:
+        """Keep what is sent on for the comparison."""
+        self._bus.forward(self.node, topic, payload)
+
+    def sequence_numbers(self) -> dict[str, int]:
+        """Return nothing: the numbers are those of the bus of the re-run."""
+        return {}
+
+
+def _said_since(message: Message, kept: Mapping[str, Any]) -> set[str]:
+    """Return what a message may have that a recording of before does not: optional keys, and a higher version."""
+    since = {key for key in message.additions if key not in kept}
+    return since | {"v"} if message.v > kept["v"] else since

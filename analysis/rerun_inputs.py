@@ -1,0 +1,124 @@
+"""What a recording has of one node: its journal turn by turn, its inputs, and its outputs by number."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, cast
+
+from analysis.forwarded import Forwarded
+from proto.journal_messages import NodeJournal
+from proto.nodes import LINK, endpoints_of, name_of, site_of
+from proto.topics import output_name
+from recording.messages import RecordedChannel, RecordedMessage
+from recording.reader import Recording
+from recording.records import REJECTED_TOPIC, RejectedRecord
+from services.runtime.loop.journal import COMMAND, MESSAGE
+
+JOURNAL = "node/journal"
+# the loop around the node publishes on these too, with the same numbering: they are not compared
+NOT_COMPARED = (JOURNAL, "node/health", "session/event", "link/key", "link/network")
+
+
+class Turn(NamedTuple):
+    """A line of the journal: topic and source are empty and seq is -1 for a deadline or a deferred task."""
+
+    kind: int
+    time_ns: int
+    topic: str
+    src: str
+    seq: int
+
+
+class RecordedNode:
+    """The recorded inputs and outputs of one node, by number."""
+
+    def __init__(self, recording: Recording, key: str, batches: Sequence[NodeJournal]) -> None:
+        self.path, self.key = recording.path, key
+        self.start_ns = recording.span_ns[0]
+        self.outputs: dict[tuple[str, int], list[RecordedMessage]] = {}
+        # The messages that were forwarded, by endpoint.
+        self.forwarded: dict[str, list[Forwarded]] = {}
+        self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
+        # when the recorder first received from a source
+        self._first_received_ns: dict[tuple[str, str], int] = {}
+        sources = {(source.topic, source.src) for batch in batches for source in batch.inputs}
+        endpoints, is_link = endpoints_of(key), name_of(key) == LINK
+
+        def is_input(channel: RecordedChannel) -> bool:
+            # the link is connected to the publishers of both sites
+            received = channel.via == "direct" if is_link else channel.site == site_of(key)
+            return received and (channel.topic, channel.src) in sources
+
+        def is_output(channel: RecordedChannel) -> bool:
+            return channel.src in endpoints and channel.via == "direct" and channel.topic not in NOT_COMPARED
+
+        def is_forwarded(channel: RecordedChannel) -> bool:
+            return is_link and (channel.via == "link" or channel.topic == REJECTED_TOPIC)
+
+        inputs, outputs, forwarded = (
+            {channel for channel in recording.channels if wanted(channel)}
+            for wanted in (is_input, is_output, is_forwarded)
+        )
+        for found in recording.select((inputs | outputs | forwarded).__contains__):
+            channel = found.channel
+            if channel in inputs:
+                self._inputs.setdefault((channel.topic, channel.src, found.seq), []).append(found)
+                self._first_received_ns.setdefault((channel.topic, channel.src), found.log_ns)
+            if channel in outputs:
+                self.outputs.setdefault((output_name(channel.topic, found.src), found.seq), []).append(found)
+            if channel in forwarded:
+                self._add_forwarded(found)
+
+    def _add_forwarded(self, found: RecordedMessage) -> None:
+        endpoint, topic, payload = f"{LINK}@{found.site}", found.topic, found.payload
+        if topic == REJECTED_TOPIC:
+            # Flipped bits have left this message without a header.
+            rejected = cast(RejectedRecord, found.decode())
+            if name_of(rejected.publisher) != LINK or len(rejected.frames) != 2:
+                return
+            endpoint, (frame, payload) = rejected.publisher, rejected.frames
+            topic = frame.decode(errors="replace")
+        self.forwarded.setdefault(endpoint, []).append(Forwarded(topic, payload, found.log_ns))
+
+    def input(self, turn: Turn) -> RecordedMessage | None:
+        """Return the message of a turn; of those with one number, from before and after a restart, the nearest."""
+        found = self._inputs.get((turn.topic, turn.src, turn.seq), ())
+        if len(found) == 1:
+            return found[0]
+        return min(found, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
+
+    def payload(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
+        """Return the bytes of an input, zeros when it is not in the recording."""
+        found = self.input(Turn(MESSAGE, arrived_ns, topic, src, seq))
+        return bytes(size_bytes) if found is None else found.payload
+
+    def output(self, name: str, seq: int, time_ns: int) -> RecordedMessage | None:
+        """Return what the node published under a name and number."""
+        found = self.outputs.get((name, seq), ())
+        if len(found) == 1:
+            return found[0]
+        return min(found, key=lambda message: abs(message.publish_ns - time_ns), default=None)
+
+    def missing(self, batch: NodeJournal) -> str:
+        """Name the first input of a batch that is not there; empty when all are."""
+        found = next(self._missing(batch), None)
+        return "" if found is None else f"{found.topic}, seq {found.seq} of {found.src}"
+
+    def is_early(self, batch: NodeJournal) -> bool:
+        """Return whether a batch has an input from before the recorder was connected to its publisher."""
+        missing = ((turn.time_ns, self._first_received_ns.get((turn.topic, turn.src))) for turn in self._missing(batch))
+        return any(first_ns is not None and time_ns < first_ns for time_ns, first_ns in missing)
+
+    def _missing(self, batch: NodeJournal) -> Iterator[Turn]:
+        return (turn for turn in turns_of(batch) if turn.src and self.input(turn) is None)
+
+
+def start_ns(batch: NodeJournal) -> int:
+    """Return the time of the first turn of a batch [ns]."""
+    return int(batch.time_ns.to_numpy()[0])
+
+
+def turns_of(batch: NodeJournal) -> Iterator[Turn]:
+    """Yield the turns of a batch, in their order."""
+    arrays = (batch.kind, batch.time_ns, batch.input, batch.number)
+    for kind, time_ns, place, seq in zip(*(found.to_numpy().tolist() for found in arrays), strict=True):
+        source = batch.inputs[place] if kind in (MESSAGE, COMMAND) else None
+        yield Turn(kind, time_ns, source.topic if source else "", source.src if source else "", seq)
