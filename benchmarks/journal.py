@@ -34,7 +34,8 @@ from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.journal import InputJournal
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import NodeContext, NodeLoop
+from services.runtime.loop.node import NodeContext
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 
 TURNS = 1000

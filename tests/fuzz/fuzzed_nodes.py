@@ -47,7 +47,8 @@ from services.recorder.node import RecorderNode
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, ZmqBus
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext, NodeLoop
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from tests.doubles.virtual_clock import VirtualClock
 

@@ -27,7 +27,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_journal_state.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),
-    "services/runtime/loop/node.py": (
+    "services/runtime/loop/node_loop.py": (
         "tests/unit/runtime/test_loop_edges.py",
         "tests/unit/runtime/test_loop_admission.py",
         "tests/unit/runtime/test_runtime_node.py",

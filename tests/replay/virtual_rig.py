@@ -39,7 +39,8 @@ from services.recorder.provenance import write_provenance
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext, NodeLoop
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from services.runtime.settings.config import flag_overrides, merge
 from services.runtime.settings.scenario import LoadedScenario, Scenario

@@ -20,15 +20,8 @@ from services.runtime.bus.transport import Transport, open_context
 from services.runtime.loop.clock import Clock, SystemClock
 from services.runtime.loop.hang_guard import HangGuard
 from services.runtime.loop.log import RateLimitedLog, StructuredLog
-from services.runtime.loop.node import (
-    LOOP_PERIOD_S,
-    STARTING_PERIOD_NS,
-    Node,
-    NodeBus,
-    NodeContext,
-    NodeLoop,
-    install_stop_signals,
-)
+from services.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
+from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
 from services.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
 from services.runtime.security.keyring import Keyring, this_machine
 

@@ -22,7 +22,7 @@ from services.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, 
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus.address_book import AddressBook, NodeEntry
-from services.runtime.loop.node import NodeLoop
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.participant import NO_REALTIME, open_participant
 
 NAME, NS = "session_1.mcap", 1_000_000_000

@@ -30,7 +30,8 @@ from services.runtime.bus.transport import Transport
 from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.main import Wiring
-from services.runtime.loop.node import NodeContext, NodeLoop
+from services.runtime.loop.node import NodeContext
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from tests.doubles.virtual_clock import VirtualClock
 

@@ -20,7 +20,8 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.loop.kept_stop import keep
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import Node, NodeContext, NodeLoop
+from services.runtime.loop.node import Node, NodeContext
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from tests.doubles.virtual_clock import VirtualClock
 

@@ -13,8 +13,10 @@ from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.commands import STALL_NS
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import STALL_NS, STARTING_PERIOD_NS, DeviceDelay, NodeContext, NodeLoop
+from services.runtime.loop.node import DeviceDelay, NodeContext
+from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from tests.doubles.virtual_clock import VirtualClock
 

@@ -9,7 +9,8 @@ from proto import encode
 from proto.messages import SessionControl
 from services.runtime.loop.commands import stop_of
 from services.runtime.loop.kept_stop import keep
-from services.runtime.loop.node import DeviceDelay, NodeLoop
+from services.runtime.loop.node import DeviceDelay
+from services.runtime.loop.node_loop import NodeLoop
 
 NODE = "controller@master"
 # one that stood still for longer has missed its deadline

@@ -27,14 +27,8 @@ from services.runtime.loop import journal
 from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import (
-    HEALTH_PERIOD_NS,
-    Node,
-    NodeContext,
-    NodeLoop,
-    install_stop_signals,
-    resident_bytes,
-)
+from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
+from services.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from services.runtime.loop.realtime import RealtimeStatus
 from tests.doubles.virtual_clock import VirtualClock
 

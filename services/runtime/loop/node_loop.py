@@ -1,0 +1,355 @@
+"""The one loop that all nodes run in."""
+
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import Any, cast
+
+from presets.plugins import fault_of_package
+from proto import TOPICS, WireError, accept
+from proto.messages import SUPERSEDED, NodeHealth, SessionControl
+from proto.sequence import Arrival
+from services.runtime.bus.bus import ConnectionEvent, Received
+from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
+from services.runtime.loop.deadlines import LatenessWindow, SpinMargin
+from services.runtime.loop.deferred import Deferred, Task
+from services.runtime.loop.freshness import LOOP_DEADLINE_NS
+from services.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
+from services.runtime.loop.log import RateLimitedLog
+from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus, resident_bytes
+from services.runtime.loop.realtime import RealtimeStatus
+
+# At first a node reports more often, because a rig waits until every node has reported that it receives its inputs.
+STARTING_PERIOD_NS, _STARTING_NS = 100_000_000, 3_000_000_000
+
+
+class NodeLoop:
+    """The loop of a node: messages as they come, deadlines when they come, health twice a second."""
+
+    def __init__(
+        self,
+        node: Node,
+        bus: NodeBus,
+        realtime: RealtimeStatus,
+        *,
+        spin_s: float = 0.0,
+        starting_period_ns: int = HEALTH_PERIOD_NS,
+        note_alive: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Make a loop; `note_alive` is called with each report of health."""
+        self.node = node
+        self._note_alive = note_alive
+        self._starting_period_ns = starting_period_ns
+        self._bus = bus
+        self._clock = node.context.clock
+        self._realtime = realtime
+        self._spin = SpinMargin(round(spin_s * 1e9) if node.has_precise_deadlines else 0)
+        self._commands = CommandHandler(
+            node.context.key,
+            node.commands,
+            node.on_control,
+            node.event,
+            is_latched=lambda: node.is_latched,
+            kept=node.context.kept_stop,
+        )
+        # The file of a stop is looked up at the start, after each stall of the process, and twice a second: the sender
+        # may have been ended before it could send.
+        self._may_be_kept = True
+        self._lateness = LatenessWindow()
+        self._limited_log = RateLimitedLog(node.context.log, self._clock)
+        self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._deferred = node.context.deferred
+        # threads of equal priority share its processor
+        self._yields = realtime.fifo
+        self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
+        self._last_cpu_s, self._receives_all = time.process_time(), False
+        self._health: dict[str, Any] = {}
+        self._last_steps = self._rejected_seen = self._own_stops = 0
+
+    def run(self) -> None:
+        """Run until a stop is requested, then leave the node safe whatever happened."""
+        context = self.node.context
+        try:
+            while not context.stop_requested:
+                self.turn()
+        # code of a package may end the program
+        except (Exception, SystemExit) as error:
+            text = fault_of_package(error) or f"this node failed: {type(error).__name__}: {error}"
+            self.node.event("fault", "error", " ".join(text.split()))
+            raise
+        finally:
+            # Making the device safe may take its time, and is no turn of the loop.
+            self.node.clock = self._clock
+            try:
+                self.node.make_safe()
+            finally:
+                # The device of a package may fail here as well.
+                self.node.state = "stopping"
+                self.publish_health()
+                self.node.publish_end(self._bus)
+
+    @property
+    def health_due_ns(self) -> int:
+        """Monotonic time [ns] of the next report, or of the next deferred task."""
+        return min(self._health_ns, self._deferred.due_ns)
+
+    def turn(self) -> None:
+        """Wait for the next message or deadline and act on it."""
+        wanted = self.node.deadline_ns() - self._spin.ns
+        self._bus.wait(min(wanted, self._health_ns, self._deferred.due_ns))
+        woken = self._note_awake()
+        if self._may_be_kept:
+            self._take_kept_stop()
+        taken = self._take(woken)
+        if notices := self._bus.process_events():
+            self._report_connections(notices)
+        # a message may have moved the deadline
+        deadline = self.node.deadline_ns()
+        now = self._clock.monotonic_ns()
+        event = taken[-1].topic if taken else None
+        if deadline - self._spin.ns <= now:
+            if not taken and woken >= wanted:
+                self._spin.record(woken - wanted)
+            now, deadline = self._await(deadline)
+            if deadline <= now:
+                self._lateness.record((now - deadline) * 1e-9)
+                self._act_on_deadline(now)
+                event = ""
+        if event is not None and self.node.idle_after is not None:
+            self._note_event(event, woken)
+        if now >= self._health_ns:
+            self._defer_report(now)
+        if self._deferred.due_ns < NEVER_NS:
+            self._run_deferred()
+        if self._journal is not None and self._journal.full:
+            self._end_batch()
+
+    def _await(self, deadline_ns: int) -> tuple[int, int]:
+        """Wait busily for a deadline; return the time and the deadline [ns], later where a message has moved it.
+
+        Others have this processor meanwhile, for what they have to say to this node before its deadline: kept from
+        them it would come a period later.
+        """
+        while (now := self._clock.monotonic_ns()) < deadline_ns:
+            if self._yields:
+                os.sched_yield()
+                if self._bus.has_arrived():
+                    self._take(self._note_awake())
+                    deadline_ns = self.node.deadline_ns()
+                    if now < deadline_ns - self._spin.ns:
+                        break
+        return now, deadline_ns
+
+    def _take(self, woken_ns: int) -> list[Received]:
+        """Act on what has arrived."""
+        taken = list(self._bus.receive())
+        if taken and self._journal is not None:
+            taken = self._retimed(taken, woken_ns)
+        for received in taken:
+            self._dispatch(received)
+        return taken
+
+    def _take_kept_stop(self) -> None:
+        """Obey an emergency stop that was kept for this node and that it has not had: before anything that waited."""
+        self._may_be_kept = False
+        latch, now_ns = self._commands.latch, self._clock.now_ns()
+        if (payload := latch.kept()) is None:
+            return
+        try:
+            control = accept("session/control", payload)
+        except WireError:
+            control = None
+        if not isinstance(control, SessionControl) or control.command != "estop":
+            # A file that cannot be read is still there because a person stopped the node.
+            control = stop_of(self.node.context.key, now_ns)
+        if control.id != latch.newest_id:
+            self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
+            self.node.event("mode", "warning", "an emergency stop that was kept for this device is in force")
+
+    def _act_on_deadline(self, now_ns: int) -> None:
+        self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)
+        if self.node.own_stops != self._own_stops:
+            self._own_stops = self.node.own_stops
+            self._commands.note_own_stop(self.node.clock.now_ns())
+
+    def _take_turn(self, now_ns: int, act: Task, kind: int) -> None:
+        """Take a turn that no message brings."""
+        journal = self._journal
+        if journal is not None:
+            journal.clock.time_ns = now_ns + journal.clock.epoch_offset_ns
+        act()
+        if journal is not None:
+            journal.record_turn(kind)
+
+    def _note_event(self, event: str, begin_ns: int) -> None:
+        end_ns = self._clock.monotonic_ns()
+        self._deferred.note_event(begin_ns, end_ns, is_last=event == self.node.idle_after)
+        if self._bus.is_batch_due(end_ns):
+            self._deferred.add(self._bus.send_batches)
+
+    def _defer_report(self, now_ns: int) -> None:
+        """Add the tasks of a report: what node/health says, the message, and the batch of the journal."""
+        # a node that runs and receives its inputs is in a session, whose loop pays for each report
+        is_waited_for = self.node.state != "running" or not self._receives_all
+        starting = is_waited_for and now_ns - self._started_ns < _STARTING_NS
+        self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
+        self._may_be_kept = True
+        self._deferred.add(self._measure_health)
+        self._deferred.add(self._send_health)
+        if self._journal is not None:
+            self._deferred.add(self._complete_batch)
+
+    def _run_deferred(self) -> None:
+        """Run the tasks that are due."""
+        while (now_ns := self._clock.monotonic_ns()) >= self._deferred.due_ns:
+            for task in self._deferred.take(now_ns, self.node.deadline_ns() - self._spin.ns):
+                self._run_task(task)
+
+    def _run_task(self, task: Deferred) -> None:
+        begin_ns = self._clock.monotonic_ns()
+        if task.is_turn:
+            self._take_turn(begin_ns, task.run, DEFERRED)
+        else:
+            task.run()
+        end_ns = self._clock.monotonic_ns()
+        if self.node.idle_after is not None:
+            self._deferred.note_run(task.run, begin_ns, end_ns, met=self._bus.has_arrived())
+
+    def _complete_batch(self) -> None:
+        """End the batch of the journal where no task of the node waits: a re-run that begins there knows of none."""
+        if self._journal is None:
+            return
+        if self._deferred.has_turns:
+            self._deferred.add(self._complete_batch)
+        else:
+            self._deferred.forget_unneeded()
+            self._journal.complete()
+            self._deferred.add(self._publish_journal)
+
+    def _publish_journal(self) -> None:
+        """Send a message of the journal; a large state has more, for idle gaps of their own."""
+        if self._journal is not None and self._journal.publish():
+            self._deferred.add(self._publish_journal)
+
+    def _end_batch(self) -> None:
+        """End the batch of the journal now, and send it."""
+        if self._journal is None:
+            return
+        self._deferred.forget_unneeded()
+        while (task := self._deferred.take_turn()) is not None:
+            self._take_turn(self._clock.monotonic_ns(), task, DEFERRED)
+        self._journal.end()
+
+    def publish_health(self) -> None:
+        """Send node/health and what the journal holds, and start a new interval."""
+        self._measure_health()
+        self._send_health()
+        if self._journal is not None:
+            self._journal.end()
+
+    def _measure_health(self) -> None:
+        """Take the figures that node/health gives, and begin a new interval."""
+        now_ns = self._clock.monotonic_ns()
+        self._report_connections(self._bus.process_events(now=True))
+        self._report_rejections()
+        elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
+        cpu_s = time.process_time()
+        p50, p99, greatest = self._lateness.take()
+        rejected, _ = self._bus.rejections()
+        if self.node.stale:
+            rejected["stale"] = self.node.stale
+        self._health = {
+            "pid": os.getpid(),
+            "state": self.node.state,
+            "uptime_s": (now_ns - self._started_ns) * 1e-9,
+            "rate_hz": (self.node.steps - self._last_steps) / elapsed_s,
+            "period_s": self.node.period_s,
+            "lateness_p50_s": p50,
+            "lateness_p99_s": p99,
+            "lateness_max_s": greatest,
+            "overruns": self.node.overruns,
+            "rejected": rejected,
+            "cpu_percent": 100.0 * max(0.0, cpu_s - self._last_cpu_s) / elapsed_s,
+            "memory_bytes": resident_bytes(),
+            "realtime": self._realtime.fifo,
+            "memory_locked": self._realtime.memory_locked,
+            "replay": self.node.replay,
+            "inputs": self._bus.input_health(),
+            **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
+        }
+        self._receives_all = all(row.age_valid or not TOPICS[row.topic].rate_hz for row in self._health["inputs"])
+        self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
+
+    def _send_health(self) -> None:
+        self._note_alive()
+        self.node.publish("node/health", **self._health)
+
+    def _note_awake(self) -> int:
+        """Return the monotonic time [ns], and note it if the process did nothing for longer than a command is valid."""
+        now = self._clock.monotonic_ns()
+        if now - self._awake_ns > STALL_NS:
+            self._commands.note_stall(self._clock.now_ns(), now - self._awake_ns)
+        self._may_be_kept |= now - self._awake_ns > LOOP_DEADLINE_NS
+        self._awake_ns = now
+        return now
+
+    def _dispatch(self, received: Received) -> None:
+        if received.arrival is Arrival.AFTER_GAP and TOPICS[received.topic].delivery == "lossless":
+            self._report_gap(received)
+        if not self.node.admits(received):
+            return
+        journal = self._journal
+        if journal is not None:
+            journal.clock.time_ns = received.received_ns
+        self.node.on_message(received)
+        executed = False
+        # `isinstance` is avoided because the classes of messages answer it in Python.
+        kind = type(received.message)
+        if kind is SessionControl:
+            self._note_awake()
+            executed = self._commands.handle(cast(SessionControl, received.message), self.node.clock.now_ns())
+        # As a rule only `admits` uses the health of others, and its result is in the journal.
+        if journal is not None and (kind is not NodeHealth or self.node.acts_on_health):
+            journal.record_message(received, executed=executed)
+
+    def _retimed(self, taken: list[Received], woken_ns: int) -> list[Received]:
+        """Return messages as received now where the process stood still since it woke up: their ages need that time."""
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - woken_ns <= LOOP_DEADLINE_NS:
+            return taken
+        return [received._replace(received_ns=now_ns + self._clock.epoch_offset_ns) for received in taken]
+
+    def _report_connections(self, notices: Sequence[ConnectionEvent]) -> None:
+        for notice in notices:
+            self.node.context.publish_event("network", notice.level, notice.text, notice.data)
+
+    def _report_gap(self, received: Received) -> None:
+        source = received.message.src
+        text = f"{received.topic}: messages from {source} were lost before number {received.message.seq}"
+        self.node.event("fault", "warning", text, topic=received.topic, source=source, seq=received.message.seq)
+
+    def _report_rejections(self) -> None:
+        rejected, last = self._bus.rejections()
+        total = sum(rejected.values()) - rejected.get(SUPERSEDED, 0)
+        if total > self._rejected_seen:
+            self._limited_log.warning("rejected", f"refused: {last}", count=total - self._rejected_seen)
+            self._rejected_seen = total
+
+
+def install_stop_signals(stop: Callable[[], None]) -> int:
+    """Call `stop` on SIGTERM and SIGINT; gives a descriptor that becomes readable at a signal, to end a wait."""
+    reader, writer = socket.socketpair()
+    for end in (reader, writer):
+        end.setblocking(False)
+    signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False)
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, handle)
+    return reader.detach()
