@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel
 
@@ -76,8 +76,10 @@ class _Stream:
         self.ended = False
         self.missing: dict[tuple[int, int], int] = {}
         self.src = channel.src
-        is_ordinary = channel.topic not in RECORDS and channel.topic != END_TOPIC
-        self.header: Callable[[bytes], tuple[int, int, str] | None] = header_check(channel.topic if is_ordinary else "")
+        # The last message of a publisher is looked at as well.
+        self.header: Callable[[bytes], tuple[int, int, str] | None] = header_check(
+            "" if channel.topic == END_TOPIC else channel.topic
+        )
 
 
 class _Check:
@@ -86,14 +88,13 @@ class _Check:
     def __init__(self, recording: Recording) -> None:
         # by channel, its first number
         self.first: dict[RecordedChannel, int] = {}
-        self.messages = 0
         self._recording = recording
         self._findings: list[Finding] = []
         self._streams: dict[RecordedChannel, _Stream] = {}
         # channels and numbers that are missing at the end of what a publisher has sent
         self._at_end: set[tuple[RecordedChannel, int, int]] = set()
-        # the recorder's own record of a gap, and when it was written
-        self._recorded_gaps: dict[tuple[str, str, int, int], int] = {}
+        # channel, source and numbers of each gap of which there is a record
+        self._recorded_gaps: set[tuple[str, str, int, int]] = set()
         # by channel and source, those after which no message came
         self._open_gaps: dict[tuple[str, str], tuple[int, int, int]] = {}
         self._reported: dict[tuple[str, str], int] = {}
@@ -128,9 +129,9 @@ class _Check:
         for text in describe_damage(damage):
             self._report("crc", "error", "", text)
         for channel, newest in self._streams.items():
-            first, last, log_ns = self._open_gaps.get((channel.channel_topic, channel.src), (0, 0, 0))
-            if newest.seq is not None and first == newest.seq + 1:
-                self._end_channel(channel, last + 1, log_ns)
+            gap = self._open_gaps.get((channel.channel_topic, channel.src))
+            if gap is not None and newest.seq is not None and gap[0] == newest.seq + 1:
+                self._end_channel(channel, gap[1] + 1, gap[2])
         self._report_gaps()
         for note in notes_of((self._recording.metadata,)):
             self._report("end", "error", "", note)
@@ -155,9 +156,9 @@ class _Check:
             self._report("order", "warning", channel.channel_topic, text)
         topic = channel.topic
         if topic in RECORDS:
-            self._check_schema(message)
-            if topic == GAP_TOPIC:
-                self._add_gap_record(message)
+            record = self._check_schema(message)
+            if topic == GAP_TOPIC and record is not None:
+                self._add_gap_record(record, log_ns)
         else:
             if topic in TOPICS:
                 self._check_schema(message)
@@ -166,15 +167,16 @@ class _Check:
                 self._check_end(message)
         return max(last_ns, log_ns)
 
-    def _check_schema(self, message: RecordedMessage) -> None:
+    def _check_schema(self, message: RecordedMessage) -> Any:
+        """Check a message and its header; return it, None where it is not valid."""
         channel = message.channel
         try:
             decoded = message.decode()
         except RecordingError as error:
             self._report("schema", "error", channel.channel_topic, str(error))
-            return
+            return None
         if channel.topic in RECORDS:
-            return
+            return decoded
         header = decoded.__dict__
         found = header["seq"] & _SEQUENCE_MASK, header["t_ns"], header["src"]
         stated = message.seq, message.publish_ns, channel.src
@@ -183,14 +185,12 @@ class _Check:
             wrong = [name for name, of_message, of_record in pairs if of_message != of_record]
             text = f"seq {message.seq}: {', '.join(wrong)} in the record and in the message differ"
             self._report("schema", "error", channel.channel_topic, text)
+        return decoded
 
-    def _add_gap_record(self, message: RecordedMessage) -> None:
-        fields = message.fields()
-        found = [str(fields.get(name)) for name in ("channel_topic", "src")]
-        numbers = [int(fields.get(name, 0)) for name in ("first_missing", "last_missing")]
-        first, last = (number & _SEQUENCE_MASK for number in numbers)
-        self._recorded_gaps[found[0], found[1], first, last] = message.log_ns
-        self._open_gaps[found[0], found[1]] = (first, last, message.log_ns)
+    def _add_gap_record(self, record: Any, log_ns: int) -> None:
+        first, last = record.first_missing & _SEQUENCE_MASK, record.last_missing & _SEQUENCE_MASK
+        self._recorded_gaps.add((record.channel_topic, record.src, first, last))
+        self._open_gaps[record.channel_topic, record.src] = (first, last, log_ns)
 
     def _check_end(self, message: RecordedMessage) -> None:
         """Compare the counts of a publisher that has ended with what was recorded of it."""
@@ -199,7 +199,7 @@ class _Check:
         except RecordingError:
             # reported as such
             return
-        for channel in self._streams if sent else ():
+        for channel in self._streams:
             # they are of its own endpoint: what was received elsewhere came through others
             own = channel.site == message.site and (channel.via == "direct") == (channel.src == message.src)
             if own and (channel.topic, channel.src) in sent:

@@ -5,13 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgpack import packb
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
 from proto import encode
 from proto.ends import end_data
+from recording.messages import RecordedMessage
 from recording.reader import Recording
-from recording.records import GapRecord
-from recording.verify import Finding, Verdict, verify
+from recording.records import GAP_TOPIC, GapRecord
+from recording.verify import Finding, Verdict, _Check, verify
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
@@ -227,15 +229,16 @@ def test_a_publisher_that_began_again_has_lost_nothing(make: Callable[..., File]
     assert [finding.text for finding in verdict.findings] == [f"{HAND} was restarted before seq 0"]
 
 
-def test_a_publisher_that_ended_and_began_again_higher_up_has_lost_nothing(make: Callable[..., File]) -> None:
+@pytest.mark.parametrize("begin", [2, 9])
+def test_a_publisher_that_ended_and_began_again_has_lost_nothing(make: Callable[..., File], begin: int) -> None:
     file = make()
     file.write(0)
     file.write(1)
     file.end({"haptic/state": 2, "session/event": 1})
-    file.write(9)
-    file.write(10)
+    file.write(begin)
+    file.write(begin + 1)
     texts = [finding.text for finding in verify([file.close()]).findings]
-    assert texts == [f"{HAND} was restarted before seq 9"]
+    assert texts == [f"{HAND} was restarted before seq {begin}"]
 
 
 def test_a_message_from_before_the_end_that_comes_after_it_is_no_new_beginning(make: Callable[..., File]) -> None:
@@ -255,6 +258,16 @@ def test_a_message_that_was_recorded_twice_is_no_new_beginning(make: Callable[..
     file.write(1)
     file.write(1, t_ns=file.now_ns)
     file.write(2)
+    newest_ns = file.now_ns
+    file.end({"haptic/state": 3, "session/event": 1})
+    file.write(2, t_ns=newest_ns)
+    assert gaps(verify([file.close()])) == []
+
+
+def test_a_message_that_the_first_one_overtook_on_the_link_is_no_new_beginning(make: Callable[..., File]) -> None:
+    file = make()
+    file.write(1, *OVERTAKEN_AT["link"])
+    file.write(0, *OVERTAKEN_AT["link"], t_ns=file.now_ns - 1)
     assert gaps(verify([file.close()])) == []
 
 
@@ -308,6 +321,71 @@ def test_between_two_files_a_publisher_that_ended_or_began_again_has_lost_nothin
     assert gaps(verify([first, after_end])) == []
     again = written(make, [0, 1], begin_ns=EPOCH_NS + 2 * SECOND_NS)
     assert gaps(verify([written(make, [5, 6]), again])) == []
+
+
+def test_a_publisher_of_which_one_file_has_the_first_message_alone_has_not_ended_in_it(
+    make: Callable[..., File],
+) -> None:
+    second = written(make, [3], begin_ns=EPOCH_NS + SECOND_NS)
+    assert numbers(verify([written(make, [0]), second])) == ["1 to 2 (2)"]
+
+
+def test_messages_that_follow_one_another_are_judged_by_their_headers(
+    make: Callable[..., File], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = make()
+    for seq in range(50):
+        file.write(seq)
+    file.end({"haptic/state": 50, "session/event": 1})
+    looked_at: list[tuple[str, int]] = []
+    check = _Check._check_message
+
+    def counted(own: _Check, message: RecordedMessage, stream: Any, last_ns: int) -> int:
+        looked_at.append((message.topic, message.seq))
+        return check(own, message, stream, last_ns)
+
+    monkeypatch.setattr(_Check, "_check_message", counted)
+    assert verify([file.close()]).messages == 51
+    # the first of a publisher and its last one are looked at more closely, whatever the ones between are
+    assert looked_at == [("haptic/state", 0), ("session/event", 0)]
+
+
+def test_an_end_is_looked_at_though_it_follows_another_event(make: Callable[..., File]) -> None:
+    file = make()
+    for seq in range(3):
+        file.write(seq, "session/event", kind="node", level="info")
+    file.write(0)
+    file.end({"haptic/state": 2, "session/event": 4}, seq=3)
+    assert numbers(verify([file.close()])) == ["1 to 1 (1)"]
+
+
+@pytest.mark.parametrize(
+    ("payload", "fault"),
+    [(b"\xc1", "not msgpack"), (packb({"first_missing": "all"}), "channel_topic"), (packb([1]), "not a msgpack map")],
+    ids=["garbage", "other fields", "no map"],
+)
+def test_a_gap_record_that_cannot_be_read_is_an_error_of_the_file(
+    make: Callable[..., File], payload: bytes, fault: str
+) -> None:
+    file = make()
+    file.write(0)
+    file.gap(1, 1)
+    file.writer.write(file.writer._own_channels[GAP_TOPIC], file.now_ns, file.now_ns, 1, payload)
+    file.write(2)
+    found = verify([file.close()]).findings
+    assert [(finding.check, finding.level) for finding in found] == [("schema", "error"), ("gap", "warning")]
+    assert found[0].text.startswith("recorder/gap, seq 1: ") and fault in found[0].text
+    assert found[1].text.endswith("the recorder recorded the gap")
+
+
+def test_what_is_wrong_with_the_index_is_an_error_of_a_sound_file_only(
+    make: Callable[..., File], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(make, [0, 1])
+    monkeypatch.setattr(Recording, "index_faults", lambda recording, messages: [f"the summary has not {messages}"])
+    assert [(found.check, found.level, found.text) for found in verify([path]).findings] == [
+        ("index", "error", "the summary has not 2; other readers may fail on it")
+    ]
 
 
 def test_a_file_that_was_not_closed_says_what_a_kill_may_have_taken(make: Callable[..., File]) -> None:
