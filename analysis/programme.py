@@ -3,7 +3,8 @@
 from itertools import pairwise
 
 from analysis.holds import SHORTEST_HOLD_S
-from services.haptic_node.config import ForceProfileConfig, HapticConfig, InteractiveConfig
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
 

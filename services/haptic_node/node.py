@@ -8,7 +8,7 @@ from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from proto.nodes import is_meant
 from services.haptic_node import safety
-from services.haptic_node.config import HapticConfig, InteractiveConfig, changed_operator
+from services.haptic_node.config import HapticConfig, changed_operator
 from services.haptic_node.coupling import FAULTS, GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from services.haptic_node.driver import (
     DeviceReading,
@@ -21,6 +21,7 @@ from services.haptic_node.driver import (
     SpatialReading,
     Status,
 )
+from services.haptic_node.operator_config import InteractiveConfig
 from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
 from services.haptic_node.physics.lateral_hand import LateralHandState, lateral_hand_step
 from services.haptic_node.physics.sim import SimulatedHaptic

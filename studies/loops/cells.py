@@ -28,7 +28,8 @@ from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings
-from services.haptic_node.config import ARMS, HapticConfig
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.operator_config import ARMS
 from services.numerics.compiled import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option

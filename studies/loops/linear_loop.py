@@ -20,7 +20,8 @@ import numpy.typing as npt
 from pydantic import BaseModel
 
 from proto.errors import ConfigError
-from services.haptic_node.config import ARMS, DeviceConfig
+from services.haptic_node.config import DeviceConfig
+from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
 from services.runtime.settings.config import validate
 from studies.loops.cells import Cell

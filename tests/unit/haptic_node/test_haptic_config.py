@@ -10,14 +10,9 @@ import yaml
 from pydantic import ValidationError
 
 import services.haptic_node
-from services.haptic_node.config import (
-    SERVO_GAINS_V_PER_M,
-    DeviceConfig,
-    HapticConfig,
-    ImpedanceConfig,
-    LimitsConfig,
-)
+from services.haptic_node.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig
 from services.haptic_node.driver import DriveCommand
+from services.haptic_node.operator_config import ImpedanceConfig
 from services.haptic_node.physics import motor
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE
 from services.haptic_node.physics.sim import SimulatedHaptic

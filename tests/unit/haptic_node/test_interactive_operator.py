@@ -4,8 +4,9 @@ from typing import Any
 
 import pytest
 
-from services.haptic_node.config import HapticConfig, InteractiveConfig
+from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
+from services.haptic_node.operator_config import InteractiveConfig
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.loop.node_state import pack, restore
 from services.runtime.settings.config import validate

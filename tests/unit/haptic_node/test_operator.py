@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from services.haptic_node.config import ForceProfileConfig, ImpedanceConfig, PathPoint
+from services.haptic_node.operator_config import ForceProfileConfig, ImpedanceConfig, PathPoint
 from services.haptic_node.physics import operator
 from services.haptic_node.physics.operator import OperatorInputs, OperatorState
 

@@ -6,7 +6,7 @@ from typing import Any, get_args
 import pytest
 
 from services.controller.config import LAWS
-from services.haptic_node.config import ARMS
+from services.haptic_node.operator_config import ARMS
 from studies.loops import lockstep
 from studies.loops.advice import CANDIDATES, Question, advise, cells_of, in_words
 from studies.loops.cells import Cell, CellResult, Hand, run_cell, trajectory_of

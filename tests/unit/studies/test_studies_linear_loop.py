@@ -8,7 +8,8 @@ import pytest
 
 import telenano
 from proto.errors import ConfigError
-from services.haptic_node.config import ARMS, DeviceConfig
+from services.haptic_node.config import DeviceConfig
+from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
 from studies.loops.cells import Cell, run_cell
 from studies.loops.linear_loop import LinearLoop

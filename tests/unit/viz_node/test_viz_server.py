@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from proto.errors import RigError
-from services.haptic_node.config import InteractiveConfig
+from services.haptic_node.operator_config import InteractiveConfig
 from services.viz_node import hub as hubs
 from services.viz_node import server
 from services.viz_node.access import Access

@@ -1,0 +1,220 @@
+"""Settings of the simulated hand: what it does in a session, and the arm that it does it with."""
+
+from functools import reduce
+from operator import or_
+from random import Random
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
+from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
+from services.haptic_node.physics.reacting import ReactingParams
+from services.runtime.settings.config import Settings
+
+
+class ForcePoint(Settings):
+    """One corner of a force profile."""
+
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
+    force_n: float = Field(ge=-1e3, le=1e3, description="Force of the hand on the device, towards the sample > 0 [N]")
+
+
+class PathPoint(Settings):
+    """One corner of an intended path."""
+
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
+    position_m: float = Field(ge=-1.0, le=1.0, description="Where the hand means to be, towards the sample > 0 [m]")
+
+
+# Fig. 12: nothing until 0.8 s, 1 N from 1.2 to 2.6 s, 2 N from 2.9 to 4.5 s, let go by 4.6 s.
+FIG12_POINTS = tuple(
+    ForcePoint(time_s=t, force_n=f) for t, f in ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))
+)
+
+
+# Moves whose scatter is drawn before they repeat.
+_DRAWS = 64
+
+
+def _check_times(name: str, points: tuple[ForcePoint, ...] | tuple[PathPoint, ...]) -> None:
+    for index in range(1, len(points)):
+        if not points[index].time_s > points[index - 1].time_s:
+            raise ValueError(
+                f"{name}.{index}.time_s = {points[index].time_s} s must be later than"
+                f" {name}.{index - 1}.time_s = {points[index - 1].time_s} s"
+            )
+
+
+MaxForce = Annotated[
+    float, Field(ge=1e-12, le=1e3, description="Most that hand and force sensor take [N]; [1e-12, 1e3]")
+]
+
+
+class ForceProfileConfig(Settings):
+    """A hand that presses with a given force whatever the device does."""
+
+    kind: Literal["force_profile"] = Field(description="Selects this model of the hand")
+    points: tuple[ForcePoint, ...] = Field(
+        default=FIG12_POINTS,
+        min_length=1,
+        max_length=10_000,
+        description="Corners of F_m(t): linear between, zero before the first, the last force held after it",
+    )
+    max_force_n: MaxForce = 10.0
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "ForceProfileConfig":
+        _check_times("points", self.points)
+        return self
+
+    def to_params(self) -> OperatorParams:
+        times = np.array([point.time_s for point in self.points])
+        forces = np.array([point.force_n for point in self.points])
+        return OperatorParams(kind=FORCE_PROFILE, times_s=times, values=forces, max_force_n=self.max_force_n)
+
+
+class ArmConstants(NamedTuple):
+    """k [N/m], b [N s/m] and m [kg] of an arm about its intended path."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float
+    mass_kg: float
+
+
+ArmName = Literal["soft", "ordinary", "stiff"]
+# Stiffness at the hand in a posture is 100 to 700 N/m (F. A. Mussa-Ivaldi, N. Hogan, E. Bizzi, J. Neuroscience 5, 1985;
+# T. Tsuji et al., Biological Cybernetics 72, 1995), that of a finger that presses with 2 to 20 N is 200 to 1000 N/m
+# (A. Z. Hajian, R. D. Howe, J. Biomechanical Engineering 119, 1997). The values are our own choice, which spans these.
+ARMS: dict[ArmName, ArmConstants] = {
+    "soft": ArmConstants(50.0, 5.0, 0.15),
+    "ordinary": ArmConstants(300.0, 5.0, 0.15),
+    "stiff": ArmConstants(1000.0, 20.0, 0.15),
+}
+
+
+class ImpedanceConfig(Settings):
+    """A hand with mass, damper and spring on its way along an intended path."""
+
+    kind: Literal["impedance"] = Field(description="Selects this model of the hand")
+    path: tuple[PathPoint, ...] = Field(
+        min_length=1,
+        max_length=10_000,
+        description="Corners of the intended path: linear between, the end values held outside",
+    )
+    arm: ArmName = Field(default="ordinary", description="Arm whose constants hold where none are given here")
+    stiffness_n_per_m: float | None = Field(
+        default=None, ge=0.0, le=1e6, description="Spring k of the arm [N/m]; [0, 1e6]; none: that of the named arm"
+    )
+    damping_n_s_per_m: float | None = Field(
+        default=None, ge=0.0, le=1e5, description="Damper b of the arm [N s/m]; [0, 1e5]; none: that of the named arm"
+    )
+    mass_kg: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=100.0,
+        description="Moving mass m of the hand [kg]; [0, 100]; none: the named arm's",
+    )
+    pad_stiffness_n_per_m: float = Field(
+        default=5000.0, ge=1e-6, le=1e7, description="Finger pad between mass and device, spring k_p [N/m]; [1e-6, 1e7]"
+    )
+    pad_damping_n_s_per_m: float = Field(
+        default=10.0, ge=1e-6, le=1e6, description="Finger pad between mass and device, damper b_p [N s/m]; [1e-6, 1e6]"
+    )
+    max_force_n: MaxForce = 10.0
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "ImpedanceConfig":
+        _check_times("path", self.path)
+        return self
+
+    def to_params(self) -> OperatorParams:
+        arm = ARMS[self.arm]
+        k, b, m = self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
+        return OperatorParams(
+            kind=IMPEDANCE,
+            times_s=np.array([point.time_s for point in self.path]),
+            values=np.array([point.position_m for point in self.path]),
+            stiffness_n_per_m=arm.stiffness_n_per_m if k is None else k,
+            damping_n_s_per_m=arm.damping_n_s_per_m if b is None else b,
+            mass_kg=arm.mass_kg if m is None else m,
+            pad_stiffness_n_per_m=self.pad_stiffness_n_per_m,
+            pad_damping_n_s_per_m=self.pad_damping_n_s_per_m,
+            max_force_n=self.max_force_n,
+        )
+
+
+class InteractiveConfig(Settings):
+    """A hand that presses with the force of operator/force while the session runs: a person at the page of the view."""
+
+    kind: Literal["interactive"] = Field(description="Selects this model of the hand")
+    force_deadline_s: float = Field(
+        default=0.1, ge=0.01, le=1.0, description="Age of the newest force from which on there is none [s]; [0.01, 1]"
+    )
+    max_force_n: MaxForce = 10.0
+
+    def to_params(self) -> OperatorParams:
+        # a profile of one corner, which the device holds until it is given another force
+        none = np.zeros(1)
+        return OperatorParams(kind=FORCE_PROFILE, times_s=none, values=none, max_force_n=self.max_force_n)
+
+
+class ReactingConfig(Settings):
+    """A hand that moves and waits: it presses, waits until the arm stands and the answer has come, and corrects."""
+
+    kind: Literal["reacting"] = Field(description="Selects this model of the hand")
+    points: tuple[ForcePoint, ...] = Field(
+        default=(ForcePoint(time_s=0.0, force_n=1.0),),
+        min_length=1,
+        max_length=10_000,
+        description="Corners of the force that it aims at: linear between, the end values held outside",
+    )
+    reaction_time_s: float = Field(
+        default=0.25, ge=1e-3, le=10.0, description="How long the arm has stood still before the next move [s]"
+    )
+    answer_s: float = Field(
+        default=0.0, ge=0.0, le=60.0, description="What it has learnt to wait for as well, the round trip [s]; [0, 60]"
+    )
+    still_m_per_s: float = Field(
+        default=1e-3, ge=1e-6, le=1.0, description="Speed below which the arm stands still [m/s]; [1e-6, 1]"
+    )
+    gain: float = Field(default=0.6, gt=0.0, le=1.9, description="Share of the error that a move corrects; (0, 1.9]")
+    noise: float = Field(default=0.0, ge=0.0, le=1.0, description="Scatter of that share, a share of it; [0, 1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of the scatter")
+    tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that it leaves as it is [N]")
+    rate_n_per_s: float = Field(default=10.0, gt=0.0, le=1e4, description="How fast its force changes [N/s]")
+    max_force_n: MaxForce = 10.0
+
+    @model_validator(mode="after")
+    def _times_increase(self) -> "ReactingConfig":
+        _check_times("points", self.points)
+        return self
+
+    def to_params(self) -> ReactingParams:
+        draw = Random(self.seed)
+        return ReactingParams(
+            times_s=np.array([point.time_s for point in self.points]),
+            values=np.array([point.force_n for point in self.points]),
+            reaction_time_s=self.reaction_time_s,
+            answer_s=self.answer_s,
+            still_m_per_s=self.still_m_per_s,
+            gain=self.gain,
+            noise=self.noise,
+            errors=np.array([draw.gauss(0.0, 1.0) for _ in range(_DRAWS)]),
+            tolerance_n=self.tolerance_n,
+            rate_n_per_s=self.rate_n_per_s,
+            max_force_n=self.max_force_n,
+        )
+
+
+if TYPE_CHECKING:
+    OperatorConfig = Annotated[
+        ForceProfileConfig | ImpedanceConfig | InteractiveConfig | ReactingConfig, Field(discriminator="kind")
+    ]
+else:
+    # The kinds include those of installed packages.
+    _KINDS = (ForceProfileConfig, ImpedanceConfig, InteractiveConfig, ReactingConfig)
+    _KINDS += tuple(model.config for model in OPERATOR_MODELS.found.values())
+    _KINDS += tuple(unusable_config(name, problem) for name, problem in OPERATOR_MODELS.problems.items())
+    OperatorConfig = Annotated[reduce(or_, _KINDS), Field(discriminator="kind")]
