@@ -41,7 +41,7 @@ from recording.info import RecordingInfo
 from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
-from services.afm_node.config import SafetyConfig
+from services.afm_node.section_config import SafetyConfig
 from services.runtime.settings.config import parse_yaml, validate
 from services.runtime.settings.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, fig12_files

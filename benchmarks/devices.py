@@ -23,9 +23,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from services.afm_node.config import AfmConfig, ModbusConfig
+from services.afm_node.config import AfmConfig
 from services.afm_node.devices.modbus_frames import Conversation, Operation
 from services.afm_node.instrument import modbus_driver
+from services.afm_node.section_config import ModbusConfig
 from services.haptic_node.config import LimitsConfig
 from services.haptic_node.devices.calibration import read_calibration
 from services.haptic_node.devices.serial_driver import SerialHandle

@@ -5,14 +5,7 @@ from typing import Any
 
 from proto.errors import ConfigError
 from proto.extras import how_to_install
-from services.afm_node.config import (
-    CONTROLLERS,
-    DRIVERS,
-    SAMPLES,
-    AfmConfig,
-    AfmControllerConfig,
-    ModbusConfig,
-)
+from services.afm_node.config import CONTROLLERS, DRIVERS, SAMPLES, AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.over_map import read_params
 from services.afm_node.physics.sample.surface import Surface
@@ -22,6 +15,7 @@ from services.afm_node.programs.program import Instrument
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import ProgramRunner
 from services.afm_node.safety import SafetyParams
+from services.afm_node.section_config import AfmControllerConfig, ModbusConfig
 from services.runtime.loop.node import LOOP_PERIOD_S
 from services.runtime.settings.config import read_yaml
 

@@ -22,8 +22,9 @@ from proto.nodes import (
     name_of,
     site_of,
 )
-from services.afm_node.config import AfmConfig, ModbusConfig
+from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
+from services.afm_node.section_config import ModbusConfig
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook

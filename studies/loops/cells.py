@@ -18,7 +18,7 @@ from pydantic import Field
 
 from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError, known_names
-from services.afm_node.config import SAMPLES, AfmConfig, CantileverConfig, SafetyConfig
+from services.afm_node.config import SAMPLES, AfmConfig
 from services.afm_node.physics.body import body_params
 from services.afm_node.physics.cantilever import Plant
 from services.afm_node.physics.disturbances import DisturbanceConfig
@@ -26,6 +26,7 @@ from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.spring import spring_params
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
+from services.afm_node.section_config import CantileverConfig, SafetyConfig
 from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings
 from services.haptic_node.config import HapticConfig

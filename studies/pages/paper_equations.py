@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.afm_node.config import AfmConfig, TipSampleConfig
+from services.afm_node.config import AfmConfig
 from services.afm_node.physics.contact.capillary import meniscus_force, printed_meniscus_force
 from services.afm_node.physics.contact.maugis_dugdale import MaugisDugdale, pull_off_force_n
 from services.afm_node.physics.dynamic import damping_at
 from services.afm_node.programs.scan_speed import felt_speed_m_per_s
+from services.afm_node.section_config import TipSampleConfig
 from services.controller.config import LAWS
 from services.controller.laws.shared.impedance_scaling import impedance_scaled
 from services.haptic_node.config import DeviceConfig

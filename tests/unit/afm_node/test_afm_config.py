@@ -6,8 +6,9 @@ import yaml
 from pydantic import ValidationError
 
 from services.afm_node import config
-from services.afm_node.config import AfmConfig, CantileverConfig, SafetyConfig, TipSampleConfig
+from services.afm_node.config import AfmConfig
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
+from services.afm_node.section_config import CantileverConfig, SafetyConfig, TipSampleConfig
 
 
 def walk(model):

@@ -4,10 +4,11 @@ import math
 
 import pytest
 
-from services.afm_node.config import AfmConfig, SafetyConfig, SpringConfig
+from services.afm_node.config import AfmConfig
 from services.afm_node.physics.sim import SimulatedInstrument
 from services.afm_node.physics.spring import spring_force, spring_params
 from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
+from services.afm_node.section_config import SafetyConfig, SpringConfig
 
 CONFIG = AfmConfig(environment="spring", spring=SpringConfig(stiffness_n_per_m=38.0, rest_position_m=1e-9))
 PARAMS = CONFIG.to_spring_params()

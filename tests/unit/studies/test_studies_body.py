@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from services.afm_node.config import SafetyConfig
 from services.afm_node.physics import body as model
 from services.afm_node.physics.body import BodyParams, body_params
 from services.afm_node.safety import SafetyParams
+from services.afm_node.section_config import SafetyConfig
 from studies.loops.cells import Cell, run_cell
 
 DT = 1e-3
