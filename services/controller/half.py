@@ -12,7 +12,7 @@ from proto.messages import (
 from services.controller import energy
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import DeadbandState, deadband, initial_deadband_state
-from services.controller.integration import Heard, TimingParams, silence_ns
+from services.controller.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
 from services.controller.lateral import NO_STORE, Store
 from services.controller.law import (
     NO_SIGNAL,
@@ -67,6 +67,7 @@ class ControllerHalf(Node):
     What is past its deadline is rejected (`Freshness`), and a half that stalled begins with the next fresh signal.
     """
 
+    timing: MasterTiming | SlaveTiming
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
 
@@ -134,9 +135,9 @@ class ControllerHalf(Node):
         """Return the constants of the timing of this half."""
 
     @property
-    @abstractmethod
     def heard(self) -> Heard:
         """When the newest signal of the other half came."""
+        return self.timing.heard
 
     def forget(self) -> None:
         """Forget the signal of the other half; it is waited for anew."""

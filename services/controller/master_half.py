@@ -7,7 +7,7 @@ from proto.messages import HapticState, LawStatus, LinkDelay, TeleopBackward
 from services.controller import energy, integration
 from services.controller.config import ControllerConfig
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
-from services.controller.integration import Heard, MasterTiming, TimingParams
+from services.controller.integration import MasterTiming, TimingParams
 from services.controller.lateral import (
     DIRECT,
     LOST,
@@ -70,6 +70,7 @@ class MasterController(ControllerHalf):
 
     inputs = ("haptic/state", "teleop/backward", "law/status", "link/delay", "session/control")
     state_kind = MasterState
+    timing: MasterTiming
     # After this the tick is at the slave's side.
     idle_after = "haptic/state"
 
@@ -129,10 +130,6 @@ class MasterController(ControllerHalf):
             self._slave_status = message
         elif type(message) is LinkDelay:
             self.freshness.record(message)
-
-    @property
-    def heard(self) -> Heard:
-        return self.timing.heard
 
     def timing_of(self, config: ControllerConfig) -> TimingParams:
         return config.master_timing()

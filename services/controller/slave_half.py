@@ -8,7 +8,7 @@ from services.controller import energy, integration
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
 from services.controller.half import ZERO_XY, ControllerHalf, HalfState
-from services.controller.integration import Heard, Settled, SlaveTiming, TimingParams
+from services.controller.integration import Settled, SlaveTiming, TimingParams
 from services.controller.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
 from services.controller.law import NO_SIGNAL, NO_TIP, EnergyAccount, PortSignal, SlaveReference, TipMeasurement
 from services.numerics.frames import to_paper_axis
@@ -51,6 +51,7 @@ class SlaveController(ControllerHalf):
 
     inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
     state_kind = SlaveState
+    timing: SlaveTiming
     # After this the tick is in the link, which may share its processor.
     idle_after = "afm/state"
 
@@ -109,10 +110,6 @@ class SlaveController(ControllerHalf):
             self._occupied_until_ns = received.received_ns + _PROGRAM_SILENCE_NS if occupied else 0
         elif type(message) is LinkDelay:
             self.freshness.record(message)
-
-    @property
-    def heard(self) -> Heard:
-        return self.timing.heard
 
     def timing_of(self, config: ControllerConfig) -> TimingParams:
         return config.slave_timing()
