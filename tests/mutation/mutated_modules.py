@@ -67,6 +67,12 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "services/runtime/loop/journal.py": {
         "InputJournal.__init__: self._next_state_ns = 0 [0 => 1]": "no turn is taken a nanosecond after 1970",
     },
+    "services/runtime/loop/node_loop.py": {
+        "NodeLoop.turn: if self._deferred.due_ns < NEVER_NS:"
+        " [self._deferred.due_ns < NEVER_NS => self._deferred.due_ns <= NEVER_NS]": "no task is due then",
+        "install_stop_signals: signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False) [False => True]": "only"
+        " a process that gets more signals than the socket holds is warned of it",
+    },
     "services/runtime/loop/node_state.py": {
         "_names: if not _open_fields(kind): [not _open_fields(kind) => False]": "the same names, looked up field by"
         " field",

@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import pytest
-from test_runtime_node import GRANTED, MS, Rig, Ticking, busy_rig
+from test_runtime_node import GRANTED, MS, Rig, Ticking, busy_rig, journalled_rig
 
 from proto import encode
 from proto.messages import SessionControl
 from services.runtime.loop.commands import stop_of
+from services.runtime.loop.journal import DEFERRED
 from services.runtime.loop.kept_stop import keep
 from services.runtime.loop.node import DeviceDelay
 from services.runtime.loop.node_loop import NodeLoop
@@ -126,3 +127,48 @@ def test_the_first_mean_age_of_a_device_has_its_first_samples_alone() -> None:
     for age_s in (0.25, 0.75):
         delay.record(age_s)
     assert delay.report()["device_age_s"] == 0.5
+
+
+def test_a_kept_file_that_is_no_stop_stops_the_node_all_the_same(tmp_path: Path) -> None:
+    node = Stoppable(tmp_path)
+    start = stop_of(NODE, node.rig.clock.now_ns()).model_copy(update={"command": "start"})
+    assert keep(node.path, encode(start)) == ""
+    node.rig.loop.turn()
+    assert node.executed == ["estop"]
+
+
+def test_a_stop_of_its_own_is_noted_once() -> None:
+    rig, noted = Rig(period_ns=MS), list[int]()
+    rig.loop._commands.note_own_stop = noted.append
+    rig.run_until(10 * MS)
+    rig.node.own_stops += 1
+    rig.run_until(20 * MS)
+    assert len(noted) == 1
+
+
+def test_a_report_counts_what_was_too_old_to_act_on() -> None:
+    rig = Rig(period_ns=MS)
+    rig.node.stale = 3
+    rig.run_until(510 * MS)
+    assert rig.health[-1].rejected == {"stale": 3}
+
+
+@pytest.mark.parametrize("is_full", [False, True], ids=["in a gap", "before a full batch ends"])
+def test_a_task_that_the_outputs_depend_on_is_a_turn_of_the_journal(is_full: bool) -> None:
+    rig, ran = journalled_rig(), list[str]()
+    kinds: list[int] = []
+    rig.loop._journal.record_turn = kinds.append
+    rig.node.defer(lambda: ran.append("task"))
+    if is_full:
+        rig.loop._end_batch()
+    else:
+        rig.loop._run_deferred()
+    assert (ran, kinds) == (["task"], [DEFERRED])
+
+
+def test_a_message_of_the_journal_that_leaves_some_is_followed_by_the_next() -> None:
+    rig, left = journalled_rig(), [True, True, False]
+    rig.loop._journal.publish = lambda: left.pop(0)
+    rig.loop._publish_journal()
+    rig.loop._run_deferred()
+    assert left == []
