@@ -40,7 +40,8 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
         yield path
         return
     with _temporary(path, path, replace=replace) as part:
-        yield part
+        with _said_when_interrupted(path):
+            yield part
         if replace:
             part.replace(path)
         else:
@@ -57,7 +58,8 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """
     with _temporary(path, path, replace=False) as part:
         part.mkdir(parents=True)
-        yield part
+        with _said_when_interrupted(path):
+            yield part
         part.rename(path)
 
 
@@ -78,16 +80,18 @@ def whole_results(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """
     with new_folder(path), _temporary(path / _RESULTS, path, replace=True) as part:
         part.mkdir()
-        yield part
+        with _said_when_interrupted(path):
+            yield part
         names = sorted(found.name for found in part.iterdir())
         taken = [] if replace else [name for name in names if os.path.lexists(path / name)]
         if taken:
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path / taken[0]))
         try:
             _move_into(part, path)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             # Only a few renames are left, so that the results of one run stay together.
             _move_into(part, path)
+            error.add_note(f"{path} is complete")
             raise
 
 
@@ -102,6 +106,16 @@ def new_folder(path: Path) -> Iterator[None]:
         if is_new:
             with contextlib.suppress(OSError):
                 path.rmdir()
+
+
+@contextlib.contextmanager
+def _said_when_interrupted(path: Path) -> Iterator[None]:
+    """Let an interruption of what makes a result say that it is lost, for who reports it."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        error.add_note(f"{path} was not written")
+        raise
 
 
 def _move_into(part: Path, path: Path) -> None:

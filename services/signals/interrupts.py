@@ -27,6 +27,9 @@ _handler_of: Callable[[int], Any] = import_module("_signal").getsignal
 _received = 0
 _held = 0
 _holding = 0
+_finishing = False
+# the signal that waits for the end of `finishing`
+_kept = 0
 # functions whose callees are compiled code, and those that compile it, which are plain Python
 _calls: set[CodeType] = set()
 _compilers: set[CodeType] = set()
@@ -82,6 +85,26 @@ def held() -> Iterator[None]:
         raise_held()
 
 
+@contextlib.contextmanager
+def finishing() -> Iterator[Callable[[], None]]:
+    """Yield a function to call when the work is done and only its results are left to be written in the block.
+
+    The first signal after that call is not raised, and counts as received when the block ends. A second one is raised
+    at once, because a disk that does not answer must not keep a person waiting.
+    """
+    global _finishing, _kept, _received
+
+    def begin() -> None:
+        global _finishing
+        _finishing = True
+
+    try:
+        yield begin
+    finally:
+        _finishing = False
+        _received, _kept = _received or _kept, 0
+
+
 def install() -> None:
     """Prepare the process of a command, once: see `handle`; no interruption is lost where Python cannot raise it."""
     handle()
@@ -129,7 +152,10 @@ def _receive(number: int, frame: FrameType | None) -> None:
 
 
 def _raise(number: int) -> None:
-    global _received
+    global _received, _kept
+    if _finishing and not _kept:
+        _kept = number
+        return
     _received = _received or number
     raise Interrupted
 

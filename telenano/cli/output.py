@@ -53,8 +53,9 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         _discard_output()
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
-    except KeyboardInterrupt:
-        fail(interrupted, interrupts.exit_code(), as_json=as_json)
+    except KeyboardInterrupt as error:
+        # The notes say of each result that was begun whether there is anything of it.
+        fail("; ".join([interrupted, *getattr(error, "__notes__", ())]), interrupts.exit_code(), as_json=as_json)
 
 
 def fail(text: str, code: int = EXIT_FAILED, *, as_json: bool, **facts: Any) -> NoReturn:

@@ -1,6 +1,6 @@
 """A program of the instrument of a running rig, as a person sees it: a bar, and the keys that pause and end it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,14 +28,24 @@ def refuse_foreign(given: Mapping[str, Any]) -> None:
 
 
 def follow_program(
-    site_file: Path, parameters: "Mapping[str, Scalar]", collected: "LiveImage | LiveCurve", *, as_json: bool
+    site_file: Path,
+    parameters: "Mapping[str, Scalar]",
+    collected: "LiveImage | LiveCurve",
+    *,
+    as_json: bool,
+    on_end: Callable[[], None] = lambda: None,
 ) -> "AfmProgram":
-    """Run a program on the rig with a bar and keys: space pauses and resumes, q ends it; return its last report."""
+    """Run a program on the rig with a bar and keys: space pauses and resumes, q ends it; return its last report.
+
+    `on_end` is called as soon as the instrument has reported the end, before anything of the program is closed.
+    """
     from services.console.live_program import run_program
 
     with RawKeyboard() as keyboard:
 
         def on_report(report: "AfmProgram") -> str:
+            if report.state in ("finished", "ended"):
+                on_end()
             if not as_json:
                 keyboard.show(bar_of(report))
             for key in keyboard.pressed():

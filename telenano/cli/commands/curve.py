@@ -1,5 +1,6 @@
 """`telenano curve`: a force curve in simulated time or of a running rig, its marks, a measured one beside it."""
 
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +11,7 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, RigError
 from services.afm_node.programs.curve import CurveSettings
 from services.runtime.settings.config import flag_overrides, validate
+from services.signals import interrupts
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
@@ -70,27 +72,30 @@ def curve(
         measured = None if overlay is None else curves.read_measured(overlay, number)
         if live:
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
-            found = _live(site_file, CurveSettings(**given), given, as_json)
-        else:
-            with progress("curve", 2 * points, shown=not as_json) as show:
-                s = CurveSettings.in_simulated_time(**given)
-                found = curves.force_curve(
-                    config, s.start_m, s.load_n, points, s.speed_m_per_s,
-                    dynamic=model is CurveModel.DYNAMIC, progress=show,
-                )  # fmt: skip
-        marks = curves.marks_of(found)
-        other = None if measured is None else (measured, curves.marks_of(measured))
-        fit: dict[str, Any] | None = None
-        contact = None
-        if measured is not None:
-            # a curve that this contact does not describe is worth a look all the same
-            try:
-                contact = fit_adhesion(measured, config, reduced_modulus)
-                fit = contact.as_dict()
-            except ConfigError as error:
-                fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
-        pairs = [(found, marks), *([] if other is None else [other])]
-        with results_in(out) as folder:
+        # A curve of a real tip is not lost by a signal that comes while its files are written.
+        with interrupts.finishing() as finish, results_in(out) as folder:
+            if live:
+                found = _live(site_file, CurveSettings(**given), given, finish, as_json=as_json)
+            else:
+                with progress("curve", 2 * points, shown=not as_json) as show:
+                    s = CurveSettings.in_simulated_time(**given)
+                    found = curves.force_curve(
+                        config, s.start_m, s.load_n, points, s.speed_m_per_s,
+                        dynamic=model is CurveModel.DYNAMIC, progress=show,
+                    )  # fmt: skip
+            finish()
+            marks = curves.marks_of(found)
+            other = None if measured is None else (measured, curves.marks_of(measured))
+            fit: dict[str, Any] | None = None
+            contact = None
+            if measured is not None:
+                # a curve that this contact does not describe is worth a look all the same
+                try:
+                    contact = fit_adhesion(measured, config, reduced_modulus)
+                    fit = contact.as_dict()
+                except ConfigError as error:
+                    fit = {"refused": f"{error} with --reduced-modulus" if reduced_modulus is None else str(error)}
+            pairs = [(found, marks), *([] if other is None else [other])]
             curves.write_hdf5(folder / "curve.h5", found)
             curve_figure(pairs, contact).savefig(folder / "curve.png", dpi=130)
     document = {"model": found.model, "stiffness_n_per_m": found.stiffness_n_per_m, **marks.as_dict()}
@@ -100,9 +105,19 @@ def curve(
         document["fit"] = fit
     document["files"] = [str(out / "curve.h5"), str(out / "curve.png")]
     print_document(document, str(out), as_json=as_json)
+    if interrupts.received():
+        typer.echo(f"telenano: interrupted; {out} is complete", err=True)
+        raise typer.Exit(interrupts.exit_code())
 
 
-def _live(site_file: Path, settings: CurveSettings, given: "dict[str, Scalar]", as_json: bool) -> "Curve":
+def _live(
+    site_file: Path,
+    settings: CurveSettings,
+    given: "dict[str, Scalar]",
+    on_end: Callable[[], None],
+    *,
+    as_json: bool,
+) -> "Curve":
     """Have a running rig take a curve; RigError when it ended before it was complete."""
     from services.console.live_program import LiveCurve
     from studies.instrument.force_curve import curve_of_samples
@@ -110,7 +125,7 @@ def _live(site_file: Path, settings: CurveSettings, given: "dict[str, Scalar]", 
     samples = LiveCurve()
     # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "curve", **{f"curve.{name}": value for name, value in given.items()}}
-    report = follow_program(site_file, parameters, samples, as_json=as_json)
+    report = follow_program(site_file, parameters, samples, as_json=as_json, on_end=on_end)
     if report.state != "finished":
         raise RigError(report.text)
     s = settings

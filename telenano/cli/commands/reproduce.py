@@ -34,7 +34,7 @@ def reproduce(
     as_json: JsonOption = False,
 ) -> None:
     """Make figures and equations of the paper again, and write them on one HTML page."""
-    with report_errors(as_json):
+    with report_errors(as_json, "interrupted: the page was not written; sessions that had ended are in their folders"):
         # The import comes first of all, because it compiles every step that is imported after it.
         from studies.pages.reproduce import FIGURES
         from studies.pages.reproduce import reproduce as make

@@ -15,7 +15,7 @@ from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
-from telenano.cli.progress import Show, progress
+from telenano.cli.progress import progress
 from telenano.cli.sample_options import (
     AfmOption,
     ChannelOption,
@@ -90,10 +90,18 @@ def scan(
         request = ScanSettings.in_simulated_time(**given)
         noise = scans.Noise(temperature, seed)
         surface = sample.build()
-        with results_in(out) as folder:
+        with interrupts.finishing() as finish, results_in(out) as folder:
             with progress("lines", request.lines, shown=not as_json, counted=True) as show:
-                result = scans.scan(surface, request, config, lambda n, of: _shown(show, n), noise)
-            _say_if_interrupted(result.partial)
+
+                def advanced(n: int, of: int) -> bool:
+                    if n == of:
+                        finish()
+                    show(n)
+                    return True
+
+                result = scans.scan(surface, request, config, advanced, noise)
+            finish()
+            said = _say_if_interrupted(result.partial)
             write_images(folder, _images(result, mode), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
@@ -110,7 +118,7 @@ def scan(
     if result.partial:
         document["partial"] = result.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted()
+    _exit_if_interrupted(said, result.partial)
 
 
 def _scan_live(
@@ -123,43 +131,43 @@ def _scan_live(
     image = LiveImage()
     # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
-    failure: RigError | None = None
-    with results_in(out) as folder:
+    failure: RigError | KeyboardInterrupt | None = None
+    said = False
+    with interrupts.finishing() as finish, results_in(out) as folder:
         try:
-            report = follow_program(site_file, parameters, image, as_json=as_json)
-        except RigError as error:
-            # Lines that came before the instrument fell silent are kept as well.
+            report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
+        except (RigError, KeyboardInterrupt) as error:
+            # Lines that came before the instrument fell silent, or before a second signal, are kept as well.
             failure = error
+        finish()
         if count := image.finished:
-            _say_if_interrupted(image.partial)
+            said = _say_if_interrupted(image.partial)
             write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
     if failure is not None:
-        raise RigError(f"{failure}; {out} has {count} lines") if count else failure
+        raise RigError(f"{failure or 'interrupted'}; {out} has {count} lines") if count else failure
     document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
                 "text": report.text, "files": [str(out / name) for name in _FILES] if count else []}  # fmt: skip
     if image.partial:
         document["partial"] = image.partial
     print_document(document, str(out), as_json=as_json)
-    _exit_if_interrupted()
+    _exit_if_interrupted(said, image.partial)
     if report.state != "finished":
         raise typer.Exit(EXIT_FAILED)
 
 
-def _say_if_interrupted(partial: str) -> None:
-    """Print what there is of an image that a signal ended, before the seconds in which it is drawn."""
+def _say_if_interrupted(partial: str) -> bool:
+    """Print what there is of an image that a signal ended, before it is drawn, and return whether one did."""
     if interrupts.received():
         typer.echo(f"telenano: interrupted: {partial or 'all lines'} are kept", err=True)
+    return bool(interrupts.received())
 
 
-def _exit_if_interrupted() -> None:
-    """Exit with the code of the signal that ended an image."""
+def _exit_if_interrupted(said: bool, partial: str) -> None:
+    """Exit with the code of the signal that ended an image, or came while it was written."""
     if interrupts.received():
+        if not said:
+            _say_if_interrupted(partial)
         raise typer.Exit(interrupts.exit_code())
-
-
-def _shown(show: Show, lines: int) -> bool:
-    show(lines)
-    return True
 
 
 def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":

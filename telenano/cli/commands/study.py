@@ -35,7 +35,15 @@ from telenano.cli.commands.study_gallery import gallery_command
 from telenano.cli.commands.study_options import OutOption, SchedulerOption, WorkersOption
 from telenano.cli.commands.study_promises import promises
 from telenano.cli.commands.study_push import push
-from telenano.cli.commands.study_results import INTERRUPTED, command_line, print_result, sweep_in, warn_of, write_study
+from telenano.cli.commands.study_results import (
+    INTERRUPTED,
+    NO_JOURNAL,
+    command_line,
+    print_result,
+    sweep_in,
+    warn_of,
+    write_study,
+)
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group
@@ -106,7 +114,7 @@ def transparency(
     as_json: JsonOption = False,
 ) -> None:
     """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
-    with report_errors(as_json):
+    with report_errors(as_json, NO_JOURNAL):
         axes, tables = validated(Feel, given), table_formats(table)
         warn_of(*axes.check())
         rows = measure_all(axes, axes.delays_ms, for_delay=axes.tuned)

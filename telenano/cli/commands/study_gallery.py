@@ -7,7 +7,7 @@ import typer
 
 from studies import option_values
 from studies.pages.gallery import STIFFNESS_N_PER_M, gallery, page_of, write_data
-from telenano.cli.commands.study_results import print_result
+from telenano.cli.commands.study_results import NO_JOURNAL, print_result
 from telenano.cli.options import JsonOption
 from telenano.cli.output import report_errors
 from telenano.cli.progress import progress
@@ -22,7 +22,7 @@ def gallery_command(
     as_json: JsonOption = False,
 ) -> None:
     """Draw Nyquist curve, roots, course and energy of each law on one page, for one slider of delay."""
-    with report_errors(as_json):
+    with report_errors(as_json, NO_JOURNAL):
         (stiffness_n_per_m,) = option_values.stiffnesses(stiffness)[:1]
         with progress("cells", shown=not as_json, counted=True) as show:
             document = gallery(stiffness_n_per_m, show)

@@ -17,6 +17,7 @@ from telenano.cli.output import console, print_json, results_folder
 from telenano.cli.progress import progress
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
+NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins anew"
 _PIPE_COLUMNS = 160
 
 

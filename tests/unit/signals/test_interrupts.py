@@ -93,6 +93,34 @@ except KeyboardInterrupt:
     assert (done.returncode, done.stdout) == (0, f"all of it\n{int(signal.SIGINT)}\n"), done.stderr
 
 
+def test_a_signal_while_results_are_written_is_kept_and_a_second_one_gives_up() -> None:
+    done = run("""
+import os, signal
+from services.signals import interrupts
+
+interrupts.install()
+with interrupts.finishing() as finish:
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except KeyboardInterrupt:
+        print("the work is ended")
+    finish()
+    os.kill(os.getpid(), signal.SIGINT)
+    print("written")
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        print("given up")
+print(interrupts.received())
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+except KeyboardInterrupt:
+    print("as before")
+""")
+    said = f"the work is ended\nwritten\ngiven up\n{int(signal.SIGTERM)}\nas before\n"
+    assert (done.returncode, done.stdout) == (0, said), done.stderr
+
+
 def test_a_signal_that_is_ignored_stays_so_and_a_handler_of_somebody_else_too() -> None:
     done = run("""
 import signal

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from interruptions import Ended, environment, files_below, interrupted
+from interruptions import Ended, as_at_a_terminal, environment, files_below, interrupted
 
 from services.afm_node.physics.sample.surface_files import read_surface
 from telenano.cli.exit_codes import EXIT_INTERRUPTED, EXIT_TERMINATED
@@ -225,6 +225,69 @@ def test_an_image_that_is_ended_keeps_its_lines_and_says_so(number: signal.Signa
     kept = read_surface(tmp_path / "out" / "scan.gwy", "Height (partial")
     assert kept.height_m.shape == (document["lines"], 64)
     assert kept.depth_m == pytest.approx(kept.width_m * document["lines"] / 4000, rel=1e-6)
+
+
+_SLOW = pytest.mark.endurance
+# a signal after the last line or point, while the first file is written
+_WHILE_WRITING = """
+import os, signal, sys
+import analysis.nexus_files, studies.instrument.force_curve as curves, studies.instrument.scan as scans
+from analysis import nexus_files
+from services.afm_node.programs.imaging import CHANNELS
+import numpy as np
+
+def with_signals(write):
+    def signalled(*given):
+        for _ in range({signals}):
+            os.kill(os.getpid(), signal.{name})
+        return write(*given)
+    return signalled
+
+def scanned(surface, request, config, progress, noise):
+    lines = np.zeros((request.lines, request.pixels, CHANNELS))
+    progress(request.lines, request.lines)
+    return scans.ScanResult(lines, lines, lines[:, :, 0], 1e-7, 1e-7, 1.0, request.lines, 1.0, 0.0)
+
+scans.scan = scanned
+nexus_files.write_images = with_signals(nexus_files.write_images)
+curves.write_hdf5 = with_signals(curves.write_hdf5)
+from telenano.cli.app import main
+main()
+"""
+
+
+def written_under_a_signal(command: str, name: str, folder: Path, signals: int) -> Ended:
+    program = _WHILE_WRITING.format(name=name, signals=signals)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *command.split(), "--out", "out"], cwd=folder, env=environment(),
+        capture_output=True, text=True, check=False, preexec_fn=as_at_a_terminal,
+    )  # fmt: skip
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "files", "words"),
+    [
+        ("scan --pixels 4 --lines 4", "SIGTERM", "scan.gsf scan.gwy scan.nxs scan.png", "all lines are kept"),
+        pytest.param(
+            "curve --points 20", "SIGINT", "curve.h5 curve.png", "out is complete", marks=[pytest.mark.endurance]
+        ),
+    ],
+)
+def test_a_signal_while_the_files_are_written_loses_nothing(
+    command: str, name: str, files: str, words: str, tmp_path: Path
+) -> None:
+    ended = written_under_a_signal(command, name, tmp_path, 1)
+    assert files_below(tmp_path) == [f"out/{file}" for file in files.split()], ended
+    assert ended.code == CODES[signal.Signals[name]]
+    assert words in ended.stderr
+
+
+@pytest.mark.endurance
+def test_a_second_signal_while_the_files_are_written_gives_up_and_says_what_is_lost(tmp_path: Path) -> None:
+    ended = written_under_a_signal("scan --pixels 4 --lines 4", "SIGINT", tmp_path, 2)
+    assert (ended.code, files_below(tmp_path)) == (EXIT_INTERRUPTED, [])
+    assert ended.stderr.endswith("telenano: interrupted; out was not written\n")
 
 
 def test_what_a_killed_process_left_does_not_stand_in_the_way_and_goes(
