@@ -16,9 +16,15 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: firmware setup page demo test endurance mutation lint bench reliability schemas site pictures dist lock image-locks images clean
+.PHONY: help firmware setup page demo test endurance mutation lint bench reliability schemas site pictures dist lock \
+  image-locks images clean
+.DEFAULT_GOAL := help
 
-setup: $(VENV)/.complete
+# the targets with the sentence behind each; a test holds that every one has its sentence
+help: ## List what `make` can do.
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
+
+setup: $(VENV)/.complete ## Make the virtual environment .venv from the hashed pins.
 
 # no option of pip names a package index: that is the machine's own setting
 $(VENV)/.complete: pyproject.toml requirements.lock
@@ -32,36 +38,36 @@ $(VENV)/.complete: pyproject.toml requirements.lock
 	@touch $@
 
 # the page of the view; without a Node of its own the machine gets the one from PyPI
-page: setup
+page: setup ## Build the page of the operator, which `telenano up` serves.
 	@$(BIN)/python services/viz_node/build_page.py 2>/dev/null || { \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/page.lock && \
 	  $(BIN)/python services/viz_node/build_page.py; }
 
 # a machine that cannot build the page runs the rig without it
-demo: setup
+demo: setup ## Set everything up and run the experiment of Fig. 12.
 	-@$(MAKE) --no-print-directory page
-	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite
+	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite --brief
 
 # what is not timed runs side by side, the rigs have the machine to themselves
-test: lint
+test: lint ## Run lint and all tests but the long ones; some 20 minutes.
 	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile --ignore tests/stack
 	$(BIN)/pytest -m "stack and not endurance" tests/stack
 
 # what takes minutes: long faults, many kills, ten minutes of the whole rig
-endurance: setup
+endurance: setup ## Run the tests that take long.
 	$(BIN)/pytest -m endurance
 	$(BIN)/python benchmarks/soak.py
 
 # whether a test notices when one thing is changed in a module that guards, accounts or decides; MODULE=PATH tries one
-mutation: setup
+mutation: setup ## Ask whether the tests notice a mistake; MODULE=PATH tries one module.
 	nice -n 10 $(BIN)/python tests/mutation/mutate.py $(if $(WORKERS),--workers $(WORKERS)) $(MODULE)
 
 # the image of the handle from its sources, byte for byte with Debian's compiler; `git diff` shows whether it changed
-firmware:
+firmware: ## Build the image of the handle; it needs the AVR compiler.
 	@command -v avr-gcc >/dev/null || { echo "needs the AVR compiler: apt install gcc-avr avr-libc" >&2; exit 1; }
 	$(MAKE) -C firmware/handle -B boards/avr328p/handle.hex
 
-lint: setup
+lint: setup ## Check style, types, layers and the contract of the wire.
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -69,12 +75,12 @@ lint: setup
 	$(BIN)/python -m proto.contract --check
 
 # the tables of benchmarks/README.md and docs/performance.md, from one run of some five minutes on a quiet machine
-bench: setup
+bench: setup ## Measure the tables of benchmarks/README.md and docs/performance.md; some five minutes.
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]'
 	$(BIN)/python benchmarks/tables.py
 
 # the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
-reliability: setup
+reliability: setup ## Inject faults into real rigs and renew the table of docs/reliability.md; it needs root.
 	@mkdir -p out && rm -f out/faults.jsonl
 	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_stalls.py tests/stack/test_running_rig.py \
 	  tests/stack/test_estop_kept.py \
@@ -83,7 +89,7 @@ reliability: setup
 	$(BIN)/python tests/stack/ledger.py out/faults.jsonl docs/reliability.md
 
 # what editors complete scenario and site files by, the schema of summary.json, and the pages of all keys
-schemas: setup
+schemas: setup ## Write the schemas of scenarios, sites and summary.json, and the pages of their keys.
 	$(BIN)/telenano scenario schema >presets/schemas/scenario.json
 	$(BIN)/telenano scenario schema --site >presets/schemas/site.json
 	$(BIN)/telenano param list --markdown >docs/scenarios.md
@@ -91,7 +97,7 @@ schemas: setup
 	$(BIN)/python -m analysis.summary --markdown >docs/summary.md
 
 # the documents with their reference and the results of the notebooks, in out/site
-site: setup
+site: setup ## Build the documents as a site in out/site.
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[site]'
 	@test -f out/fig12/session.mcap || $(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/fig12
 	@test -d out/experiment/analysis || { \
@@ -101,21 +107,21 @@ site: setup
 	@echo "out/site/index.html; to search in it: python3 -m http.server -d out/site"
 
 # the pictures of the gallery and of the tutorial, each by the command beside it; look at them before you commit them
-pictures: setup
+pictures: setup ## Draw the pictures of the documents again.
 	TELENANO_PICTURES=docs $(BIN)/pytest -m endurance tests/stack/test_pictures.py
 
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
-dist: page
+dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
 	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
-lock: $(BIN)/uv
+lock: $(BIN)/uv ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml --all-extras -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
 # each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
-image-locks: $(BIN)/uv
+image-locks: $(BIN)/uv ## Renew the locks of the images alone.
 	@mkdir -p deploy/locks
 	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
 	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
@@ -126,7 +132,7 @@ image-locks: $(BIN)/uv
 $(BIN)/uv: | setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
 
-images:
+images: ## Build the container images of deploy/.
 	cd deploy && $(COMPOSE) --profile study build
 
 # $(call image_lock,IMAGE EXTRA,EXTRA)
@@ -136,5 +142,5 @@ $(COMPILE) pyproject.toml --constraint requirements.lock \
 
 endef
 
-clean:
+clean: ## Remove .venv, out and the caches.
 	rm -rf $(VENV) out .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -149,12 +149,13 @@ def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> No
         console().print(summary_tables(document, title))
 
 
-def print_summary(summary: dict[str, Any], title: str, *, as_json: bool) -> None:
+def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, as_json: bool) -> None:
     """Print the summary of a session, whose folder is the title, with what to do next in its last three lines.
 
-    Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
+    If brief, only those lines are printed. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
     """
-    print_document(summary, title, as_json=as_json)
+    if as_json or not brief:
+        print_document(summary, title, as_json=as_json)
     if not as_json:
         for line in closing_lines(summary, Path(title)):
             typer.echo(line)

@@ -49,6 +49,12 @@ def test_the_demo_is_a_session_with_its_picture(rig: Rig, tmp_path: Path) -> Non
     done = run(["make", "demo", f"OUT={tmp_path / 'fig12'}"], ROOT, environment)
     assert done.returncode == 0, done.stderr
     assert {"session.mcap", "fig12.png", "summary.json"} <= {path.name for path in (tmp_path / "fig12").iterdir()}
+    # no table stands between the session and what a person reads last
+    assert "│" not in done.stdout
+    happened, picture, then = done.stdout.splitlines()[-3:]
+    assert happened.startswith("fig12 with virtual_impedance: stable; the hand held 1.05")
+    assert picture.startswith(f"picture: {tmp_path / 'fig12' / 'fig12.png'}")
+    assert then.startswith("next: `.venv/bin/telenano view ")
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="there is no systemd-analyze")

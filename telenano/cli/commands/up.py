@@ -64,6 +64,7 @@ def up(
     headless: Annotated[
         bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
     ] = False,
+    brief: Annotated[bool, typer.Option("--brief", help="End in three lines instead of the tables.")] = False,
     no_view: Annotated[
         bool, typer.Option("--no-view", help="Serve no page; --json, --headless and --site slave serve none either.")
     ] = False,
@@ -79,7 +80,7 @@ def up(
             return
         with _folder_of(request) as folder:
             outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
-    _print_outcome(outcome, summary, plan, as_json=as_json)
+    _print_outcome(outcome, summary, plan, brief=brief, as_json=as_json)
 
 
 def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
@@ -171,14 +172,14 @@ def _restore_default_signals() -> None:
     interrupts.handle()
 
 
-def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, as_json: bool) -> None:
+def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, brief: bool, as_json: bool) -> None:
     if outcome.failure:
         code = EXIT_BAD_CONFIGURATION if outcome.bad_start else EXIT_FAILED
         fail(outcome.failure, code, as_json=as_json, summary=summary)
     if plan.site == "slave":
         _print_slave(outcome, plan, as_json=as_json)
     elif summary is not None:
-        print_summary(summary, str(plan.out), as_json=as_json)
+        print_summary(summary, str(plan.out), brief=brief, as_json=as_json)
     elif not (outcome.ran and plan.attach):
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
         fail("; ".join([reason, *outcome.missing, f"see {plan.out / 'logs'}"]), as_json=as_json)

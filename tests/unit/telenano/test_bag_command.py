@@ -187,7 +187,11 @@ def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_
     (tmp_path / "fig12.png").touch()
     monkeypatch.setattr("sys.argv", ["bin/telenano", "up"])
     print_summary(SUMMARY, str(tmp_path), as_json=False)
-    assert capsys.readouterr().out.splitlines()[-3:] == [
+    lines = capsys.readouterr().out.splitlines()
+    print_summary(SUMMARY, str(tmp_path), brief=True, as_json=False)
+    assert capsys.readouterr().out.splitlines() == lines[-3:]
+    assert len(lines) > 10
+    assert lines[-3:] == [
         "fig12 with wave then passivity, 40 ms by the link: limit cycle; "
         "the hand held 1.050 N for each newton at the tip",
         f"picture: {tmp_path / 'fig12.png'}; all numbers: {tmp_path / 'summary.json'}",
