@@ -107,12 +107,12 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
             missing.setdefault(extra, []).append(requirement.name)
     absent = [Finding(name, "problem", "not installed", f"run `pip install {name}`") for name in missing.pop("", ())]
     listed = ", ".join(f"{name} {version}" for name, version in sorted(versions.items()) if version)
-    lacking = "; ".join(f"{extra} lacks {', '.join(names)}" for extra, names in sorted(missing.items()))
+    lacking = "".join(f"\n{extra:<12}lacks {', '.join(names)}" for extra, names in sorted(missing.items()))
     return [
         *wrong,
         *absent,
         Finding("packages", "ok", listed or "none"),
-        Finding("extras", "ok", f"not installed: {lacking}" if lacking else "all are installed"),
+        Finding("extras", "ok", f"{len(missing)} not installed:{lacking}" if lacking else "all are installed"),
     ]
 
 

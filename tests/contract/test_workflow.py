@@ -1,10 +1,13 @@
 """What outsiders run on their own copy: each command of the workflow is one that stands in the Makefile."""
 
 import re
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
 ROOT = Path(__file__).parents[2]
@@ -24,17 +27,66 @@ def test_every_command_of_the_workflow_is_one_of_the_makefile() -> None:
             assert command.replace(".venv/bin/", "$(BIN)/") in MAKEFILE, command
 
 
+@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
+def test_make_alone_lists_every_target_with_a_sentence() -> None:
+    said = subprocess.run(["make", "-C", str(ROOT)], capture_output=True, text=True, check=True).stdout
+    listed = dict(re.findall(r"^make ([a-z-]+) +(.+)$", said, re.MULTILINE))
+    (declared,) = re.findall(r"^\.PHONY: ((?:.*\\\n)*.*)$", MAKEFILE, re.MULTILINE)
+    assert set(listed) == set(declared.replace("\\", "").split())
+    assert set(listed) == set(re.findall(r"^([a-z-]+):(?!=)", MAKEFILE, re.MULTILINE))
+    assert [target for target, sentence in listed.items() if not re.fullmatch(r"[A-Z].* .*\.", sentence)] == []
+
+
 def test_the_workflow_tries_every_python_that_the_project_names() -> None:
     classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
     named = {match[1] for line in classifiers if (match := re.search(r"Python :: (3\.\d+)$", line))}
     assert set(WORKFLOW["jobs"]["unit"]["strategy"]["matrix"]["python"]) == named
 
 
-# a private part of a package, or a module of it that its makers call internal: the package, and how it is written
+# a module of a package that its makers call internal: the package, and how it is written
 PRIVATE = {
     "numba": r"\bnumba\.core\b",
     "typer": r"\btyper\.(core|main)\b",
 }
+# private attributes of objects that packages made: the attribute, and the package
+FOREIGN = {
+    "_cache_path": "numba",
+    "_compile_for_args": "numba",
+    "_data_path": "numba",
+    "_dump": "numba",
+    "_instance": "zenoh-ros2-sdk",
+    "_open_for_write": "numba",
+    "_py_func": "numba",
+    "_Writer__chunk_builder": "mcap",
+    "_Writer__chunk_indices": "mcap",
+    "_Writer__chunk_size": "mcap",
+    "_Writer__finalize_chunk": "mcap",
+    "_Writer__statistics": "mcap",
+}
+# public in the standard library in spite of their names
+STANDARD = {"_asdict", "_exit", "_make", "_replace"}
+
+
+def sources() -> str:
+    """Return all code of the project."""
+    return "\n".join(
+        path.read_text(encoding="utf-8")
+        for folder in ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+        for path in (ROOT / folder).rglob("*.py")
+    )
+
+
+def foreign_attributes(code: str) -> set[str]:
+    """Return the private attributes that are used and nowhere defined, and those of another class by its name."""
+    used = set(re.findall(r"(?<=[\w)\]]\.)_[a-z]\w*", code))
+    defined = set(re.findall(r"(?<![\w.])_[a-z]\w*", code))
+    defined |= set(re.findall(r"self\.(_[a-z]\w*)(?=: |(?:, [\w.]+)* =)", code))
+    return (used - defined) | set(re.findall(r"[\"'](_[A-Z]\w*__\w+)[\"']", code))
+
+
+def test_a_private_attribute_of_another_package_is_found() -> None:
+    code = "self._own = 1\ndef _made(): pass\nx._made()\nkept._inside.close()\nvars(x)['_Writer__part']\nf(x)._deep"
+    assert foreign_attributes(code) == {"_inside", "_Writer__part", "_deep"}
 
 
 def test_a_package_of_which_private_parts_are_used_has_an_upper_bound() -> None:
@@ -45,14 +97,12 @@ def test_a_package_of_which_private_parts_are_used_has_an_upper_bound() -> None:
     ]
     names = {re.split(r"[\[<>=]", text)[0] for text in required} - {"telenano"}
     bounded = {re.split(r"[\[<>=]", text)[0] for text in required if "<" in text}
-    sources = "\n".join(
-        path.read_text(encoding="utf-8")
-        for folder in ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
-        for path in (ROOT / folder).rglob("*.py")
-    )
-    used = {name for name, pattern in PRIVATE.items() if re.search(pattern, sources)}
+    code = sources()
+    used = {name for name, pattern in PRIVATE.items() if re.search(pattern, code)}
     # `from package._part import x`, `import package._part`, `package._part`
     modules = "|".join(re.escape(name.lower().replace("-", "_")) for name in names)
-    used |= {found[1] for found in re.finditer(rf"\b(?<![.\w/])({modules})(?:\.\w+)*\._[a-z]\w*", sources)}
+    used |= {found[1] for found in re.finditer(rf"\b(?<![.\w/])({modules})(?:\.\w+)*\._[a-z]\w*", code)}
+    assert foreign_attributes(code) - STANDARD == set(FOREIGN), "each needs its package in FOREIGN, and a bound"
+    used |= set(FOREIGN.values())
     assert used >= {"numba", "typer"}
     assert used - bounded == set()
