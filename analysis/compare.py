@@ -21,7 +21,7 @@ _COLUMNS = (
     ("verdict", "verdict"),
     ("law", "law"),
     ("link_round_trip_ms", "round trip of the link [ms]"),
-    ("round_trip_ms", "round trip of the loop [ms]"),
+    ("loop_round_trip_ms", "round trip of the loop [ms]"),
     ("link_profile", "link"),
     ("hold_ratio", "hold ratio"),
     ("contact_x_cm", "contact x_m [cm]"),

@@ -36,8 +36,8 @@ def conditions(
         `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
         set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back, and
         `link_round_trip_range_ms`, the least and the greatest of them;
-        `round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the law
-        has to bridge it (both null where nothing was recorded); profile and seed of the link; `plugins`, package,
+        `loop_round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the law
+        has to bridge it (both null where nothing was recorded), and the same as `round_trip_ms`, its former name; profile and seed of the link; `plugins`, package,
         version and digest of what other packages brought to it; versions.
 
     Raises:
@@ -46,7 +46,7 @@ def conditions(
     origin = f"{recording.path}: scenario.yaml"
     controller = validate(ControllerConfig, scenario.controller_in_force, origin, "controller")
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
-    laws, round_trip_ms = _law_status(recording, start_ns, end_ns)
+    laws, loop_ms = _law_status(recording, start_ns, end_ns)
     versions = recording.metadata.get("versions", {})
     trips_ms = _link_round_trips_ms(recording, start_ns, end_ns)
     return {
@@ -55,7 +55,8 @@ def conditions(
         "changed": _changed(recording, timeline or Timeline(recording), start_ns, end_ns),
         "link_round_trip_ms": None if trips_ms is None else round(float(np.median(trips_ms)), 3),
         "link_round_trip_range_ms": None if trips_ms is None else _range(trips_ms),
-        "round_trip_ms": round_trip_ms,
+        "loop_round_trip_ms": loop_ms,
+        "round_trip_ms": loop_ms,
         "link_profile": link.profile,
         "link_seed": link.seed,
         "plugins": recorded_plugins(recording, scenario.model_dump()),
@@ -68,7 +69,10 @@ def title(found: dict[str, Any]) -> str:
     """Return the conditions as the words of a title: law, round trip, and the profile of a link that is not clean."""
     words = [" then ".join(found["law"])]
     least_ms, greatest_ms = found.get("link_round_trip_range_ms") or (0.0, 0.0)
-    for key, name in (("link_round_trip_ms", "round trip of the link"), ("round_trip_ms", "round trip")):
+    for key, name in (
+        ("link_round_trip_ms", "round trip of the link"),
+        ("loop_round_trip_ms", "round trip of the loop"),
+    ):
         if found[key] is None:
             continue
         # The median says nothing of a delay that was changed in the session.

@@ -134,6 +134,10 @@ class RecordingSummary(_Part):
     )
 
 
+# keys that have another name by now (docs/release.md): in the file, and in no table
+FORMER_NAMES = ("round_trip_ms",)
+
+
 class Summary(_Part):
     """The summary of a session, as `summary.json` has it."""
 
@@ -149,10 +153,12 @@ class Summary(_Part):
         description="Least and greatest of those delays, each a mean of 0.1 s [ms]: they tell of a delay that was "
         "changed in the session; null without `link/status`",
     )
-    round_trip_ms: float | None = Field(
+    loop_round_trip_ms: float | None = Field(
+        default=None,
         description="Median age of the hand's sample that the newest answer descends from, in whole periods, as the "
-        "law has to bridge it [ms]; null without `law/status`"
+        "law has to bridge it [ms]: the link and what the rig itself takes; null without `law/status`",
     )
+    round_trip_ms: float | None = Field(description="The former name of `loop_round_trip_ms` [ms], until 0.2")
     link_profile: str = Field(description="Profile of the link that the scenario names")
     link_seed: int = Field(description="Seed of the random streams of the link")
     plugins: dict[str, Package] = Field(description="What other packages brought to the session, by `<kind>.<name>`")

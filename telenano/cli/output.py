@@ -154,8 +154,11 @@ def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, a
 
     If brief, only those lines are printed. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
     """
+    from analysis.summary import FORMER_NAMES
+
     if as_json or not brief:
-        print_document(summary, title, as_json=as_json)
+        shown = summary if as_json else {key: value for key, value in summary.items() if key not in FORMER_NAMES}
+        print_document(shown, title, as_json=as_json)
     if not as_json:
         for line in closing_lines(summary, Path(title)):
             typer.echo(line)

@@ -181,7 +181,7 @@ def test_no_line_is_drawn_across_a_gap(parts: list[Path]) -> None:
 CONDITIONS_OF_A_TITLE = {
     "law": ["wave"],
     "link_round_trip_ms": 40.0,
-    "round_trip_ms": 41.0,
+    "loop_round_trip_ms": 41.0,
     "link_profile": "clean",
     "hold_ratio": 1.05,
     "recording": {"complete": True},
