@@ -36,8 +36,9 @@ def conditions(
         `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
         set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back, and
         `link_round_trip_range_ms`, the least and the greatest of them;
-        `loop_round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the law
-        has to bridge it (both null where nothing was recorded), and the same as `round_trip_ms`, its former name; profile and seed of the link; `plugins`, package,
+        `loop_round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
+        law has to bridge it (both null where nothing was recorded), and the same as `round_trip_ms`, its former name;
+        profile and seed of the link; `plugins`, package,
         version and digest of what other packages brought to it; versions.
 
     Raises:

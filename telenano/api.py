@@ -146,6 +146,9 @@ class LiveRig:
     def __init__(self, observer: Any) -> None:
         self._observer = observer
 
+    def __repr__(self) -> str:
+        return f"<LiveRig: {', '.join(sorted(self._observer.subscribers))}>"
+
     def messages(self, duration_s: float | None = None) -> Iterator[tuple[str, Message]]:
         """Yield channel and message as they come, for a time [s], None for no end."""
         for observed in self._observer.listen(duration_s):

@@ -60,6 +60,11 @@ class LinearLoop:
     period_s: float
     arm: Arm | None = None
 
+    def __repr__(self) -> str:
+        bears = f"{1e3 * self.critical_delay_s:.1f} ms" if math.isfinite(self.critical_delay_s) else "any"
+        loop = f"{self.law} on {self.stiffness_n_per_m:g} N/m"
+        return f"<LinearLoop {loop}: a delay of {1e3 * self.delay_s:g} ms in all, {bears} would be neutral>"
+
     @property
     def delay_s(self) -> float:
         """The delay in the loop [s]: the round trip, and the hold of the force, which is worth half a period."""

@@ -1,11 +1,13 @@
 """Tables for programs: session time, units, one publisher at a time."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ import zmq
 from recorder_samples import sample
 
 import telenano
+from analysis.statistics import share, statistic
 from proto.errors import ConfigError, RecordingError, RigError
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.clock import SystemClock
@@ -93,6 +96,28 @@ def test_a_simulation_and_a_recording_are_read_by_the_same_code(recording_of: Ca
         simulated.table("law/status")
 
 
+def test_every_public_class_shows_in_a_line_what_it_is(session: telenano.RecordedSession) -> None:
+    tip = session.table("afm/state")
+    rig = telenano.LiveRig(SimpleNamespace(subscribers={"haptic_node@master": 0, "afm_node@slave": 0}))
+    shown = [repr(thing) for thing in (session, tip, rig)]
+    assert re.fullmatch(
+        r"<RecordedSession .*fig12_wave.*\.mcap: \d+ channels, with a session of the operator>", shown[0]
+    )
+    assert shown[1].startswith(f"<Table afm/state: {len(tip['time_s'])} rows of time_s, ")
+    assert shown[2] == "<LiveRig: afm_node@slave, haptic_node@master>"
+    classes = {name for name in telenano.__all__ if isinstance(getattr(telenano, name), type)}
+    assert {name for name in classes if getattr(telenano, name).__repr__ is object.__repr__} == set()
+    assert classes == {"LinearLoop", "LiveRig", "RecordedSession", "SimulatedSession", "Table"}
+    assert (str(statistic([1.0, 2.0, 3.0])), str(share(3, 4))) == ("2 ± 1 [-0.484, 4.48]", "0.75 [0.301, 0.954]")
+
+
+def test_a_loop_of_theory_shows_its_delay_and_the_one_it_bears() -> None:
+    loop = telenano.theory(law="virtual_impedance", stiffness_n_per_m=20.0, round_trip_ms=40.0)
+    shown = "<LinearLoop virtual_impedance on 20 N/m: a delay of 40.5 ms in all, {:.1f} ms would be neutral>"
+    assert repr(loop) == shown.format(1e3 * loop.critical_delay_s)
+    assert repr(telenano.theory(law="wave")).endswith("a delay of 0.5 ms in all, any would be neutral>")
+
+
 def test_a_table_becomes_a_labelled_data_set(session: telenano.RecordedSession) -> None:
     pytest.importorskip("xarray")
     tip = session.table("afm/state")
@@ -100,6 +125,9 @@ def test_a_table_becomes_a_labelled_data_set(session: telenano.RecordedSession) 
     assert data["tip_force_n.2"].attrs["units"] == "N"
     assert data["tip_force_n.2"].values.tolist() == tip["tip_force_n.2"].tolist()
     assert data.sizes["time_s"] == len(tip["time_s"])
+    assert {name: data[name].attrs["units"] for name in data.variables} == tip.units
+    assert {name: data[name].attrs["long_name"] for name in data.variables} == tip.descriptions
+    assert data["time_s"].attrs["units"] == "s"
 
 
 def test_the_version_is_that_of_the_distribution() -> None:
