@@ -15,7 +15,8 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
 
-pytestmark = [pytest.mark.stack, pytest.mark.endurance]
+# A study compiles first, which a busy machine lets wait.
+pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(1800)]
 
 
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -82,7 +83,7 @@ class Installation:
     def run(self, *command: str) -> subprocess.CompletedProcess[str]:
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA"))}
         environment = {**kept, "HOME": str(self.folder), "TELENANO_RUNTIME_DIR": str(self.folder / "run")}
-        return subprocess.run(command, env=environment, cwd=self.folder, capture_output=True, text=True, timeout=120)
+        return subprocess.run(command, env=environment, cwd=self.folder, capture_output=True, text=True, timeout=600)
 
 
 @pytest.fixture(scope="module")
@@ -227,6 +228,7 @@ ALONE = {
     "learn": "-c import gymnasium, telenano.learn; gymnasium.make('telenano/Push-v0').reset(seed=0)",
     "rig": "curve --out curve",
     "peers": "-c import zenoh, iceoryx2",
+    "notebooks": "-c import hatchling, ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",
     "site": "-c import mkdocs, material, mkdocstrings",
     # all that the tests need: the environment in which they run
     "dev": "",

@@ -174,3 +174,12 @@ def test_the_validator_of_the_field_finds_nothing_wrong(recording_of: Callable[[
         known = re.compile(r"/data_\w+/(DATA|AXISNAME)/@units hasn't been supplied")
         assert [line for line in complaints if not known.search(line)] == []
         assert "NXafm" in done.stdout + done.stderr
+        # where the fields have these names as well, nothing is left
+        with h5py.File(tmp_path / name, "a") as file:
+            for plot in groups(file)["NXdata"]:
+                plot["DATA"], plot["AXISNAME"] = plot[plot.attrs["signal"]], plot[plot.attrs["axes"][0]]
+        done = subprocess.run(
+            [validator, "validate", "--ignore-undocumented", str(tmp_path / name)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert "is valid according to the `NXafm` application definition" in done.stdout + done.stderr
