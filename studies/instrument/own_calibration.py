@@ -52,13 +52,16 @@ _IMAGINARY = (
 _REYNOLDS = (1e-6, 1e4)
 # From the softest levers of magnetic resonance to quartz resonators, with a margin; beyond it the units are wrong.
 _STIFFNESS = (1e-5, 1e7)  # [N/m]
+# Two values agree where they are no more standard errors apart: 95 in 100 of those that are the same.
+_WITHIN = 1.96
 
 
 class Stiffness(NamedTuple):
     """k [N/m] and its standard error; resonance [Hz], Q, floor of the read-out [m^2/Hz], and the factor c.
 
-    standard_error_n_per_m: of the noise of the spectrum alone; that of the sensitivity comes on top, twice its share.
-    sader_n_per_m: by Sader's method, None without width and length; its error is that of Q, width and length.
+    standard_error_n_per_m: of the noise of the spectrum, and twice the share of the sensitivity's error where it is
+    given. sader_n_per_m: by Sader's method, None without width and length. sader_over_thermal: that over k, with the
+    standard error of the spectrum, the sensitivity and the size; agreement: in words whether they agree within it.
     """
 
     stiffness_n_per_m: float
@@ -68,6 +71,9 @@ class Stiffness(NamedTuple):
     floor_m2_per_hz: float
     factor: float
     sader_n_per_m: float | None = None
+    sader_over_thermal: float | None = None
+    sader_over_thermal_error: float | None = None
+    agreement: str | None = None
 
 
 class Sensitivity(NamedTuple):
@@ -89,6 +95,7 @@ class Thermal(NamedTuple):
 
     sensitivity_m_per_v [m/V]; temperature_k [K]; factor: c; width_m, length_m: of the lever, for Sader's method [m];
     rate_hz: at which the deflection was sampled [Hz]; averages: how many periodograms each line is the mean of.
+    sensitivity_error_m_per_v, size_error_m: standard errors of the sensitivity, and of width and length each.
     """
 
     sensitivity_m_per_v: float
@@ -98,6 +105,13 @@ class Thermal(NamedTuple):
     length_m: float | None = None
     rate_hz: float | None = None
     averages: float = 1.0
+    sensitivity_error_m_per_v: float = 0.0
+    size_error_m: float = 0.0
+
+    @property
+    def sensitivity_share(self) -> float:
+        """The standard error of a stiffness by that of the sensitivity, as a share."""
+        return 2.0 * self.sensitivity_error_m_per_v / abs(self.sensitivity_m_per_v)
 
 
 def columns_of(path: Path, count: int) -> Array:
@@ -171,12 +185,48 @@ def _stiffness(known: Thermal, fit: Any) -> Stiffness:
             f"a stiffness of {k:.3g} N/m is that of no cantilever: a spectrum is needed in V^2/Hz and a record in V, "
             "beside the way for a volt in nm/V; a file in m^2/Hz or V/sqrt(Hz) is converted first"
         )
-    by_sader = None
-    if known.width_m is not None and known.length_m is not None:
-        by_sader = sader_n_per_m(known.width_m, known.length_m, found.resonance_hz, found.quality)
-    return Stiffness(
-        k, k * found.share, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor, by_sader
+    deviation = k * math.hypot(found.share, known.sensitivity_share)
+    thermal = Stiffness(k, deviation, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor)
+    if known.width_m is None or known.length_m is None:
+        return thermal
+    by_sader, slopes = _sader_with_slopes(known.width_m, known.length_m, found.resonance_hz, found.quality)
+    # log k is -log s^2 and a constant by the thermal method: the same spectrum gives s^2, f0 and Q
+    of_ratio = np.array([1.0, slopes["resonance"], 1.0])
+    by_spectrum = float(of_ratio @ found.covariance @ of_ratio)
+    by_size = known.size_error_m * math.hypot(slopes["width"] / known.width_m, 1.0 / known.length_m)
+    share = math.sqrt(by_spectrum + known.sensitivity_share**2 + by_size**2)
+    ratio = by_sader / k
+    words = _agreement(ratio, share, known)
+    return thermal._replace(
+        sader_n_per_m=by_sader, sader_over_thermal=ratio, sader_over_thermal_error=ratio * share, agreement=words
     )
+
+
+def _sader_with_slopes(
+    width_m: float, length_m: float, resonance_hz: float, quality: float
+) -> tuple[float, dict[str, float]]:
+    """Return the stiffness by Sader [N/m] and how its logarithm goes with those of the resonance and of the width."""
+    more = 1.0 + 1e-4
+    k = sader_n_per_m(width_m, length_m, resonance_hz, quality)
+    wider = sader_n_per_m(more * width_m, length_m, resonance_hz, quality)
+    faster = sader_n_per_m(width_m, length_m, more * resonance_hz, quality)
+    return k, {"width": math.log(wider / k) / math.log(more), "resonance": math.log(faster / k) / math.log(more)}
+
+
+def _agreement(ratio: float, share: float, known: Thermal) -> str:
+    """Return in words whether both methods agree within their errors, and which errors those are."""
+    apart = abs(math.log(ratio)) / share
+    said = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
+    if apart <= _WITHIN:
+        said += "they agree within their errors"
+    else:
+        said += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
+    unknown = [
+        name
+        for name, error in (("the sensitivity", known.sensitivity_error_m_per_v), ("the size", known.size_error_m))
+        if not error
+    ]
+    return said + (f" (without that of {' and of '.join(unknown)}, which is not given)" if unknown else "")
 
 
 def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:

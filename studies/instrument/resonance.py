@@ -30,13 +30,17 @@ _DIFFERENCE = 1e-5
 
 
 class Resonance(NamedTuple):
-    """Mean square s^2 [m^2], resonance f0 [Hz], Q, one-sided floor [m^2/Hz], and the standard error of log s^2."""
+    """Mean square s^2 [m^2], resonance f0 [Hz], Q, one-sided floor [m^2/Hz], and the standard error of log s^2.
+
+    covariance: of log s^2, log f0 and log Q, shape (3, 3).
+    """
 
     mean_square_m2: float
     resonance_hz: float
     quality: float
     floor_m2_per_hz: float
     share: float
+    covariance: Array
 
 
 def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_hz: float, quality: float) -> Array:
@@ -141,5 +145,5 @@ def fit_spectrum(
         for bound in bounds:
             if abs(math.log(value / bound)) < 1e-3 or not bounds[0] < value < bounds[1]:
                 raise ValueError(f"the fit of the resonance ends at the bound of its {name}, {form.format(bound)}")
-    error = math.sqrt(float(np.linalg.inv(information)[0, 0]) / averages)
-    return Resonance(s2, f0, q, max(float(free[3]) * unit, 0.0), error)
+    covariance = np.asarray(np.linalg.inv(information)[:3, :3] / averages, dtype=np.float64)
+    return Resonance(s2, f0, q, max(float(free[3]) * unit, 0.0), math.sqrt(float(covariance[0, 0])), covariance)

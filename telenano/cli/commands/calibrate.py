@@ -71,6 +71,9 @@ def stiffness(
     sensitivity_nm: Annotated[
         float | None, typer.Option("--sensitivity", min=1e-6, metavar="NM/V", help="Way for a volt [nm/V].")
     ] = None,
+    sensitivity_error: Annotated[
+        float, typer.Option("--sensitivity-error", min=0.0, metavar="NM/V", help="Standard error of it [nm/V].")
+    ] = 0.0,
     rate: Annotated[
         float | None, typer.Option("--rate", min=1e-3, metavar="HZ", help="Rate of the samples [Hz].")
     ] = None,
@@ -84,6 +87,9 @@ def stiffness(
         tuple[float, float] | None,
         typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [um]: Sader's method as well."),
     ] = None,
+    size_error: Annotated[
+        float, typer.Option("--size-error", min=0.0, metavar="UM", help="Standard error of each of them [um].")
+    ] = 0.0,
     as_json: JsonOption = False,
     afm: AfmOption = None,
 ) -> None:
@@ -96,7 +102,8 @@ def stiffness(
                 raise ConfigError("--sensitivity: a spectrum in volts needs the way for a volt [nm/V]")
             width, length = (1e-6 * value for value in size) if size else (None, None)
             mode = BY_ANGLE if factor is None else factor
-            known = Thermal(1e-9 * sensitivity_nm, temperature, mode, width, length, rate, averages)
+            errors = 1e-9 * sensitivity_error, 1e-6 * size_error
+            known = Thermal(1e-9 * sensitivity_nm, temperature, mode, width, length, rate, averages, *errors)
             _own_stiffness(spectrum, record, known, as_json=as_json)
             return
         import studies.instrument.instrument_calibration as calibration

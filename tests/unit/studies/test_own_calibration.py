@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,34 @@ def test_the_stiffness_of_a_spectrum_is_found_within_its_error() -> None:
     share, mean = covered(20)
     assert share >= 0.8
     assert mean == pytest.approx(1.0, abs=0.02)
+
+
+def lever_of(k_n_per_m: float) -> tuple[float, float]:
+    """Return width and length [m] of the lever that has this stiffness by Sader's method, with F0 and Q in air."""
+    width = 30e-6
+    return width, k_n_per_m / sader_n_per_m(width, 1.0, F0, Q)
+
+
+def test_both_methods_agree_within_their_errors_and_a_wrong_sensitivity_is_told() -> None:
+    width, length = lever_of(K)
+    known = KNOWN._replace(averages=50, width_m=width, length_m=length)
+    found = [stiffness_of_spectrum(*spectrum(seed), known) for seed in range(6)]
+    apart = [abs(math.log(one.sader_over_thermal or 0.0)) / (one.sader_over_thermal_error or 0.0) for one in found]
+    # the ratio moves from spectrum to spectrum as its error says
+    assert 0.5 < float(np.sqrt(np.mean(np.square(apart)))) < 1.5
+    agree = "they agree within their errors (without that of the sensitivity and of the size, which is not given)"
+    assert sum(agree in (one.agreement or "") for one in found) >= 5
+    wrong = known._replace(sensitivity_m_per_v=1.2 * M_PER_V)
+    told = stiffness_of_spectrum(*spectrum(0), wrong)
+    # the way counts twice, and the stiffness that is too small makes the ratio too great
+    assert told.sader_over_thermal == pytest.approx(1.44 * (found[0].sader_over_thermal or 0.0), rel=1e-6)
+    assert re.search(r"gives 1\.\d+ ± 0\.\d+ times .*: they differ by \d+\.\d standard errors", told.agreement or "")
+    # who knows that much of the sensitivity and the size has no reason to doubt
+    unsure = stiffness_of_spectrum(
+        *spectrum(0), wrong._replace(sensitivity_error_m_per_v=0.2 * M_PER_V, size_error_m=1e-6)
+    )
+    assert (unsure.agreement or "").endswith("they agree within their errors")
+    assert unsure.standard_error_n_per_m > 0.3 * unsure.stiffness_n_per_m
 
 
 @pytest.mark.endurance
