@@ -113,7 +113,7 @@ pictures: setup ## Draw the pictures of the documents again.
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
-	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
+	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --brief --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
 lock: $(BIN)/uv ## Renew requirements.lock and the locks of the images.

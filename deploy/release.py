@@ -2,9 +2,9 @@
 
 In the folder that is given: wheel and source distribution, an inventory of all packages that the extra `rig` brings
 (CycloneDX), the list of their licences, and SHA256SUMS. Each is made from the commit, dated by it, so that the same
-commit gives the same bytes. The recording that is given is left beside them, for `tests/releases`. The wheel is then
-installed without an extra, from the index that pip knows, with every Python from 3.11 to 3.14 that the machine has, and
-has to read that recording and to simulate.
+commit gives the same bytes; the wheel is made from the source distribution alone. The recording that is given is left
+beside them, for `tests/releases`. The wheel is then installed without an extra, from the index that pip knows, with
+every Python from 3.11 to 3.14 that the machine has, and has to read that recording and to simulate.
 """
 
 import argparse
@@ -13,6 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import zipfile
 from collections.abc import Iterable, Sequence
 from importlib.metadata import Distribution, distributions
@@ -22,15 +23,27 @@ ROOT = Path(__file__).parents[1]
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 # Words of the licences that ask something of who passes the package on, beside naming it.
 COPYLEFT = ("GPL", "MPL", "EPL", "CDDL", "GNU")
+# in every environment, and not brought by an extra
+APART = ("telenano", "pip", "setuptools")
 # A wheel has no tests and none of what the page is built from.
 FORBIDDEN = ("tests/", "docs/", "services/viz_node/web/src/", "benchmarks/")
 WANTED = ("telenano/py.typed", "presets/scenarios/fig12.yaml", "services/viz_node/web/dist/index.html")
+# A source distribution has what its tests need and nothing that is made from it.
+FORBIDDEN_IN_SOURCE = ("out/", ".venv/", "services/viz_node/web/node_modules/", "services/viz_node/web/dist/")
+WANTED_IN_SOURCE = (
+    "pyproject.toml",
+    "requirements.lock",
+    "Makefile",
+    "tests/conftest.py",
+    "services/viz_node/web/package-lock.json",
+)
 TRIAL = """
 import sys, telenano
-session = telenano.open(sys.argv[1])
+session, simulated = telenano.open(sys.argv[1]), telenano.simulate("fig12")
 rows = len(session.table("afm/state")["time_s"])
-print(telenano.__version__, rows, session.summary["hold_ratio"], telenano.simulate("fig12").verdict)
 assert rows > 100
+print(f"{telenano.__version__} opens, verifies and judges the recording ({rows} samples of the tip, "
+      f"{session.summary['verdict']}) and simulates fig12 ({simulated.verdict})")
 """
 
 
@@ -58,19 +71,26 @@ def release(out: Path, recording: Path) -> None:
     out.mkdir(parents=True)
     wheel = built(out)
     check_wheel(wheel)
+    (source,) = out.glob("telenano-*.tar.gz")
+    check_source(source)
     run([sys.executable, "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano-*")))])
     rig = installed("rig", Path(sys.executable), wheel, out, "[rig]")
     inventory = [str(Path(sys.executable).parent / "cyclonedx-py"), "environment", str(rig), "--output-reproducible"]
     run([*inventory, "--of", "JSON", "-o", str(out / "sbom.json")])
-    (out / "licences.md").write_text(licences(distributions(path=[site_of(rig)])), encoding="utf-8")
+    packages = [one for one in distributions(path=[site_of(rig)]) if one.metadata["Name"] not in APART]
+    (out / "licences.md").write_text(licences(packages), encoding="utf-8")
+    brought = brought_by_rig(packages)
     shutil.rmtree(out / "rig")
     shutil.copy(recording, out / f"{wheel.name.split('-py3')[0]}.mcap")
     tried = [tried_with(python, wheel, out, recording) for python in PYTHONS if starts(python)]
     names = sorted(path for path in out.iterdir() if path.is_file())
     sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in names)
     (out / "SHA256SUMS").write_text(sums, encoding="utf-8")
-    print("\n".join(tried))
-    print(sums, end="")
+    print(*tried, sep="\n")
+    if missing := [python for python in PYTHONS if not starts(python)]:
+        print(f"not tried, because they are not on this machine: {', '.join(missing)}")
+    print(brought)
+    print(f"in {out}, each with its SHA-256 in SHA256SUMS: {', '.join(path.name for path in names)}")
 
 
 def built(out: Path) -> Path:
@@ -90,6 +110,16 @@ def check_wheel(wheel: Path) -> None:
         raise ReleaseError(f"{wheel.name}: lacks {', '.join(lacks)}")
     if extra := [name for name in names if name.startswith(FORBIDDEN)]:
         raise ReleaseError(f"{wheel.name}: has {extra[0]} and {len(extra) - 1} more that do not belong into it")
+
+
+def check_source(source: Path) -> None:
+    """Raise ReleaseError if a source distribution lacks a part, or has one that is made from the others."""
+    with tarfile.open(source) as archive:
+        names = [name.partition("/")[2] for name in archive.getnames()]
+    if lacks := [name for name in WANTED_IN_SOURCE if name not in names]:
+        raise ReleaseError(f"{source.name}: lacks {', '.join(lacks)}")
+    if extra := [name for name in names if name.startswith(FORBIDDEN_IN_SOURCE)]:
+        raise ReleaseError(f"{source.name}: has {extra[0]} and {len(extra) - 1} more that are made from the others")
 
 
 def installed(name: str, python: Path | str, wheel: Path, out: Path, extra: str = "") -> Path:
@@ -126,7 +156,7 @@ def licences(found: Iterable[Distribution]) -> str:
     rows = sorted(
         {(one.metadata["Name"], one.version, licence_of(one)) for one in found}, key=lambda row: row[0].lower()
     )
-    rows = [row for row in rows if row[0] not in ("telenano", "pip", "setuptools")]
+    rows = [row for row in rows if row[0] not in APART]
     rows.sort(key=lambda row: not asks_more(row[2]))
     lines = [
         f"| {name} | {version} | {licence}{' **(copyleft)**' if asks_more(licence) else ''} |"
@@ -135,6 +165,14 @@ def licences(found: Iterable[Distribution]) -> str:
     head = "# Licences of what the extra `rig` installs\n\nAs each package states it.\n\n"
     head += "| package | version | licence |\n|---|---|---|\n"
     return head + "\n".join(lines) + "\n"
+
+
+def brought_by_rig(packages: Sequence[Distribution]) -> str:
+    """Return in a sentence how many packages there are, and which ask more than to be named."""
+    found = [f"{one.metadata['Name']} ({licence_of(one)})" for one in packages if asks_more(licence_of(one))]
+    return (
+        f"the extra rig brings {len(packages)} packages; more than to be named is asked by {', '.join(found) or 'none'}"
+    )
 
 
 def asks_more(licence: str) -> bool:

@@ -1,6 +1,7 @@
 """What `make dist` checks before a release goes out: the parts of the wheel, and the licences of what comes with it."""
 
 import importlib.util
+import tarfile
 import zipfile
 from importlib.metadata import Distribution
 from pathlib import Path
@@ -32,6 +33,22 @@ def test_a_wheel_without_its_page_or_with_tests_does_not_go_out(tmp_path: Path) 
         release.check_wheel(wheel(tmp_path, *release.WANTED, "tests/a.py"))
 
 
+def source(folder: Path, *names: str) -> Path:
+    path = folder / "telenano-0.1.0.tar.gz"
+    with tarfile.open(path, "w:gz") as archive:
+        for name in names:
+            archive.addfile(tarfile.TarInfo(f"telenano-0.1.0/{name}"))
+    return path
+
+
+def test_a_source_distribution_without_its_tests_or_with_what_is_made_does_not_go_out(tmp_path: Path) -> None:
+    release.check_source(source(tmp_path, *release.WANTED_IN_SOURCE))
+    with pytest.raises(release.ReleaseError, match=r"tar\.gz: lacks services/viz_node/web/package-lock\.json"):
+        release.check_source(source(tmp_path, *release.WANTED_IN_SOURCE[:-1]))
+    with pytest.raises(release.ReleaseError, match=r"has out/a\.mcap and 0 more that are made from the others"):
+        release.check_source(source(tmp_path, *release.WANTED_IN_SOURCE, "out/a.mcap"))
+
+
 class Package(Distribution):
     def __init__(self, text: str) -> None:
         self.text = text
@@ -59,6 +76,10 @@ def test_licences_are_listed_as_stated_and_copyleft_first() -> None:
     )
     assert [line.split(" | ")[0] for line in found.splitlines()[6:]] == ["| gamma", "| alpha", "| beta", "| delta"]
     assert "LGPLv3) **(copyleft)**" in found
+    lesser = package("gamma", "License-Expression: LGPL-3.0-or-later")
+    said = release.brought_by_rig([lesser, package("beta", "License-Expression: MIT")])
+    assert said == "the extra rig brings 2 packages; more than to be named is asked by gamma (LGPL-3.0-or-later)"
+    assert release.brought_by_rig([]).endswith("asked by none")
     assert "| delta | 1 | not stated |" in found
 
 
