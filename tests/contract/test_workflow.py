@@ -43,6 +43,22 @@ def test_the_workflow_tries_every_python_that_the_project_names() -> None:
     assert set(WORKFLOW["jobs"]["unit"]["strategy"]["matrix"]["python"]) == named
 
 
+def test_nothing_states_a_licence_of_the_project_which_is_not_decided() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert not {"license", "license-files"} & project.keys()
+    assert not [line for line in project["classifiers"] if line.startswith("License")]
+    assert not [*ROOT.glob("LICEN*"), *ROOT.glob("COPYING*")]
+    assert "license" not in (ROOT / "CITATION.cff").read_text(encoding="utf-8").lower()
+    said = (ROOT / "docs" / "release.md").read_text(encoding="utf-8")
+    assert re.search(r"licence of telenano itself is not\s+decided yet", said)
+
+
+def test_a_weakness_can_be_reported_and_has_times() -> None:
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    assert "in private" in text
+    assert re.findall(r"\b(\d+) days", text) == ["7", "30", "90"]
+
+
 # a module of a package that its makers call internal: the package, and how it is written
 PRIVATE = {
     "numba": r"\bnumba\.core\b",
