@@ -32,6 +32,7 @@ from studies.loops.theory import (
     LoopModel,
     Margin,
     arm_response,
+    control_package,
     critical_link_delay_s,
     delay_margin,
     hybrid_of,
@@ -61,9 +62,8 @@ class LinearLoop:
     arm: Arm | None = None
 
     def __repr__(self) -> str:
-        bears = f"{1e3 * self.critical_delay_s:.1f} ms" if math.isfinite(self.critical_delay_s) else "any"
-        loop = f"{self.law} on {self.stiffness_n_per_m:g} N/m"
-        return f"<LinearLoop {loop}: a delay of {1e3 * self.delay_s:g} ms in all, {bears} would be neutral>"
+        hand = ", with an arm" if self.arm is not None else ""
+        return f"<LinearLoop {self.law} on {self.stiffness_n_per_m:g} N/m, {1e3 * self.delay_s:g} ms in all{hand}>"
 
     @property
     def delay_s(self) -> float:
@@ -125,8 +125,7 @@ class LinearLoop:
 
     def transfer_function(self, pade_order: int = 6) -> Any:
         """Return L(s) as a `control.TransferFunction`, its delay as Padé's fraction of an order; 0 leaves it out."""
-        import control
-
+        control = control_package()
         up: Any
         down: Any
         up, down = control.pade(self.delay_s, pade_order) if pade_order else ([1.0], [1.0])
@@ -149,8 +148,7 @@ class LinearLoop:
         Raises:
             ConfigError: The law is `wave`, whose halves sample a filter each, or there is an arm, which is not sampled.
         """
-        import control
-
+        control = control_package()
         if self._direct is None or self.arm is not None:
             what = "wave has no sampled form here" if self._direct is None else "an arm is not sampled"
             raise ConfigError(f"{what}: take transfer_function(), or response() for the exact delay")

@@ -222,9 +222,12 @@ def fail_incomplete(missing: Sequence[str]) -> NoReturn:
     raise typer.Exit(EXIT_INCOMPLETE)
 
 
-def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoReturn:
-    """Print the summary of a report whose files cannot be written, then the error, and exit."""
-    if not as_json:
+def fail_with_summary(error: ReportError, title: str, *, brief: bool = False, as_json: bool) -> NoReturn:
+    """Print the summary of a report whose files cannot be written, if brief its last lines, the error, and exit."""
+    if brief and not as_json:
+        for line in closing_lines(error.summary, Path(title)):
+            typer.echo(line)
+    elif not as_json:
         console().print(summary_tables(error.summary, title))
     missing = error.summary["recording"]["missing"]
     also = f"; the recording is not whole: {'; '.join(missing)}" if missing else ""

@@ -79,7 +79,7 @@ def up(
             _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
             return
         with _folder_of(request) as folder:
-            outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
+            outcome, summary, plan = _run(request, folder, options, headless=headless, brief=brief, as_json=as_json)
     _print_outcome(outcome, summary, plan, brief=brief, as_json=as_json)
 
 
@@ -91,7 +91,7 @@ def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
 
 
 def _run(
-    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, as_json: bool
+    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, brief: bool, as_json: bool
 ) -> tuple[Outcome, dict[str, Any] | None, Plan]:
     """Run the session, in a folder where none is asked for, and make its report."""
     plan = make_plan(request, folder)
@@ -109,7 +109,7 @@ def _run(
     try:
         return outcome, report_of(outcome, plan, view.show, options), plan
     except ReportError as error:
-        fail_with_summary(error, str(plan.out), as_json=as_json)
+        fail_with_summary(error, str(plan.out), brief=brief, as_json=as_json)
 
 
 def _warn(request: UpRequest, plan: Plan) -> None:

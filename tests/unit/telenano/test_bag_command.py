@@ -222,3 +222,8 @@ def test_a_report_that_cannot_be_written_shows_its_summary_all_the_same(capsys: 
     out, err = capsys.readouterr()
     assert "fig12" in out
     assert err == f"telenano: {error}\n"
+    with pytest.raises(typer.Exit):
+        fail_with_summary(error, "s", brief=True, as_json=False)
+    out, err = capsys.readouterr()
+    assert [line.partition(" ")[0] for line in out.splitlines()] == ["fig12", "picture:", "next:"]
+    assert err == f"telenano: {error}\n"
