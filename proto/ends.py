@@ -4,16 +4,17 @@ A reader that has recorded fewer lacks the end of that topic, which no later num
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from proto.messages import Scalar
+if TYPE_CHECKING:
+    from proto.messages import Scalar
 
 END_TOPIC = "session/event"
 _STATE = "ended"
 _PREFIX = "sent."
 
 
-def end_data(sent: Mapping[str, int], forwarded: Mapping[tuple[str, str], int] | None = None) -> dict[str, Scalar]:
+def end_data(sent: Mapping[str, int], forwarded: Mapping[tuple[str, str], int] | None = None) -> "dict[str, Scalar]":
     """Return the data of the event.
 
     Args:

@@ -14,6 +14,8 @@ from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from mcap.opcode import Opcode
 
 from recording.info import RecordingInfo
@@ -30,7 +32,7 @@ from recording.mcap_scan import (
 from recording.multi_file import MultiFileRecording, RecordingSource
 from recording.overtaken import BlockOrder
 from recording.reader import Recording
-from recording.summary import ChannelIndexes, channels_in, layout_by_index, message_places, quick_info
+from recording.summary import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
 
 class IndexedRecording(Recording):
@@ -101,6 +103,16 @@ def _messages_of(
 
 
 _start_of = itemgetter(1)
+
+
+def message_places(data: mmap.mmap, number: int, start: int) -> npt.NDArray[np.uint64]:
+    """Return the places in their chunk of the messages of a channel, shape (n,); ValueError where there is no index."""
+    opcode, length = RECORD_HEAD.unpack_from(data, start)
+    body = data[start + RECORD_HEAD.size : start + RECORD_HEAD.size + length]
+    channel, size = INDEX_HEAD.unpack_from(body)
+    if (opcode, channel, size) != (Opcode.MESSAGE_INDEX, number, len(body) - INDEX_HEAD.size):
+        raise ValueError(f"byte {start} is no message index of channel {number}")
+    return np.frombuffer(body, dtype="<u8", offset=INDEX_HEAD.size)[1::2]
 
 
 def open_indexed(paths: Sequence[str | Path], *, in_order: bool = False) -> RecordingSource:

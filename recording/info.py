@@ -4,14 +4,13 @@ from array import array
 from collections.abc import Iterable, Mapping
 from typing import Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.sequence import SequenceTracker
 from recording.messages import RecordedChannel, RecordedMessage
-from recording.records import GAP_TOPIC, RECORDS
+from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 
 # the metadata record with which the recorder ends a file: why it ended, and what is known to be missing
 END_NAME = "end"
@@ -192,7 +191,7 @@ class RecordingStatistics:
             self._gaps.pop((channel.channel_topic, channel.src), None)
         if channel.topic == GAP_TOPIC:
             self._add_gap(message)
-        elif channel.via == "direct" and channel.src and channel.topic not in RECORDS:
+        elif channel.via == "direct" and channel.src and channel.topic not in RECORD_TOPICS:
             if self._site in ("", channel.site):
                 self._lags.setdefault(channel.src, _Lags()).add(message.log_ns - message.publish_ns)
             if channel.topic == END_TOPIC:
@@ -230,7 +229,11 @@ class RecordingStatistics:
         lags = [found for src, found in self._lags.items() if src not in self._replayed]
         if not lags:
             return None
-        p50, p99 = np.percentile(np.concatenate([found.values() for found in lags]), [50.0, 99.0])
+        # A summary by the index has no lag, and does not wait for this import.
+        import numpy as np
+
+        kept = np.concatenate([np.frombuffer(found.kept, dtype=np.int64) for found in lags])
+        p50, p99 = np.percentile(kept, [50.0, 99.0])
         return LagInfo(p50_s=float(p50) * 1e-9, p99_s=float(p99) * 1e-9, max_s=max(found.most for found in lags) * 1e-9)
 
     def _add_gap(self, message: RecordedMessage) -> None:
@@ -255,7 +258,7 @@ class _Lags:
 
     def __init__(self) -> None:
         self.most = 0
-        self._kept = array("q")
+        self.kept = array("q")
         self._step = 1
         self._count = 0
 
@@ -263,14 +266,11 @@ class _Lags:
         self.most = max(self.most, lag_ns)
         if self._count % self._step == 0:
             # A file may have times beyond 64 bits.
-            self._kept.append(max(-(2**62), min(lag_ns, 2**62)))
-            if len(self._kept) >= _MOST_LAGS:
-                self._kept = self._kept[::2]
+            self.kept.append(max(-(2**62), min(lag_ns, 2**62)))
+            if len(self.kept) >= _MOST_LAGS:
+                self.kept = self.kept[::2]
                 self._step *= 2
         self._count += 1
-
-    def values(self) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
-        return np.frombuffer(self._kept, dtype=np.int64)
 
 
 def notes_of(metadata: Iterable[Mapping[str, Mapping[str, str]]]) -> tuple[str, ...]:

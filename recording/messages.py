@@ -1,16 +1,19 @@
 """Messages and channels as a recording holds them."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgpack
 from mcap.records import Channel, Schema
 from pydantic import ValidationError
 
-from proto import WireError, decode
+# The codec is imported when a message is decoded: a summary by the index has none.
+import proto
 from proto.errors import RecordingError
-from proto.messages import Record
-from recording.records import RECORDS
+from recording.record_topics import RECORD_TOPICS
+
+if TYPE_CHECKING:
+    from proto.messages import Record
 
 
 class RecordedChannel(NamedTuple):
@@ -59,17 +62,19 @@ class RecordedMessage(NamedTuple):
     def src(self) -> str:
         return self.channel.src
 
-    def decode(self) -> Record:
+    def decode(self) -> "Record":
         """Return the validated message: a proto Message, or the recorder's own GapRecord or RejectedRecord.
 
         Raises:
             RecordingError: The message is not valid; the error names the channel and what is wrong.
         """
         try:
-            if self.topic in RECORDS:
+            if self.topic in RECORD_TOPICS:
+                from recording.records import RECORDS
+
                 return RECORDS[self.topic].model_validate(self.fields())
-            return decode(self.topic, self.payload)
-        except (WireError, ValidationError) as error:
+            return proto.decode(self.topic, self.payload)
+        except (proto.WireError, ValidationError) as error:
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: {error}") from error
 
     def fields(self) -> dict[str, Any]:

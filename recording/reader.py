@@ -44,7 +44,7 @@ from recording.messages import (
     recorded_channel,
 )
 from recording.overtaken import BlockOrder, OvertakenFinder, Place
-from recording.records import RECORDS
+from recording.record_topics import RECORD_TOPICS
 
 _END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once or with the next trigger.
@@ -297,7 +297,10 @@ class Recording:
             # Messages that were received at their publisher have the numbers of one process in the order of sending.
             channel = table.known.get(number)
             return (
-                channel is not None and channel.via == "direct" and bool(channel.src) and channel.topic not in RECORDS
+                channel is not None
+                and channel.via == "direct"
+                and bool(channel.src)
+                and channel.topic not in RECORD_TOPICS
             )
 
         with self._open() as data:

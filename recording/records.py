@@ -5,9 +5,8 @@ from typing import Annotated
 from pydantic import Field
 
 from proto.messages import Count, Record, Source, Text
-
-GAP_TOPIC = "recorder/gap"
-REJECTED_TOPIC = "recorder/rejected"
+from recording.record_topics import GAP_TOPIC as GAP_TOPIC
+from recording.record_topics import REJECTED_TOPIC as REJECTED_TOPIC
 
 
 class GapRecord(Record):

@@ -8,14 +8,13 @@ again, from which a part is missing, or whose index is damaged has to be read as
 import mmap
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
-import numpy as np
-import numpy.typing as npt
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Metadata, MetadataIndex, Statistics
@@ -38,13 +37,15 @@ from recording.mcap_scan import (
     unpack,
 )
 from recording.messages import RecordedChannel, recorded_channel
-from recording.records import GAP_TOPIC, RECORDS
+from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 
 _FOOTER = struct.Struct("<BQQQI")
 _CHUNK_INDEX = struct.Struct("<QQQQI")
 _OFFSET = struct.Struct("<HQ")
+# the same, and the channel alone
+_NUMBER = struct.Struct("<H8x")
 _ENTRY = struct.Struct("<QQ")
-_INDEX_HEAD = struct.Struct("<HI")
+INDEX_HEAD = struct.Struct("<HI")
 _NAME_LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<QQ")
 _SEQUENCE_MASK = 0xFFFF_FFFF
@@ -55,11 +56,11 @@ class _DisagreementError(Exception):
 
 
 class _Chunk(NamedTuple):
-    """A chunk: its place, and those of the message indexes of its channels."""
+    """A chunk: its place, and those of the message indexes of its channels, as the file has them."""
 
     offset: int
     length: int
-    indexes: dict[int, int]
+    indexes: bytes
 
 
 def quick_info(path: Path) -> RecordingInfo | None:
@@ -99,9 +100,11 @@ class _Summary:
         statistics = self._statistics
         _demand(statistics is not None and statistics.chunk_count == len(self._chunks))
         assert statistics is not None
+        counts = {number: statistics.channel_message_counts.get(number, 0) for number in self._channels}
+        numbers = [number for number, count in counts.items() if count > 0]
+        first, last = self._ends(numbers, self._chunks, 0), self._ends(numbers, reversed(self._chunks), -1)
         gaps = self._gaps()
-        rows = [self._row(number, channel, gaps) for number, channel in self._channels.items()]
-        found = [row for row in rows if row is not None]
+        found = [self._row(number, counts[number], first[number], last[number], gaps) for number in numbers]
         _demand(sum(row.messages for row in found) == statistics.message_count)
         lost = [(row.lost, row) for row in found if row.via == "direct" and row.lost]
         missing = [
@@ -136,8 +139,7 @@ class _Summary:
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK_INDEX:
             _, _, offset, length, size = _CHUNK_INDEX.unpack_from(body)
-            indexes = dict(_OFFSET.iter_unpack(body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]))
-            self._chunks.append(_Chunk(offset, length, indexes))
+            self._chunks.append(_Chunk(offset, length, body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]))
         elif opcode == Opcode.CHANNEL:
             found = Channel.read(stream)
             self._channels[found.id] = recorded_channel(found)
@@ -156,28 +158,44 @@ class _Summary:
         found = Metadata.read(ReadDataStream(BytesIO(self._data[start : start + length])))
         self._metadata[found.name] = found.metadata
 
+    def _ends(self, numbers: Collection[int], chunks: Iterable[_Chunk], place: int) -> dict[int, tuple[int, int]]:
+        """Return the time of reception [ns] and the number of the first (place 0) or last (-1) message of channels.
+
+        The chunks come in the order in which they are searched, and each is unpacked once.
+        """
+        missing, found = set(numbers), {}
+        for chunk in chunks:
+            if not missing:
+                break
+            for number in missing.intersection(_numbers_in(chunk.indexes)):
+                found[number] = self._message(chunk, number, place)
+                missing.remove(number)
+        _demand(not missing)
+        return found
+
     def _gaps(self) -> dict[tuple[str, str], list[int]]:
         """Return the numbers of messages in the gaps that the recorder has recorded, by channel name and source."""
         gaps: dict[tuple[str, str], list[int]] = {}
         numbers = {number for number, channel in self._channels.items() if channel.topic == GAP_TOPIC}
         for chunk in self._chunks if numbers else ():
-            for number in numbers & set(chunk.indexes):
+            for number in numbers.intersection(_numbers_in(chunk.indexes)):
                 content = self._content(chunk)
                 for _, offset in self._entries(chunk, number):
                     fields = msgpack.unpackb(self._payload(content, offset), use_list=False)
                     gaps.setdefault((fields["channel_topic"], fields["src"]), []).append(fields["count"])
         return gaps
 
-    def _row(self, number: int, channel: RecordedChannel, gaps: dict[tuple[str, str], list[int]]) -> ChannelInfo | None:
-        assert self._statistics is not None
-        count = self._statistics.channel_message_counts.get(number, 0)
-        if count == 0:
-            return None
-        inside = [chunk for chunk in self._chunks if number in chunk.indexes]
-        first_ns, first = self._message(inside[0], number, 0)
-        last_ns, last = self._message(inside[-1], number, -1)
+    def _row(
+        self,
+        number: int,
+        count: int,
+        begin: tuple[int, int],
+        end: tuple[int, int],
+        gaps: dict[tuple[str, str], list[int]],
+    ) -> ChannelInfo:
+        channel, (first_ns, first), (last_ns, last) = self._channels[number], begin, end
         found = gaps.get((channel.channel_topic, channel.src), [])
-        if channel.via == "direct" and channel.topic not in RECORDS:
+        if channel.via == "direct" and channel.topic not in RECORD_TOPICS:
             _demand(((last - first) & _SEQUENCE_MASK) + 1 == count + sum(found))
         span_ns = last_ns - first_ns
         return ChannelInfo(
@@ -206,12 +224,12 @@ class _Summary:
         return log_ns, seq
 
     def _entries(self, chunk: _Chunk, number: int) -> Iterator[tuple[int, int]]:
-        start = chunk.indexes[number]
+        start = channels_in(chunk.indexes)[number]
         opcode, length = RECORD_HEAD.unpack_from(self._data, start)
         body = self._data[start + RECORD_HEAD.size : start + RECORD_HEAD.size + length]
-        channel, size = _INDEX_HEAD.unpack_from(body)
-        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == len(body) - _INDEX_HEAD.size)
-        found: Any = _ENTRY.iter_unpack(body[_INDEX_HEAD.size :])
+        channel, size = INDEX_HEAD.unpack_from(body)
+        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == len(body) - INDEX_HEAD.size)
+        found: Any = _ENTRY.iter_unpack(body[INDEX_HEAD.size :])
         yield from found
 
     def _content(self, chunk: _Chunk) -> bytes:
@@ -282,14 +300,9 @@ def channels_in(indexes: bytes) -> dict[int, int]:
     return dict(_OFFSET.iter_unpack(indexes))
 
 
-def message_places(data: mmap.mmap, number: int, start: int) -> npt.NDArray[np.uint64]:
-    """Return the places in their chunk of the messages of a channel, shape (n,); ValueError where there is no index."""
-    opcode, length = RECORD_HEAD.unpack_from(data, start)
-    body = data[start + RECORD_HEAD.size : start + RECORD_HEAD.size + length]
-    channel, size = _INDEX_HEAD.unpack_from(body)
-    if (opcode, channel, size) != (Opcode.MESSAGE_INDEX, number, len(body) - _INDEX_HEAD.size):
-        raise ValueError(f"byte {start} is no message index of channel {number}")
-    return np.frombuffer(body, dtype="<u8", offset=_INDEX_HEAD.size)[1::2]
+def _numbers_in(indexes: bytes) -> Iterable[int]:
+    """Return the numbers of the channels that a chunk has."""
+    return chain.from_iterable(_NUMBER.iter_unpack(indexes))
 
 
 def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:

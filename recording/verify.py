@@ -15,7 +15,7 @@ from recording.info import notes_of
 from recording.mcap_scan import Damage, describe_damage
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
-from recording.records import GAP_TOPIC, RECORDS
+from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 
 Check = Literal["crc", "order", "gap", "schema", "end", "index"]
 Level = Literal["error", "warning", "info"]
@@ -155,7 +155,7 @@ class _Check:
             text = f"seq {message.seq} is out of order by {back_s:.6f} s"
             self._report("order", "warning", channel.channel_topic, text)
         topic = channel.topic
-        if topic in RECORDS:
+        if topic in RECORD_TOPICS:
             record = self._check_schema(message)
             if topic == GAP_TOPIC and record is not None:
                 self._add_gap_record(record, log_ns)
@@ -175,7 +175,7 @@ class _Check:
         except RecordingError as error:
             self._report("schema", "error", channel.channel_topic, str(error))
             return None
-        if channel.topic in RECORDS:
+        if channel.topic in RECORD_TOPICS:
             return decoded
         header = decoded.__dict__
         found = header["seq"] & _SEQUENCE_MASK, header["t_ns"], header["src"]
@@ -292,7 +292,7 @@ def _between(
     pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
     for channel, first in after.first.items():
         last = before.last(channel)
-        if channel.topic in RECORDS or last is None or first <= last + 1:
+        if channel.topic in RECORD_TOPICS or last is None or first <= last + 1:
             continue
         text = (
             f"seq {last + 1} to {first - 1} of {channel.src} ({first - last - 1}) missing "

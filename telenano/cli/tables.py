@@ -7,7 +7,6 @@ from rich.console import Group, RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from proto.messages import SUPERSEDED
 from services.runtime.untrusted.printable import printable
 
 # A value other than zero in these columns is a loss.
@@ -25,6 +24,9 @@ def counts_text(counts: Mapping[str, int]) -> str:
 def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
     """Draw the health of a node, as `node_facts` gives it: a cell for each heading."""
     state = "replay" if facts["replay"] else facts["state"]
+    # Most tables do not wait for this import.
+    from proto.messages import SUPERSEDED
+
     late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
     minutes, seconds = divmod(round(facts["uptime_s"]), 60)
     granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]

@@ -1,31 +1,21 @@
-"""`telenano bag`: the commands on recordings."""
+"""`telenano bag`: the commands on recordings.
+
+Each imports what it needs when it runs: the summary of an hour is there before all of that would be imported.
+"""
 
 import json
 from collections.abc import Iterable
 from enum import StrEnum
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from pydantic import BaseModel
 
-from analysis.plot import draw, read_traces, save_png
-from analysis.rerun import rerun as run_again
 from presets import TWO_SITES_FILE
 from proto.errors import RecordingError, known_names
 from recording.channel_filter import Selection
-from recording.diff import diff_recordings
-from recording.export import Format, export_recording
-from recording.info import RecordingInfo
-from recording.merge_sites import merge_sites
-from recording.multi_file import open_recordings
-from recording.reader import Recording
-from recording.rewrite import filter_recording, merge_recordings, split_recording
-from recording.summary import quick_info
-from recording.tables import line, plain
-from recording.tolerance import Tolerances
-from recording.verify import verify as check
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import (
@@ -37,6 +27,10 @@ from telenano.cli.options import (
     command_group,
 )
 from telenano.cli.output import console, print_document, print_json, print_rows, report_errors
+
+if TYPE_CHECKING:
+    from recording.export import Format
+    from recording.info import RecordingInfo
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
 _PLOT_SIZE = (100, 12)
@@ -81,7 +75,7 @@ def info(
 ) -> None:
     """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
-        found = (_by_index(file, full=full) or Recording(file).info()).model_dump(mode="json")
+        found = (_by_index(file, full=full) or _read(file)).model_dump(mode="json")
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
@@ -89,14 +83,22 @@ def info(
     print_document(found, str(file), as_json=as_json)
 
 
-def _by_index(file: Path, *, full: bool) -> RecordingInfo | None:
+def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
     """Return the summary of a long recording by its index; None where its messages are to be read."""
+    from recording.summary import quick_info
+
     try:
         is_long = file.stat().st_size >= _LONG_BYTES
     except OSError:
         # whoever reads it says so
         return None
     return quick_info(file) if is_long and not full else None
+
+
+def _read(file: Path) -> "RecordingInfo":
+    from recording.reader import Recording
+
+    return Recording(file).info()
 
 
 @app.command("list")
@@ -129,6 +131,9 @@ def cat(
 ) -> None:
     """Print messages with their record fields, one a line as JSON."""
     with report_errors(as_json=False):
+        from recording.multi_file import open_recordings
+        from recording.tables import line
+
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         _print_lines(map(line, islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count)))
@@ -144,6 +149,9 @@ def echo(
 ) -> None:
     """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
     with report_errors(as_json=False):
+        from recording.reader import Recording
+        from recording.tables import plain
+
         recording = Recording(file)
         known = [channel.channel_topic for channel in recording.channels]
         if topic not in known:
@@ -165,6 +173,8 @@ def filter_file(
 ) -> None:
     """Copy chosen channels and times into a new recording."""
     with report_errors(as_json):
+        from recording.rewrite import filter_recording
+
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         _print_model(filter_recording(file, out, chosen, start, end), as_json)
 
@@ -211,6 +221,9 @@ def merge(
 ) -> None:
     """Merge recordings in the order of time."""
     with report_errors(as_json):
+        from recording.merge_sites import merge_sites
+        from recording.rewrite import merge_recordings
+
         _print_model(merge_sites(files, out) if sites else merge_recordings(files, out), as_json)
 
 
@@ -230,7 +243,8 @@ def fetch(
 ) -> None:
     """Fetch what the slave's site recorded of a session, and merge it with DIR; goes on where it was ended."""
     with report_errors(as_json):
-        # The import needs POSIX, and the other commands work without it.
+        # The launcher needs POSIX, and the other commands work without it.
+        from recording.multi_file import open_recordings
         from services.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
         from services.launcher.run import own_recordings
         from services.runtime.loop.main import load_site
@@ -254,6 +268,8 @@ def split(
 ) -> None:
     """Split a recording into parts."""
     with report_errors(as_json):
+        from recording.rewrite import split_recording
+
         parts = [
             part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
         ]
@@ -270,6 +286,8 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
     Several files are taken as the parts of one recording.
     """
     with report_errors(as_json):
+        from recording.verify import verify as check
+
         verdict = check(files)
     if as_json:
         print_json(verdict.model_dump(mode="json"))
@@ -286,6 +304,8 @@ def verify(files: FilesArgument, as_json: JsonOption = False) -> None:
 def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> None:
     """Copy everything readable in an unfinished, truncated or damaged recording into a complete one."""
     with report_errors(as_json):
+        from recording.rewrite import filter_recording
+
         _print_model(filter_recording(file, out), as_json)
 
 
@@ -306,7 +326,9 @@ def export(
 
             _print_model(export_session(file, out, chosen), as_json)
         else:
-            _print_model(export_recording(file, out, cast(Format, to.value), chosen), as_json)
+            from recording.export import export_recording
+
+            _print_model(export_recording(file, out, cast("Format", to.value), chosen), as_json)
 
 
 @app.command()
@@ -324,6 +346,9 @@ def diff(
 ) -> None:
     """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
     with report_errors(as_json):
+        from recording.diff import diff_recordings
+        from recording.tolerance import Tolerances
+
         allowed = Tolerances.parse(tolerance or ())
         chosen = Selection.of(topics or (), exclude or ())
         found = diff_recordings(left, right, allowed, ignore or (), chosen)
@@ -361,6 +386,10 @@ def rerun(
 ) -> None:
     """Run a node's code on recorded inputs and compare its output with the recorded; exit code 1 if it differs."""
     with report_errors(as_json):
+        from analysis.rerun import rerun as run_again
+        from recording.reader import Recording
+        from recording.tolerance import Tolerances
+
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
         results = [run_again(recording, key, allowed, settings or ()) for key in node]
     if as_json:
@@ -384,6 +413,8 @@ def plot(
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
     with report_errors(as_json=False):
+        from analysis.plot import draw, read_traces, save_png
+
         traces = read_traces(file, fields)
         if out is not None:
             save_png(traces, out, file.name)
@@ -397,7 +428,7 @@ def plot(
 
 def _row(path: Path) -> dict[str, Any]:
     try:
-        found = Recording(path).info()
+        found = _by_index(path, full=False) or _read(path)
     except RecordingError as error:
         return {
             "path": str(path),

@@ -1,11 +1,14 @@
 """The summary of a closed recording by its index is that of its messages, or there is none."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from proto import encode
+from recording import summary
 from recording.mcap_scan import scan
 from recording.reader import Recording
 from recording.records import GapRecord
@@ -95,3 +98,34 @@ def test_no_damage_to_the_summary_ends_in_anything_but_the_other_way(tmp_path: P
     for length in (0, 8, 40, len(whole) - 1):
         path.write_bytes(whole[:length])
         assert quick_info(path) is None
+
+
+def test_a_summary_of_any_length_unpacks_the_chunks_at_both_ends_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unpacked = []
+    inside = summary.unpack
+    monkeypatch.setattr(summary, "unpack", lambda *given: unpacked.append(given[1].offset) or inside(*given))
+    for messages in (300, 1500):
+        unpacked.clear()
+        path = written(tmp_path / str(messages), list(range(messages)))
+        assert quick_info(path) is not None
+        assert len(scan(path.read_bytes()).blocks) >= messages // 100
+        assert len(unpacked) == 2
+
+
+def test_the_command_of_a_long_recording_does_not_import_what_only_messages_need(tmp_path: Path) -> None:
+    path = written(tmp_path, list(range(450)))
+    code = f"""
+import atexit, sys
+from telenano.cli.app import main
+import telenano.cli.commands.bag as bag
+bag._LONG_BYTES = 0
+needless = {{"numpy", "zmq", "msgspec", "proto.messages", "proto.codec", "recording.reader", "matplotlib", "pyarrow"}}
+atexit.register(lambda: print("needless:", sorted(needless & set(sys.modules))))
+sys.argv = ["telenano", "bag", "info", {str(path)!r}, "--json"]
+main()
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert '"basis": "summary"' in found
+    assert found.endswith("needless: []\n")
