@@ -3,14 +3,14 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from proto.errors import ConfigError, RecordingError
-from recording.arrays import columns
-from recording.reader import Recording
+from recording.arrays import column_pieces
+from recording.indexed import IndexedRecording
 from recording.site_clock import Timeline
 from recording.whole_files import whole_file
 
@@ -23,6 +23,8 @@ _BRAILLE = 0x2800
 _LABEL_COLUMNS = 12
 # parts of a trace in a picture, two for each of its pixels
 _BINS = 2160
+# of a trace, samples in memory
+_MOST_KEPT = 1 << 20
 
 
 class Trace(NamedTuple):
@@ -33,57 +35,96 @@ class Trace(NamedTuple):
     values: Floats
 
 
+class _Course:
+    """The samples of a field in the order of sending; of very many, the extremes of spans far below a pixel."""
+
+    def __init__(self) -> None:
+        self._sent_ns: list[Ints] = []
+        self._values: list[Floats] = []
+        self._count = 0
+
+    def add(self, sent_ns: Ints, values: Floats) -> None:
+        self._sent_ns.append(sent_ns)
+        self._values.append(values)
+        self._count += len(values)
+        if self._count > _MOST_KEPT:
+            sent_ns, values = self.samples()
+            kept = _extreme_places(sent_ns, values, _MOST_KEPT // 8)
+            self._sent_ns, self._values, self._count = [sent_ns[kept]], [values[kept]], len(kept)
+
+    def samples(self) -> tuple[Ints, Floats]:
+        sent_ns, values = np.concatenate(self._sent_ns), np.concatenate(self._values)
+        # A topic may have several publishers, and messages that overtook others on the link.
+        order = np.argsort(sent_ns, kind="stable")
+        return sent_ns[order], values[order]
+
+
 def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
-    """Read the fields named TOPIC.FIELD; ConfigError or RecordingError names what is wrong with one."""
-    recording = Recording(path)
-    # The recorder lags by a time that changes: against its times a ramp is a staircase.
-    timeline = Timeline(recording)
-    found_of: dict[str, tuple[Ints, Floats]] = {}
-    for name in names:
+    """Read the fields named TOPIC.FIELD, each topic once and by the index of the recording.
+
+    Of more than a million samples those are kept that a line of so many pixels shows.
+
+    Raises:
+        ConfigError: A name is not of that form.
+        RecordingError: There is no such channel or field, or it is text; the message says which there are.
+    """
+    fields_of: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names):
         topic, _, field = name.partition(".")
         if not field:
             raise ConfigError(f"{name}: is not of the form TOPIC.FIELD, such as afm/state.tip_force_n.2")
-        found = columns(recording, topic, ("publish_ns", "src", field))
-        if found[field].dtype == object:
-            raise RecordingError(f"{path}: {topic}: {field} is text, which cannot be drawn")
-        sent_ns = found["publish_ns"].astype(np.int64)
-        for src in set(found["src"]):
-            own = found["src"] == src
-            sent_ns[own] = timeline.times_ns(src, sent_ns[own])
-        # A topic may have several publishers, and messages that overtook others on the link.
-        order = np.argsort(sent_ns, kind="stable")
-        found_of[name] = (sent_ns[order], found[field][order].astype(np.float64))
-    origin_ns = min((int(sent_ns[0]) for sent_ns, _ in found_of.values() if sent_ns.size), default=0)
+        fields_of.setdefault(topic, []).append(field)
+    recording = IndexedRecording(path)
+    # The recorder lags by a time that changes: against its times a ramp is a staircase.
+    timeline = Timeline(recording, quick=True)
+    courses = {name: _Course() for name in names}
+    for topic, fields in fields_of.items():
+        for piece in column_pieces(recording, topic, ("publish_ns", "src", *fields)):
+            sent_ns = piece["publish_ns"].astype(np.int64)
+            for src in set(piece["src"]):
+                own = piece["src"] == src
+                sent_ns[own] = timeline.times_ns(src, sent_ns[own])
+            for field in fields:
+                if piece[field].dtype == object:
+                    raise RecordingError(f"{path}: {topic}: {field} is text, which cannot be drawn")
+                courses[f"{topic}.{field}"].add(sent_ns, piece[field].astype(np.float64))
+    samples = {name: course.samples() for name, course in courses.items()}
+    origin_ns = min((int(sent_ns[0]) for sent_ns, _ in samples.values() if sent_ns.size), default=0)
     return [
         Trace(name, np.asarray((sent_ns - origin_ns) * 1e-9, dtype=np.float64), values)
-        for name, (sent_ns, values) in found_of.items()
+        for name, (sent_ns, values) in samples.items()
     ]
 
 
 def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:
-    """Return times [s] and values of the least and the greatest value in each of so many parts of a trace.
+    """Return times [s] and values of the least and the greatest value in each of so many even spans of time.
 
     A line through them covers the same pixels as one through all, so that no peak is lost. A short trace comes as it
     is.
     """
-    size = len(trace.values) // bins
-    if size <= 2:
+    if len(trace.values) <= 2 * bins:
         return trace.time_s, trace.values
-    # the last part is longer by what is left over
-    whole = size * (bins - 1)
-    parts = trace.values[:whole].reshape(bins - 1, size)
-    starts = np.arange(bins - 1) * size
-    rest = trace.values[whole:]
-    least = [*(starts + _place(parts, np.inf)), whole + int(_place(rest[None], np.inf)[0])]
-    greatest = [*(starts + _place(-parts, np.inf)), whole + int(_place(-rest[None], np.inf)[0])]
-    kept = np.unique([0, *least, *greatest, len(trace.values) - 1])
+    kept = _extreme_places(trace.time_s, trace.values, bins)
     return trace.time_s[kept], trace.values[kept]
 
 
-def _place(parts: Floats, absent: float) -> npt.NDArray[np.intp]:
-    """Return the place of the least number in each row; of a row without any, the first."""
-    found: npt.NDArray[np.intp] = np.argmin(np.where(np.isnan(parts), absent, parts), axis=1)
-    return found
+def _extreme_places(times: npt.NDArray[Any], values: Floats, bins: int) -> npt.NDArray[np.intp]:
+    """Return the places of the least and the greatest value in each of so many even spans of ascending times.
+
+    A span without any number has its first place, so that the line has the gap. The first and the last are among them.
+    """
+    since = times - times[0]
+    starts = np.unique(np.searchsorted(since, since[-1] * (np.arange(bins) / bins)))
+    found = [_first_least(np.where(np.isnan(values), np.inf, sign * values), starts) for sign in (1.0, -1.0)]
+    return np.unique(np.concatenate([[0, len(values) - 1], *found]))
+
+
+def _first_least(values: Floats, starts: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Return the first place of the least value in each part of an array."""
+    least = np.repeat(np.minimum.reduceat(values, starts), np.diff(starts, append=len(values)))
+    places = np.flatnonzero(values == least)
+    parts = np.searchsorted(starts, places, side="right")
+    return places[np.unique(parts, return_index=True)[1]]
 
 
 def save_png(traces: Sequence[Trace], path: Path, title: str) -> None:

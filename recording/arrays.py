@@ -1,8 +1,11 @@
 """Fields of the messages of one channel as arrays, for figures and reports."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
+from operator import attrgetter
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -11,6 +14,8 @@ from recording.messages import RecordedChannel, RecordedMessage
 from recording.multi_file import RecordingSource
 
 Column = npt.NDArray[Any]
+# the keys and places that lead to a field
+_Path = tuple[str | int, ...]
 
 # These belong to the record and not to the message; seq and t_ns are in the message as well.
 _RECORD_FIELDS = ("log_ns", "publish_ns")
@@ -18,8 +23,9 @@ _RECORD_FIELDS = ("log_ns", "publish_ns")
 _FAST_HZ = 100.0
 # So many samples in a row that are so much older than the newest come from a player that was set back.
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
-# so many values are put into an array at once
-_AT_ONCE = 50_000
+# so many messages are put into arrays at once
+_AT_ONCE = 8192
+_SCALARS = frozenset((bool, int, float, str, type(None)))
 # a launcher reports a session when the device has answered that its programme runs
 _START_REPORT_NS = 2_000_000_000
 
@@ -47,33 +53,41 @@ def columns(
     Raises:
         RecordingError: There is no such channel or field; the message names file, channel and field.
     """
+    pieces = list(column_pieces(recording, channel_topic, fields, start_ns, end_ns))
+    return {field: _joined([piece[field] for piece in pieces]) for field in fields}
+
+
+def column_pieces(
+    recording: RecordingSource,
+    channel_topic: str,
+    fields: Sequence[str],
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Iterator[dict[str, Column]]:
+    """Yield what `columns` returns in pieces of some thousand messages, so that no recording is too long; at least one.
+
+    A piece is of the types that have come so far: whole numbers become floats with the first one that is none.
+    """
     names = {channel.channel_topic for channel in recording.channels}
     if channel_topic not in names:
         known = ", ".join(sorted(names)) or "none"
         near = probably_meant(channel_topic, names)
         raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}{near}")
     paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
-    values: dict[str, list[Any]] = {field: [] for field in fields}
-    pieces: dict[str, list[Column]] = {field: [] for field in fields}
     kinds: dict[str, set[type]] = {field: set() for field in fields}
-
-    def pack() -> None:
-        """Put what has been read into arrays, which take a quarter of the memory of the values."""
-        for field, found in values.items():
-            kinds[field] |= {type(value) for value in found}
-            pieces[field].append(_array(recording, channel_topic, field, found, kinds[field]))
-            found.clear()
-
-    for number, message in enumerate(recording.messages((channel_topic,), start_ns, end_ns), 1):
-        for field in _RECORD_FIELDS:
-            if field in values:
-                values[field].append(getattr(message, field))
-        if paths:
-            _append_fields(recording, message, paths, values)
-        if number % _AT_ONCE == 0:
-            pack()
-    pack()
-    return {field: _joined(pieces[field]) for field in fields}
+    read = _reader(paths)
+    messages = recording.messages((channel_topic,), start_ns, end_ns)
+    is_first = True
+    while (batch := list(islice(messages, _AT_ONCE))) or is_first:
+        is_first = False
+        values: dict[str, list[Any]] = {
+            field: [getattr(message, field) for message in batch] for field in fields if field not in paths
+        }
+        found = read(batch)
+        values |= _read_each(recording, batch, paths) if found is None else found
+        for field in fields:
+            kinds[field].update(map(type, values[field]))
+        yield {field: _array(recording, channel_topic, field, values[field], kinds[field]) for field in fields}
 
 
 def replayed_sources(recording: RecordingSource, *, newest: bool = False) -> set[str]:
@@ -104,27 +118,51 @@ def replay_shifts(recording: RecordingSource, *, newest: bool = False) -> dict[s
     return shifts
 
 
-def _append_fields(
-    recording: RecordingSource,
-    message: RecordedMessage,
-    paths: dict[str, tuple[str | int, ...]],
-    values: dict[str, list[Any]],
-) -> None:
-    decoded = message.fields()
-    for field, path in paths.items():
-        value: Any = decoded
+def _reader(paths: Mapping[str, _Path]) -> Callable[[Sequence[RecordedMessage]], dict[str, list[Any]] | None]:
+    """Return what reads fields of messages without decoding the others; None where it leaves that to `_read_each`."""
+    keys = {path[0]: f"key_{number}" for number, path in enumerate(paths.values())}
+    wanted = [(name, Any, msgspec.UNSET) for name in keys.values()]
+    renamed = {name: str(key) for key, name in keys.items()}
+    decode = msgspec.msgpack.Decoder(msgspec.defstruct("Wanted", wanted, rename=renamed, gc=False)).decode
+
+    def read(messages: Sequence[RecordedMessage]) -> dict[str, list[Any]] | None:
+        found: dict[str, list[Any]] = {}
         try:
-            for part in path:
-                # an optional vector may be nil as a whole
-                value = None if value is None else value[part]
-        except (KeyError, IndexError, TypeError) as error:
-            where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
-            known = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
-            raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
-        values[field].append(value)
+            rows = [decode(message.payload) for message in messages]
+            for field, (first, *rest) in paths.items():
+                values = list(map(attrgetter(keys[first]), rows))
+                for part in rest:
+                    values = [None if value is None else value[part] for value in values]
+                found[field] = values
+        except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError):
+            return None
+        return found if all(_SCALARS.issuperset(map(type, values)) for values in found.values()) else None
+
+    return read
 
 
-def _path_of(field: str) -> tuple[str | int, ...]:
+def _read_each(
+    recording: RecordingSource, messages: Sequence[RecordedMessage], paths: Mapping[str, _Path]
+) -> dict[str, list[Any]]:
+    """Return fields of messages that are decoded as a whole; RecordingError names what one lacks."""
+    values: dict[str, list[Any]] = {field: [] for field in paths}
+    for message in messages:
+        decoded = message.fields()
+        for field, path in paths.items():
+            value: Any = decoded
+            try:
+                for part in path:
+                    # an optional vector may be nil as a whole
+                    value = None if value is None else value[part]
+            except (KeyError, IndexError, TypeError) as error:
+                where = f"{recording.path}: {message.channel_topic}, seq {message.seq}"
+                known = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
+                raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
+            values[field].append(value)
+    return values
+
+
+def _path_of(field: str) -> _Path:
     return tuple(int(part) if part.isdecimal() else part for part in field.split("."))
 
 

@@ -3,10 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
+import pytest
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
 
+from analysis import plot
 from analysis.plot import Trace, extremes, read_traces
 from proto import encode
+from recording.indexed import IndexedRecording
 from recording.writer import FileSettings, RecordingWriter
 
 
@@ -34,3 +37,64 @@ def test_a_long_trace_keeps_each_peak() -> None:
     assert (np.diff(time_s) > 0.0).all()
     short = Trace("x", np.arange(150.0), values[:150])
     assert extremes(short, bins=100)[1] is short.values
+
+
+def test_a_pixel_has_the_extremes_of_its_time_however_many_samples_that_has() -> None:
+    # a publisher that was ten times as fast in its second half
+    time_s = np.concatenate([np.arange(0.0, 500.0, 0.1), np.arange(500.0, 1000.0, 0.01)])
+    values = np.cos(time_s)
+    values[:100] = np.nan
+    kept_s, kept = extremes(Trace("x", time_s, values), bins=100)
+    # none of the hundred samples at the beginning is a number, and so the first span has its gap
+    assert np.isnan(kept[0])
+    for begin_s in np.arange(10.0, 1000.0, 10.0):
+        inside, shown = _between(time_s, begin_s), _between(kept_s, begin_s)
+        assert (values[inside].min(), values[inside].max()) == (kept[shown].min(), kept[shown].max())
+
+
+def _between(time_s: plot.Floats, begin_s: float) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    return np.asarray((time_s >= begin_s - 1e-9) & (time_s < begin_s + 10.0 - 1e-9))
+
+
+def _hand(folder: Path, messages: int) -> Path:
+    """Write the hand at 1 kHz in many chunks, an event in the first and the last of them."""
+    writer = RecordingWriter.create(NODE, FileSettings(directory=folder, chunk_size_bytes=8192))
+    hand = writer.channel("haptic/state", "haptic_node@master", "master")
+    events = writer.channel("session/event", "launcher@master", "master")
+    for n in range(messages):
+        state = haptic_state(n, t_ns=EPOCH_NS + n * MILLISECOND_NS)
+        writer.write(hand, state.t_ns + 1000, state.t_ns, n, encode(state))
+        if n in (0, messages - 1):
+            event = sample("session/event", n, src="launcher@master")
+            writer.write(events, state.t_ns + 1000, state.t_ns, n, encode(event))
+    writer.finish()
+    return writer.path
+
+
+def test_a_plot_reads_the_chunks_that_have_its_topic_and_decodes_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, unpacked = _hand(tmp_path, 2000), []
+    inside = IndexedRecording._content
+    monkeypatch.setattr(IndexedRecording, "_content", lambda *given: unpacked.append(given[2].offset) or inside(*given))
+    monkeypatch.setattr("recording.messages.RecordedMessage.fields", None)
+    (trace,) = read_traces(path, ["session/event.seq"])
+    assert trace.values.tolist() == [0.0, 1999.0]
+    assert len(unpacked) == 2
+    unpacked.clear()
+    first, second = read_traces(path, ["haptic/state.seq", "haptic/state.position_m.2"])
+    assert (len(first.values), len(second.values)) == (2000, 2000)
+    # both fields by one pass
+    assert len(unpacked) == len(set(unpacked))
+
+
+def test_a_trace_of_any_length_is_kept_in_bounded_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = _hand(tmp_path, 3000)
+    (whole,) = read_traces(path, ["haptic/state.position_m.2"])
+    monkeypatch.setattr("recording.arrays._AT_ONCE", 100)
+    monkeypatch.setattr(plot, "_MOST_KEPT", 400)
+    (bounded,) = read_traces(path, ["haptic/state.position_m.2"])
+    assert len(whole.values) == 3000
+    assert len(bounded.values) <= 400
+    assert (bounded.time_s[0], bounded.time_s[-1]) == (whole.time_s[0], whole.time_s[-1])
+    assert (bounded.values.min(), bounded.values.max()) == (whole.values.min(), whole.values.max())
