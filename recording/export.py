@@ -20,6 +20,7 @@ from proto.messages import Record
 from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import Damage, describe_damage
 from recording.messages import RawChannel, RawMessage, RecordedChannel
+from recording.parquet_tables import parquet_tables
 from recording.protobuf_export import ProtobufMessage
 from recording.quantities import quantity
 from recording.reader import Recording
@@ -27,7 +28,7 @@ from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
 from recording.ros2_export import export_ros2
 from recording.sender_time import SenderClock, SenderOrder
-from recording.table_batches import Columns, Kinds, OpenTable, Write, write_tables
+from recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of, write_tables
 from recording.tables import plain
 from recording.whole_files import whole_file, whole_folder
 
@@ -80,7 +81,10 @@ def _export(recording: Recording, target: Path, kind: Format, selection: Selecti
             _, total, damage = write_tables(recording, selection, partial(_hdf5_tables, h5py, recording, file))
     else:
         with whole_folder(target) as folder:
-            begin = _csv_tables if kind == "csv" else _parquet_tables(recording)
+            begin: Callable[[Path], AbstractContextManager[OpenTable]] = _csv_tables
+            if kind == "parquet":
+                arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
+                begin = parquet_tables(arrow, parquet, recording)
             columns, total, damage = write_tables(recording, selection, partial(begin, folder))
             if kind == "csv":
                 _write_descriptions(folder, columns)
@@ -171,48 +175,6 @@ def _write_origin(folder: Path, recording: Recording) -> None:
             path.write_bytes(data)
 
 
-def _parquet_tables(recording: Recording) -> Callable[[Path], AbstractContextManager[OpenTable]]:
-    """Return what writes a file for each channel into a folder, with the recording's metadata and attachments."""
-    arrow, parquet = _package("pyarrow", "parquet"), _package("pyarrow.parquet", "parquet")
-    origin = {f"telenano.{name}": json.dumps(facts) for name, facts in recording.metadata.items()}
-    origin |= {f"telenano.{name}": data.decode(errors="replace") for name, data in recording.attachments.items()}
-    types = {int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_(), str: arrow.string()}
-    types |= {list: arrow.list_(arrow.float64()), type(None): arrow.null()}
-
-    def type_of(column: str, kind: type) -> Any:
-        # times are whole numbers that a float does not hold
-        is_times = kind is list and column.endswith("_ns")
-        return arrow.list_(arrow.int64()) if is_times else types[kind]
-
-    @contextmanager
-    def tables(folder: Path) -> Iterator[OpenTable]:
-        with ExitStack() as files:
-
-            def open_table(name: str, kinds: Kinds) -> Write:
-                fields = [
-                    arrow.field(
-                        column, type_of(column, _kind(found)), metadata=quantity(topic_of(name), column)._asdict()
-                    )
-                    for column, found in kinds.items()
-                ]
-                schema = arrow.schema(fields, metadata=origin)
-                path = folder / f"{file_stem(name)}.parquet"
-                writer = files.enter_context(parquet.ParquetWriter(path, schema, compression="zstd"))
-                return lambda columns: writer.write_table(arrow.table(columns, schema=schema))
-
-            yield open_table
-
-    return tables
-
-
-def _kind(found: set[type]) -> type:
-    """Return the type of a column whose values are made uniform: of its only kind, float, or text of JSON."""
-    kinds = found - {type(None)}
-    if len(kinds) > 1:
-        return float if kinds <= {int, float} else str
-    return next(iter(kinds), type(None))
-
-
 @contextmanager
 def _hdf5_tables(h5py: Any, recording: Recording, target: Path) -> Iterator[OpenTable]:
     """Write a group for each channel into a file."""
@@ -231,7 +193,7 @@ def _hdf5_tables(h5py: Any, recording: Recording, target: Path) -> Iterator[Open
 
             def write(columns: Columns) -> None:
                 for column, values in columns.items():
-                    _append(group[column], _kind(kinds[column]), values)
+                    _append(group[column], kind_of(kinds[column]), values)
 
             return write
 
@@ -239,7 +201,7 @@ def _hdf5_tables(h5py: Any, recording: Recording, target: Path) -> Iterator[Open
 
 
 def _create_dataset(h5py: Any, group: Any, name: str, found: set[type]) -> None:
-    kind = _kind(found)
+    kind = kind_of(found)
     if kind is str:
         options = {"dtype": h5py.string_dtype()}
     elif kind is list:

@@ -7,11 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from pydantic import BaseModel
 
 from proto.errors import ConfigError, ExistsError, RecordingError
 from recording.channel_filter import ALL, Selection
+from recording.mcap_messages import MessageWriter
 from recording.mcap_scan import describe_damage
 from recording.messages import RawChannel, RawMessage
 from recording.reader import Recording
@@ -47,7 +48,7 @@ class CopyWriter:
                 raise ExistsError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
         # The type is Any because the package carries no types.
-        self._mcap: Any = Writer(
+        self._mcap: Any = MessageWriter(
             self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._schemas: dict[tuple[str, str, bytes], int] = {}

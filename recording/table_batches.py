@@ -1,20 +1,22 @@
 """Tables of a recording of any length, written batch by batch in bounded memory."""
 
 import gc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from recording.mcap_scan import Damage
 from recording.messages import ChannelFilter, RecordedMessage
 from recording.reader import Recording
-from recording.tables import columns_of, uniform
+from recording.tables import TypedColumn, typed_columns, uniform
 
 # The rows of a channel are written when there are so many, or so many bytes of them.
-_MOST_ROWS = 4096
+_MOST_ROWS = 2048
 _MOST_BYTES = 4 << 20
 # Rows of all channels together wait to be written up to this size [bytes].
-_MOST_WAITING = 16 << 20
+_MOST_WAITING = 4 << 20
+
+_NONE = {type(None)}
 
 Columns = dict[str, list[Any]]
 # by column, the types of its values
@@ -66,24 +68,34 @@ def _write_once(
     total, widened = 0, False
     with begin() as open_table:
         for name, messages in _batches(recording, wanted, damage.append):
-            columns = columns_of(messages)
-            is_new = _add_kinds(kinds.setdefault(name, {}), columns, len(messages))
+            columns = typed_columns(messages)
+            is_new = _add_kinds(kinds.setdefault(name, {}), columns)
             widened = widened or (is_new and name in tables)
             total += len(messages)
             if widened:
                 continue
             if name not in tables:
                 tables[name] = open_table(name, kinds[name])
-            absent: list[Any] = [None] * len(messages)
-            tables[name]({column: uniform(columns.get(column, absent), found) for column, found in kinds[name].items()})
+            absent: TypedColumn = [None] * len(messages), _NONE
+            tables[name](
+                {column: uniform(columns.get(column, absent)[0], found) for column, found in kinds[name].items()}
+            )
     return total, damage, widened
 
 
-def _add_kinds(known: Kinds, columns: Mapping[str, Sequence[Any]], rows: int) -> bool:
+def kind_of(found: set[type]) -> type:
+    """Return the type of a column whose values are made uniform: of its only kind, float, or text of JSON."""
+    kinds = found - {type(None)}
+    if len(kinds) > 1:
+        return float if kinds <= {int, float} else str
+    return next(iter(kinds), type(None))
+
+
+def _add_kinds(known: Kinds, batch: Mapping[str, TypedColumn]) -> bool:
     """Add the types in a batch to those that are known; return whether one of them is new."""
     is_new = False
-    for column in {**known, **columns}:
-        found = set(map(type, columns[column])) if column in columns else {type(None)}
+    for column in {**known, **batch}:
+        found = batch[column][1] if column in batch else _NONE
         before = known.setdefault(column, set())
         if not found <= before:
             before |= found

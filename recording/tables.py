@@ -18,6 +18,8 @@ from recording.messages import RecordedMessage
 _SCALARS = (bool, int, float, str)
 _SCALAR_TYPES = frozenset(_SCALARS)
 _SCALAR_OR_NONE = _SCALAR_TYPES | {type(None)}
+# values, and their types
+TypedColumn = tuple[Sequence[Any], set[type]]
 # a message that lacks the field
 _ABSENT = object()
 
@@ -38,7 +40,8 @@ def plain(message: RecordedMessage) -> dict[str, Any]:
 
 def json_fields(model: BaseModel) -> dict[str, Any]:
     """Return the fields of a model as JSON values: arrays as lists of numbers, bytes as base64."""
-    return {key: _plain(value) for key, value in model.__dict__.items()}
+    # Most fields of most messages are scalars, for which a call takes most of the time.
+    return {key: value if type(value) in _SCALAR_OR_NONE else _plain(value) for key, value in model.__dict__.items()}
 
 
 def line(message: RecordedMessage) -> dict[str, Any]:
@@ -73,22 +76,36 @@ def table(messages: Iterable[RecordedMessage]) -> dict[str, list[Any]]:
 
 def columns_of(messages: Sequence[RecordedMessage]) -> dict[str, Sequence[Any]]:
     """Return the rows of messages as columns of equal length, with values as they came; None where there is none."""
+    return {name: values for name, (values, _) in typed_columns(messages).items()}
+
+
+def typed_columns(messages: Sequence[RecordedMessage]) -> dict[str, TypedColumn]:
+    """Return what `columns_of` does, each column with the types of its values."""
     if not messages:
         return {}
-    found: dict[str, Sequence[Any]] = {
-        "log_ns": [message.log_ns for message in messages],
-        "publish_ns": [message.publish_ns for message in messages],
+    found: dict[str, TypedColumn] = {
+        "log_ns": _typed([message.log_ns for message in messages]),
+        "publish_ns": _typed([message.publish_ns for message in messages]),
     }
-    rows = [_fields(message) for message in messages]
-    for name, values in _fields_in_columns(rows):
-        kinds = set(map(type, values))
-        if kinds <= _SCALAR_OR_NONE:
-            found[name] = values
-        elif kinds == {tuple} and (parts := _parts(values)):
-            found |= {f"{name}.{number}": part for number, part in enumerate(parts)}
-        else:
-            found |= _flat_columns(name, values)
+    for name, values in _fields_in_columns([_fields(message) for message in messages]):
+        found |= _columns_of_field(name, values)
     return found
+
+
+def _typed(values: Sequence[Any]) -> TypedColumn:
+    return values, set(map(type, values))
+
+
+def _columns_of_field(name: str, values: Sequence[Any]) -> dict[str, TypedColumn]:
+    """Return a field as its columns: itself, those of a vector of one length, or of parts of several kinds."""
+    whole = _typed(values)
+    if whole[1] <= _SCALAR_OR_NONE:
+        return {name: whole}
+    if whole[1] == {tuple} and len(set(map(len, values))) == 1:
+        parts = {f"{name}.{number}": _typed(part) for number, part in enumerate(zip(*values, strict=True))}
+        if parts and all(kinds <= _SCALAR_TYPES for _, kinds in parts.values()):
+            return parts
+    return {column: _typed(part) for column, part in _flat_columns(name, values).items()}
 
 
 def _fields(message: RecordedMessage) -> Mapping[str, Any]:
@@ -106,14 +123,6 @@ def _fields_in_columns(rows: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str,
             return list(zip(names, zip(*map(itemgetter(*names), rows), strict=True), strict=True))
     every = dict.fromkeys(chain.from_iterable(rows))
     return [(name, [row.get(name, _ABSENT) for row in rows]) for name in every]
-
-
-def _parts(values: Sequence[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    """Return the columns of vectors of one length; none where they are of several, or hold more than scalars."""
-    if len(set(map(len, values))) != 1:
-        return []
-    parts = list(zip(*values, strict=True))
-    return parts if all(set(map(type, part)) <= _SCALAR_TYPES for part in parts) else []
 
 
 def _flat_columns(name: str, values: Sequence[Any]) -> dict[str, list[Any]]:
@@ -154,6 +163,8 @@ def uniform(values: Sequence[Any], kinds: Set[type] | None = None) -> list[Any]:
 
 
 def _plain(value: Any) -> Any:
+    if type(value) in _SCALAR_OR_NONE:
+        return value
     if isinstance(value, Array):
         return value.to_numpy().tolist()
     if isinstance(value, BaseModel):
@@ -164,4 +175,4 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, bytes):
         return base64.b64encode(value).decode()
-    return value if np.isscalar(value) or value is None else str(value)
+    return value if np.isscalar(value) else str(value)

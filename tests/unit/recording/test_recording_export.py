@@ -2,6 +2,7 @@
 
 import csv
 import json
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.rewrite import CopyWriter
-from recording.tables import columns_of, json_fields, line, plain
+from recording.tables import json_fields, line, plain, typed_columns
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
@@ -453,12 +454,65 @@ def test_an_export_holds_a_bounded_number_of_messages(tmp_path: Path, monkeypatc
 
     def counted(messages: Any) -> Any:
         lengths.append(len(messages))
-        return columns_of(messages)
+        return typed_columns(messages)
 
     monkeypatch.setattr("recording.table_batches._MOST_ROWS", 64)
-    monkeypatch.setattr("recording.table_batches.columns_of", counted)
+    monkeypatch.setattr("recording.table_batches.typed_columns", counted)
     export_recording(writer.path, tmp_path / "parquet", "parquet")
     assert (max(lengths), sum(lengths)) == (64, 1000)
+
+
+def _hand(folder: Path, messages: int) -> Path:
+    """Write the hand at 100 Hz in chunks of 8 kB."""
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder, chunk_size_bytes=8192))
+    channel = writer.channel("haptic/state", "haptic_node@master", "master")
+    for seq in range(messages):
+        t_ns = EPOCH_NS + seq * 10_000_000
+        writer.write(channel, t_ns, t_ns, seq, encode(haptic_state(seq, t_ns=t_ns)))
+    writer.finish()
+    return writer.path
+
+
+def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _hand(tmp_path, 1000)
+    export_recording(path, tmp_path / "once", "parquet")
+    once = parquet.ParquetFile(tmp_path / "once" / "haptic_state.parquet")
+    # what a file says of a row group is in memory until it is closed
+    assert once.metadata.num_row_groups == 1
+    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 10)
+    monkeypatch.setattr("recording.parquet_tables._MOST_ROWS", 100)
+    monkeypatch.setattr("recording.parquet_tables._MOST_PARTS", 4 * once.metadata.num_columns)
+    export_recording(path, tmp_path / "parts", "parquet")
+    names = [f"haptic_state{part}.parquet" for part in ("", ".2", ".3")]
+    assert sorted(each.name for each in (tmp_path / "parts").iterdir()) == sorted(names)
+    files = [parquet.ParquetFile(tmp_path / "parts" / name) for name in names]
+    assert [file.metadata.num_row_groups for file in files] == [4, 4, 2]
+    rows = [row for file in files for row in file.read().to_pylist()]
+    assert rows == once.read().to_pylist()
+    assert all(file.schema_arrow.equals(once.schema_arrow, check_metadata=True) for file in files)
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap-protobuf"])
+def test_the_memory_of_an_export_does_not_grow_with_the_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Format
+) -> None:
+    monkeypatch.setattr("recording.table_batches._MOST_ROWS", 50)
+    monkeypatch.setattr("recording.parquet_tables._MOST_ROWS", 150)
+    monkeypatch.setattr("recording.rewrite._CHUNK_BYTES", 8192)
+    peaks = []
+    for number, messages in enumerate((250, 250, 1250)):
+        path = _hand(tmp_path / f"from{number}", messages)
+        # the first is for what is imported and kept
+        if number:
+            tracemalloc.start()
+        try:
+            export_recording(path, tmp_path / f"to{number}", kind)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+    assert 0 < peaks[2] < 1.5 * peaks[1]
 
 
 def test_a_reader_that_keeps_numbers_as_doubles_has_each_time_in_digits(rich: Path, tmp_path: Path) -> None:

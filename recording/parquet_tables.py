@@ -1,0 +1,134 @@
+"""Tables in Parquet, written in memory that does not grow with their length.
+
+What a file says of a row group stays in memory until the file is closed, 0.9 kB a column. So rows wait until a group is
+large, and a file that has many groups is followed by another one.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+from recording.quantities import quantity
+from recording.reader import Recording
+from recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of
+
+# rows of a group, and of all channels what waits to become one [bytes]
+_MOST_ROWS = 1 << 16
+_MOST_WAITING = 16 << 20
+# row groups of a file times its columns: 4 MB for each channel, and more than an hour at 1 kHz
+_MOST_PARTS = 4096
+
+
+def parquet_tables(
+    arrow: Any, parquet: Any, recording: Recording
+) -> Callable[[Path], AbstractContextManager[OpenTable]]:
+    """Return what writes a file for each channel into a folder, with the recording's metadata and attachments.
+
+    The first file of a channel is `NAME.parquet`, and what comes after some five million rows is in `NAME.2.parquet`.
+
+    Args:
+        arrow: The module `pyarrow`.
+        parquet: The module `pyarrow.parquet`.
+        recording: The recording whose tables they are.
+    """
+    origin = {f"telenano.{name}": json.dumps(facts) for name, facts in recording.metadata.items()}
+    origin |= {f"telenano.{name}": data.decode(errors="replace") for name, data in recording.attachments.items()}
+    types = {int: arrow.int64(), float: arrow.float64(), bool: arrow.bool_(), str: arrow.string()}
+    types |= {list: arrow.list_(arrow.float64()), type(None): arrow.null()}
+
+    def type_of(column: str, kind: type) -> Any:
+        # times are whole numbers that a float does not hold
+        is_times = kind is list and column.endswith("_ns")
+        return arrow.list_(arrow.int64()) if is_times else types[kind]
+
+    def schema_of(topic: str, kinds: Kinds) -> Any:
+        fields = [
+            arrow.field(column, type_of(column, kind_of(found)), metadata=quantity(topic, column)._asdict())
+            for column, found in kinds.items()
+        ]
+        return arrow.schema(fields, metadata=origin)
+
+    @contextmanager
+    def tables(folder: Path) -> Iterator[OpenTable]:
+        # what was written before the types of all columns were known
+        for path in folder.glob("*.parquet"):
+            path.unlink()
+        waiting: dict[str, _Table] = {}
+        # Arrow's own pool keeps what was freed, some 20 MB, and is no faster with columns of this size.
+        pool = arrow.default_memory_pool()
+        arrow.set_memory_pool(arrow.system_memory_pool())
+
+        def open_table(name: str, kinds: Kinds) -> Write:
+            topic, stem = name.partition("@")[0], folder / name.replace("/", "_")
+            table = waiting[name] = _Table(arrow, parquet, stem, schema_of(topic, kinds))
+
+            def write(columns: Columns) -> None:
+                table.add(columns)
+                if table.rows >= _MOST_ROWS:
+                    table.write()
+                elif sum(each.size_bytes for each in waiting.values()) >= _MOST_WAITING:
+                    max(waiting.values(), key=lambda each: each.size_bytes).write()
+
+            return write
+
+        try:
+            yield open_table
+            for table in waiting.values():
+                table.write()
+        finally:
+            for table in waiting.values():
+                table.close()
+            arrow.set_memory_pool(pool)
+
+    return tables
+
+
+class _Table:
+    """The files of a channel, and the rows that wait for the next row group."""
+
+    def __init__(self, arrow: Any, parquet: Any, stem: Path, schema: Any) -> None:
+        self.rows = 0
+        self.size_bytes = 0
+        self._arrow = arrow
+        self._parquet = parquet
+        self._stem = stem
+        self._schema = schema
+        # a dictionary of numbers that differ takes three times as long, and more room
+        self._texts = [field.name for field in schema if field.type == arrow.string()]
+        self._waiting: list[Any] = []
+        self._files = 0
+        self._parts = 0
+        self._writer: Any = None
+        self._open()
+
+    def add(self, columns: Columns) -> None:
+        table = self._arrow.table(columns, schema=self._schema)
+        self._waiting.append(table)
+        self.rows += table.num_rows
+        self.size_bytes += table.nbytes
+
+    def write(self) -> None:
+        """Write what waits as a row group."""
+        if not self._waiting:
+            return
+        if self._parts >= _MOST_PARTS:
+            self._open()
+        self._writer.write_table(self._arrow.concat_tables(self._waiting))
+        self._parts += len(self._schema)
+        self._waiting.clear()
+        self.rows = self.size_bytes = 0
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def _open(self) -> None:
+        self.close()
+        self._files += 1
+        self._parts = 0
+        path = self._stem.with_name(f"{self._stem.name}{f'.{self._files}' if self._files > 1 else ''}.parquet")
+        self._writer = self._parquet.ParquetWriter(
+            path, self._schema, compression="zstd", use_dictionary=self._texts or False
+        )
