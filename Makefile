@@ -74,8 +74,8 @@ lint: setup ## Check style, types, layers and the contract of the wire.
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m proto.contract --check
 
-# the tables of benchmarks/README.md and docs/performance.md, from one run of some five minutes on a quiet machine
-bench: setup ## Measure the tables of benchmarks/README.md and docs/performance.md; some five minutes.
+# the tables of benchmarks/README.md and docs/performance.md, from one run of some eight minutes on a quiet machine
+bench: setup ## Measure the tables of benchmarks/README.md and docs/performance.md; some eight minutes.
 	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]'
 	$(BIN)/python benchmarks/tables.py
 

@@ -21,7 +21,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -40,13 +41,15 @@ FLOORS = {
 }
 TRACED_NODE = Path(__file__).parent / "traced_node"
 FIGURES = ("p50", "p99", "max")
+# These topics are published once each millisecond.
+PACED = ("haptic/state", "afm/state")
 
 
 class RigRun(NamedTuple):
     """What one run of the rig showed: age of the loop [ms], by process [% of one core] and [MB], start [s], parts [us].
 
     `start_s`: from the command to the first sample of the hand, and to the first tick of its programme. `parts_us`: by
-    process, empty in a run without trace.
+    process, empty in a run without trace. `late_share`: of the messages of PACED, by topic.
     """
 
     age_ms: dict[str, float]
@@ -54,14 +57,15 @@ class RigRun(NamedTuple):
     memory_mb: dict[str, float]
     start_s: dict[str, float]
     parts_us: dict[str, dict[str, float]]
+    late_share: dict[str, float]
 
 
-def measure_rig(duration_s: float, *, trace: bool) -> RigRun:
-    """Run the rig once, with the time of each part of a hop in its logs if `trace`."""
+def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--scenario", "fig12")) -> RigRun:
+    """Run the rig of these words once, with the time of each part of a hop in its logs if `trace`."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out"
         environment = {**os.environ, "TELENANO_RUNTIME_DIR": folder}
-        command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json"]
+        command = [sys.executable, "-m", "telenano", "up", *words, "--json"]
         command += ["--duration", str(duration_s), "--out", str(out)]
         if trace:
             before = environment.get("PYTHONPATH", "")
@@ -73,9 +77,10 @@ def measure_rig(duration_s: float, *, trace: bool) -> RigRun:
             watch.end()
         if rig.returncode:
             raise SystemExit(f"the rig ended with exit code {rig.returncode}")
-        start_s = _start_s(Recording(out / "session.mcap"), begin_ns)
+        recording = Recording(out / "session.mcap")
+        start_s, late = _start_s(recording, begin_ns), {topic: _late_share(recording, topic) for topic in PACED}
         share, memory = watch.while_running(duration_s)
-        return RigRun(json.loads(printed)["loop_age_ms"], share, memory, start_s, _traced(out / "logs"))
+        return RigRun(json.loads(printed)["loop_age_ms"], share, memory, start_s, _traced(out / "logs"), late)
 
 
 class ProcessWatch:
@@ -132,6 +137,12 @@ def _start_s(recording: Recording, begin_ns: int) -> dict[str, float]:
             found["first tick of its programme"] = (state.t_ns - begin_ns) * 1e-9
             return found
     return found
+
+
+def _late_share(recording: Recording, topic: str) -> float:
+    """Return the share of the messages of a topic that were sent more than 1.5 ms after the one before."""
+    sent_ns = [message.publish_ns for message in recording.messages([topic])]
+    return sum(b - a > 1_500_000 for a, b in pairwise(sent_ns)) / max(len(sent_ns) - 1, 1)
 
 
 def _traced(logs: Path) -> dict[str, dict[str, float]]:

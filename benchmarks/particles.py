@@ -1,20 +1,23 @@
 """What particles take of the instrument's step, and how fast the environment to learn in runs.
 
-    python benchmarks/particles.py [--steps 4000] [--rounds 9] [--json]
+    python benchmarks/particles.py [--steps 4000] [--rounds 9] [--rigs 6] [--json]
 
 The step is one of the simulated instrument as the node calls it, without particles, with 50 that it does not touch,
 and with 50 of which it pushes one. Rounds alternate, and the shortest counts. The environment is compared with real
-time, by itself and as 64 rows of one step.
+time, by itself and as 64 rows of one step. With --rigs, whole rigs without particles and with 50 of them take turns,
+for the age of the loop and the share of messages that were late.
 """
 
 import argparse
 import json
 import time
 from collections.abc import Callable
+from statistics import median
 from typing import Any
 
 import gymnasium
 import numpy as np
+from loop import PACED, RigRun, measure_rig
 
 import telenano.learn  # noqa: F401
 from services.afm_node.config import AfmConfig
@@ -97,11 +100,32 @@ def times_real_time(steps: int, rounds: int) -> dict[str, float]:
     return {name: simulated_s[name] / took[name] for name in took}
 
 
+def rig_turns(turns: int, duration_s: float) -> dict[str, Any]:
+    """Return medians of the age of the loop [ms] and of the share that was late, without particles and with 50."""
+    flat = ["--scenario", "assembly", "--set", "afm_node.sample.size_m=24e-6", "--no-view", "--set"]
+    rigs = {
+        "none": [*flat, "afm_node.sample.particles=null"],
+        "50 of them": [*flat, "afm_node.sample.particles.count=50"],
+    }
+    runs: dict[str, list[RigRun]] = {name: [] for name in rigs}
+    for number in range(turns):
+        for name in sorted(rigs, reverse=bool(number % 2)):
+            runs[name].append(measure_rig(duration_s, trace=False, words=rigs[name]))
+    age = {
+        name: {key: median(run.age_ms[key] for run in done) for key in ("p50", "p99")} for name, done in runs.items()
+    }
+    late = {name: {key: median(run.late_share[key] for run in done) for key in PACED} for name, done in runs.items()}
+    ratio = {key: age["50 of them"][key] / age["none"][key] for key in ("p50", "p99")}
+    by_turn = [b.age_ms["p50"] / a.age_ms["p50"] for a, b in zip(*runs.values(), strict=True)]
+    return {"age_ms": age, "age_ratio": ratio, "age_ratio_by_turn": sorted(by_turn), "late_share": late}
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--steps", type=int, default=4000, help="steps of a round")
     parser.add_argument("--rounds", type=int, default=9, help="rounds, of which the shortest counts")
+    parser.add_argument("--rigs", type=int, default=0, metavar="TURNS", help="turns of whole rigs, half a minute each")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
@@ -113,6 +137,8 @@ def main() -> None:
         "more_us": {name: took - step["none"] for name, took in step.items()},
         "times_real_time": times_real_time(steps, rounds),
     }
+    if given.rigs:
+        found["rig"] = rig_turns(given.rigs, duration_s=10.0)
     if given.json:
         print(json.dumps(found))
         return
@@ -120,6 +146,8 @@ def main() -> None:
         print(f"{name:20s} {took:7.1f} us a step, {took - step['none']:6.1f} more, ratio {found['ratio'][name]:.2f}")
     for name, ratio in found["times_real_time"].items():
         print(f"environment, {name:9s} {ratio:7.0f} x real time")
+    if given.rigs:
+        print(json.dumps(found["rig"], indent=2))
 
 
 if __name__ == "__main__":
