@@ -5,7 +5,8 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Protocol
+from concurrent.futures import Future, wait
+from typing import Any, Protocol, TypeVar
 
 import msgpack
 
@@ -45,6 +46,8 @@ MOST_COMMANDS = 4
 VALIDITY_S = 1.0
 # At once. Who holds the key down asks for thirty a second, and one may take seconds where a device does not answer.
 _MOST_STOPS = 4
+# The end of the page waits so long for the stops under way, each of which is given up after 5 s.
+_STOPS_END_S = 6.0
 # Parts of a recording that are read at once, for all pages: each takes a thread and up to a second.
 _MOST_READS = 8
 # An answer is sent again until the experiment has taken it, and given up after this time.
@@ -54,6 +57,7 @@ _ANSWER_DEADLINE_S = 5.0
 _STOP = "stop"
 
 Answers = Mapping[str, tuple[str, str]]
+T = TypeVar("T")
 
 
 class Commander(Protocol):
@@ -153,7 +157,7 @@ class Hub:
         self._feed = Feed()
         self._turn = asyncio.Lock()
         self._wishes: list[Wish] = []
-        self._stops = 0
+        self._stops: set[Future[Answers]] = set()
         self._reads = 0
         self._next_stop: asyncio.Task[Answers] | None = None
         self._alive_s: float | None = None
@@ -189,14 +193,15 @@ class Hub:
             self.on_end()
 
     def close(self) -> None:
-        """Let go of the source."""
+        """Let the emergency stops under way be sent, and let go of the source."""
+        wait(self._stops.copy(), _STOPS_END_S)
         self._source.close()
 
     async def _prepare_forms(self) -> None:
         """Make the forms beside everything else, and tell the pages that have come meanwhile."""
         if self._make_forms is None:
             return
-        self._forms = await asyncio.to_thread(self._make_forms)
+        self._forms = await asyncio.wrap_future(_in_thread(self._make_forms))
         for session in self._told():
             session.answer(_packed({"k": "forms", "forms": self._forms}))
 
@@ -309,9 +314,10 @@ class Hub:
                 raise RefusedError(f"{self._reads} parts of the recording are being read already: ask again")
             self._reads, counted = self._reads + 1, 1
             if isinstance(request, DocumentRequest):
-                found = await asyncio.to_thread(document.about)
+                found = await asyncio.wrap_future(_in_thread(document.about))
             else:
-                found = await asyncio.to_thread(document.part, request.from_s, request.to_s, request.spans)
+                part = _in_thread(lambda: document.part(request.from_s, request.to_s, request.spans))
+                found = await asyncio.wrap_future(part)
         except TelenanoError as error:
             return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
         finally:
@@ -369,7 +375,7 @@ class Hub:
         """Stop the devices beside whatever else is being sent, and give up every command of every page."""
         for wish in self._wishes:
             wish.make_void("an emergency stop came after it")
-        if self._stops < _MOST_STOPS:
+        if len(self._stops) < _MOST_STOPS:
             return await self._stop_now(commander)
         if self._next_stop is None:
             self._next_stop = asyncio.create_task(self._stop_next(commander))
@@ -377,17 +383,16 @@ class Hub:
         return await asyncio.shield(self._next_stop)
 
     async def _stop_next(self, commander: Commander) -> Answers:
-        while self._stops >= _MOST_STOPS:
+        while len(self._stops) >= _MOST_STOPS:
             await asyncio.sleep(TICK_S)
         self._next_stop = None
         return await self._stop_now(commander)
 
     async def _stop_now(self, commander: Commander) -> Answers:
-        self._stops += 1
-        try:
-            return await asyncio.to_thread(commander.estop)
-        finally:
-            self._stops -= 1
+        stop = _in_thread(commander.estop)
+        self._stops.add(stop)
+        stop.add_done_callback(self._stops.discard)
+        return await asyncio.wrap_future(stop)
 
     async def _command(
         self, commander: Commander, session: Session, request: CommandRequest, arrived_s: float
@@ -400,9 +405,8 @@ class Hub:
             async with self._turn:
                 wish.check(time.monotonic())
                 issued_ns = round(wish.arrived_s * 1e9)
-                return await asyncio.to_thread(
-                    commander.send, request.command, request.target, request.parameters, wish.is_wanted, issued_ns
-                )
+                names = request.command, request.target, request.parameters
+                return await asyncio.wrap_future(_in_thread(lambda: commander.send(*names, wish.is_wanted, issued_ns)))
         finally:
             self._wishes.remove(wish)
 
@@ -478,3 +482,18 @@ class Hub:
 def _packed(fields: Mapping[str, Any]) -> bytes:
     packed: bytes = msgpack.packb(fields)
     return packed
+
+
+def _in_thread(work: Callable[[], T]) -> Future[T]:
+    """Begin what blocks in a daemon thread: the end of the process waits for those of `asyncio.to_thread`."""
+    done: Future[T] = Future()
+    done.set_running_or_notify_cancel()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:  # noqa: BLE001
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="page", daemon=True).start()
+    return done

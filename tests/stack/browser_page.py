@@ -89,7 +89,8 @@ class View:
 
     def close(self) -> None:
         self._process.terminate()
-        self._process.wait(20.0)
+        # An endpoint goes on sending for up to 20 s to a reader that is behind.
+        self._process.wait(PATIENCE_S)
         assert self._process.stdout is not None
         self._process.stdout.close()
 

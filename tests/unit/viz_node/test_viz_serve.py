@@ -3,6 +3,8 @@
 import os
 import resource
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -244,3 +246,53 @@ def test_a_signal_ends_the_wait_of_the_node_that_serves_the_page() -> None:
         serving.run(10.0 * PATIENCE_S)
         serving.close()
     assert time.monotonic() - began_s < 10.0 * PATIENCE_S
+
+
+# A page whose commander hangs in a command, and whose emergency stop takes a while.
+HANGING = """
+import sys, threading, time
+from services.runtime.loop.participant import StopSignals
+from services.viz_node.access import Access
+from services.viz_node.hub import Hub
+from services.viz_node.serve import PageServer, bind
+from services.viz_node.source import NoTransport
+
+class Source(NoTransport):
+    def poll(self, *, watched): return []
+    def about(self): return {"kind": "live", "name": "test"}
+    def close(self): print("closed", flush=True)
+
+class Commander:
+    def send(self, *wanted):
+        print("hangs", flush=True)
+        threading.Event().wait()
+    def estop(self):
+        print("stopping", flush=True)
+        time.sleep(0.5)
+        print("stopped", flush=True)
+        return {}
+
+signals, hub = StopSignals(), Hub(Source(), Commander(), forms=threading.Event().wait)
+with bind(port=0) as bound:
+    serving = PageServer(hub, Access("operator-token-0123", "observer-token-0123"), bound, None, signals.descriptor)
+    print(bound.getsockname()[1], flush=True)
+    serving.run()
+    serving.close()
+    hub.close()
+"""
+
+
+def test_a_signal_ends_a_page_whose_commands_hang_and_an_emergency_stop_is_sent_before() -> None:
+    process = subprocess.Popen([sys.executable, "-c", HANGING], stdout=subprocess.PIPE, text=True)
+    with process, ExitStack() as stack:
+        stack.callback(process.kill)
+        assert process.stdout is not None
+        page = opened(stack, f"127.0.0.1:{process.stdout.readline().strip()}", ACCESS.operator_token)
+        taken(page, "snapshot")
+        page.send(msgpack.packb({"k": "command", "id": "1", "command": "arm", "target": "*", "parameters": {}}))
+        assert process.stdout.readline() == "hangs\n"
+        page.send(msgpack.packb({"k": "estop", "id": "2"}))
+        assert process.stdout.readline() == "stopping\n"
+        process.terminate()
+        process.wait(PATIENCE_S)
+        assert process.stdout.read() == "stopped\nclosed\n"
