@@ -41,9 +41,10 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
         return [turned for x, y in edge for turned in ((x, y), (-y, x), (-x, -y), (y, -x))]
     if name.partition(":")[0] == "letters" and not Path(name).is_file():
         return _spelled(name.partition(":")[2] or "T", spacing_m)
-    path = Path(name)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = Path(name).read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"--pattern {name}: is no text; a line is x and y in m, such as 1e-6 0") from error
     except OSError as error:
         known = ", ".join(NAMES)
         raise ConfigError(
@@ -56,6 +57,8 @@ def pattern(name: str, count: int, spacing_m: float) -> list[Point]:
             continue
         try:
             x, y = (float(word) for word in words)
+            if not math.isfinite(x + y):
+                raise ValueError
         except ValueError as error:
             raise ConfigError(f"--pattern {name}, line {number}: must be x and y in m, such as 1e-6 0") from error
         places.append((x, y))

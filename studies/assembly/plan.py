@@ -65,6 +65,17 @@ def assigned(places: npt.ArrayLike, targets: npt.ArrayLike) -> list[int]:
     return result
 
 
+def require_room(targets: Sequence[Point], clearance_m: float) -> None:
+    """Raise UnreachableError for targets [m] that are nearer to each other than clearance_m [m], naming the first."""
+    for i, one in enumerate(targets):
+        for j in range(i):
+            if math.dist(one, targets[j]) < clearance_m:
+                raise UnreachableError(
+                    f"targets {j} and {i} are {math.dist(one, targets[j]):.3g} m apart: a particle that is pushed"
+                    f" between them needs {clearance_m:.3g} m"
+                )
+
+
 def way_around(start: Point, goal: Point, obstacles: list[Point], clearance_m: float) -> tuple[Point, ...] | None:
     """Return the shortest way from start to goal that keeps clearance_m [m] from each obstacle, None for none.
 
@@ -134,13 +145,8 @@ def planned(
     stands = list(fixed)
     at = [(float(x), float(y)) for x, y in np.asarray(places, np.float64).reshape(-1, 2)]
     to = [(float(x), float(y)) for x, y in np.asarray(targets, np.float64).reshape(-1, 2)]
+    require_room(to, clearance_m)
     for i, one in enumerate(to):
-        for j in range(i):
-            if math.dist(one, to[j]) < clearance_m:
-                raise UnreachableError(
-                    f"targets {j} and {i} are {math.dist(one, to[j]):.3g} m apart: a particle that is pushed between"
-                    f" them needs {clearance_m:.3g} m"
-                )
         near = min((math.dist(one, other) for other in stands), default=math.inf)
         if near < clearance_m:
             raise UnreachableError(

@@ -21,7 +21,7 @@ from services.afm_node.programs.settings import requested
 from services.afm_node.virtual import Step, VirtualInstrument
 from studies.assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from studies.assembly.find import Found, find_particles, fixed_places
-from studies.assembly.plan import Point, Task, UnreachableError, planned
+from studies.assembly.plan import Point, Task, UnreachableError, planned, require_room
 from studies.assembly.recording import AssemblyRecorder
 
 Array = npt.NDArray[np.float64]
@@ -239,6 +239,11 @@ def look_sides_m(place: Point, others: list[Point], reach_m: float) -> tuple[flo
     return 2.0 * halves[0], 2.0 * halves[1]
 
 
+def _room_m(radius_m: float, reach_m: float) -> float:
+    """Return how far the centre of a pushed particle has to stay from others [m], so that the tip gets between them."""
+    return 2.0 * radius_m + 0.5 * reach_m
+
+
 class Assembler:
     """Carries out an assembly on a bench.
 
@@ -250,8 +255,8 @@ class Assembler:
         report: Called at each step with a sentence, and with how many targets are taken.
 
     Raises:
-        UnreachableError: A target lies outside of the region, or so near to its edge that no image has a whole particle
-            there.
+        UnreachableError: A target lies outside of the region, so near to its edge that no image has a whole particle
+            there, or too near to another.
     """
 
     def __init__(
@@ -273,6 +278,7 @@ class Assembler:
                     f"target {number} at {x:g}, {y:g} m must lie {reach_m:.3g} m or more within the sample of"
                     f" {sides_m[0]:g} x {sides_m[1]:g} m, whose middle is 0, 0"
                 )
+        require_room(targets, _room_m(self._nominal_m, reach_m))
         self._drift = Drift(bench.time_s, unknown(), unknown())
         self._known: list[_Known] = []
         self._fixed: list[Point] = []
@@ -307,8 +313,7 @@ class Assembler:
         reach = touch_distance_m(self._tip, radius, 0.0) if radius > 0.0 else 0.0
         half = 0.5 * min(self._sides) - 2.0 * reach
         places = [self._place(one) for one in self._known]
-        room_m = 2.0 * radius + 0.5 * reach
-        return planned(places, self._targets, room_m, DONE_SHARE * radius, half, self._fixed)
+        return planned(places, self._targets, _room_m(radius, reach), DONE_SHARE * radius, half, self._fixed)
 
     def _carry_out(self, task: Task) -> bool:
         """Push a particle along its way; return whether the plan still holds."""

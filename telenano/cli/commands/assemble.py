@@ -49,9 +49,12 @@ def particles(
         from services.afm_node.physics.sample.surface_files import read_surface
         from studies.assembly.find import find_particles
 
-        surface = read_surface(file, channel, None if size is None else size * 1e-9)
+        surface = read_surface(file, channel, None if size is None else size * 1e-9, may_lack=True)
         shape = tip_shape(tip_radius * 1e-9, math.radians(cone))
-        found = find_particles(surface.height_m, surface.step_x_m, surface.step_y_m, shape)
+        try:
+            found = find_particles(surface.height_m, surface.step_x_m, surface.step_y_m, shape)
+        except ValueError as error:
+            raise ConfigError(f"{file}: {error}") from error
         document = {"file": str(file), "particles": [one._asdict() for one in found]}
         if out is not None:
             with whole_file(out) as part:

@@ -151,6 +151,7 @@ def test_a_sweep_brings_a_particle_along_whose_place_is_not_well_known() -> None
         ({"setpoint_n": 3e-7}, "push.setpoint_n must lie between"),
         ({"height_m": 6e-7}, "above a particle of radius"),
         ({"x1_m": 6e-5}, "lateral.reach_m"),
+        ({"x1_m": 4.1e-6}, "its goal at 4.1e-06, 0 m lies outside of the sample of 8e-06 x 8e-06 m"),
         ({"hold": "force", "gain_per_s": 1e5}, "push.gain_per_s"),
     ],
 )

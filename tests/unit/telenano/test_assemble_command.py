@@ -82,6 +82,8 @@ def judge_recording(path: Path) -> None:
             "the pattern has 3 places, and 1 particles were found",
         ),
         (("--afm", "sample.particles.radius_m=0"), "radius_m"),
+        (("--pattern", "letters:A?"), "'?' is none of A to Z, 0 to 9 and space"),
+        (("--pattern", "line", "--spacing", "400"), "targets 0 and 1 are 4e-07 m apart"),
     ],
 )
 def test_what_cannot_be_assembled_is_one_sentence_and_leaves_nothing(
@@ -91,3 +93,37 @@ def test_what_cannot_be_assembled_is_one_sentence_and_leaves_nothing(
     assert refused.exit_code == 2, refused.output
     assert said in " ".join(refused.output.split())
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"1e-6 0\nhere\n", "line 2: must be x and y in m"),
+        (b"nan 0\n", "line 1: must be x and y in m"),
+        (b"\xff\xfe\x00", "is no text"),
+        (b"# none\n", "has no places"),
+    ],
+)
+def test_a_file_that_is_no_pattern_is_refused_by_name(content: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "places").write_bytes(content)
+    refused = run("assemble", "--out", str(tmp_path / "out"), "--pattern", str(tmp_path / "places"))
+    assert refused.exit_code == 2 and f"{tmp_path}/places" in refused.output.replace("\n", ""), refused.output
+    assert said in " ".join(refused.output.split())
+
+
+def test_lost_pixels_are_left_out_and_an_image_of_nothing_else_is_refused(image: Path) -> None:
+    heights = np.load(image)
+    heights[::7, ::3] = np.nan
+    np.save(image, heights)
+    (one,) = json.loads(run("particles", str(image), "--size", "2500", "--json").output)["particles"]
+    assert (one["x_m"], one["y_m"], one["radius_m"]) == pytest.approx((3e-7, -2e-7, 250e-9), rel=0.02)
+    np.save(image, np.full_like(heights, np.nan))
+    refused = run("particles", str(image), "--size", "2500")
+    assert refused.exit_code == 2 and "1600 heights that are no finite number" in " ".join(refused.output.split())
+
+
+def test_an_image_of_two_pixels_is_refused_by_name(image: Path) -> None:
+    np.save(image, np.zeros((2, 2)))
+    refused = run("particles", str(image), "--size", "2500")
+    assert refused.exit_code == 2
+    assert "scan.npy: an image has at least 3 rows and columns" in refused.output.replace("\n", " ")

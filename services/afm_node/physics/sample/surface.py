@@ -68,8 +68,8 @@ def height_at(
     return height, slope_x, slope_y
 
 
-def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float) -> Surface:
-    """Return a map over width_m by depth_m [m].
+def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float, *, may_lack: bool = False) -> Surface:
+    """Return a map over width_m by depth_m [m]; where it may lack heights, those are NaN.
 
     Raises:
         ValueError: The map cannot be scanned because of its shape, its size, or a height that is no number.
@@ -80,10 +80,13 @@ def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float) -
     for name, size in (("width", width_m), ("depth", depth_m)):
         if not (math.isfinite(size) and 1e-9 <= size <= 1e-3):
             raise ValueError(f"has a {name} of {size:g} m; it must lie between 1e-9 and 1e-3 m")
-    bad = int(np.count_nonzero(~np.isfinite(heights)))
-    if bad:
+    missing = ~np.isfinite(heights)
+    bad = int(np.count_nonzero(missing))
+    if bad and may_lack and bad < heights.size:
+        heights = np.where(missing, np.nan, heights)
+    elif bad:
         raise ValueError(f"has {bad} heights that are no finite number (of {heights.size}); interpolate them first")
-    span = float(heights.max() - heights.min())
+    span = float(np.nanmax(heights) - np.nanmin(heights))
     if span > 1e-4:
         raise ValueError(f"has heights over {span:g} m, more than 1e-4 m: is its unit of height right?")
     return Surface(heights, float(width_m) / heights.shape[1], float(depth_m) / heights.shape[0])

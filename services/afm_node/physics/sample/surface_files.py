@@ -47,13 +47,16 @@ class _Channel(NamedTuple):
     unit_z: str
 
 
-def read_surface(path: Path, channel: str | None = None, size_m: float | None = None) -> Surface:
+def read_surface(
+    path: Path, channel: str | None = None, size_m: float | None = None, *, may_lack: bool = False
+) -> Surface:
     """Return the height map in a file.
 
     Args:
         path: The file.
         channel: A part of the name of one of several channels; None takes the first that is a height.
         size_m: The side of a square map in a .npy file [m], which does not say it itself; its heights are metres.
+        may_lack: Whether heights may be missing; they are NaN then.
 
     Raises:
         ConfigError: The file cannot be used; the message names it and what is wrong with it.
@@ -65,7 +68,8 @@ def read_surface(path: Path, channel: str | None = None, size_m: float | None = 
         found = _chosen(read(path, size_m), channel)
         scale = _metres(found.unit_z, f"the heights of channel {found.name}")
         side = _metres(found.unit_xy, f"the sides of channel {found.name}")
-        return checked(found.values.astype(np.float64) * scale, found.width * side, found.depth * side)
+        heights = found.values.astype(np.float64) * scale
+        return checked(heights, found.width * side, found.depth * side, may_lack=may_lack)
     except ImportError as error:
         if read in (_read_foreign, _read_sxm):
             raise ConfigError(
