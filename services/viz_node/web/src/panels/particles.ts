@@ -13,6 +13,8 @@ const DONE_SHARE = 0.1;
 const FELT_N = 2e-9;
 const LOOK_MS = 100;
 const LONGEST_PUSH_MS = 600_000;
+/** A push goes as fast as a hand may (Eq. 14), so that a person can take over in the middle [m/s]. */
+const PUSH_M_PER_S = 300e-9;
 /** The motion of the tip is known after so much of it [nm]. */
 const MOTION_NM = 3;
 
@@ -234,7 +236,7 @@ export class ParticlesPanel implements Panel {
     this.pushed = one;
     this.words = `Particle ${this.known.indexOf(one) + 1} of ${this.known.length}`;
     const [x0, y0, x1, y1, radius] = [one.x, one.y, one.target!.x, one.target!.y, one.radius].map((value) => value / NM);
-    const keys = { program: "push", "push.x0_m": x0!, "push.y0_m": y0!, "push.x1_m": x1!, "push.y1_m": y1!, "push.radius_m": radius! };
+    const keys = { program: "push", "push.x0_m": x0!, "push.y0_m": y0!, "push.x1_m": x1!, "push.y1_m": y1!, "push.radius_m": radius!, "push.speed_m_per_s": PUSH_M_PER_S };
     if (!(await this.until(() => !tip.program && store.fact(AFM, "mode") !== "retracting"))) return false;
     if (!(await commands.command("push begins", "set", INSTRUMENT, keys))) return false;
     await this.until(() => tip.program === "push", 3000);
