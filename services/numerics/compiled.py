@@ -29,6 +29,7 @@ from presets.plugins import digest_of_all, package_files
 from presets.plugins import modules as package_modules
 
 F = TypeVar("F", bound=Callable[..., object])
+V = TypeVar("V")
 
 _ROOT = Path(__file__).resolve().parents[2]
 # These folders and files hold the steps, and everything else that the outcome of a study depends on.
@@ -41,7 +42,7 @@ SOURCES = (
 )
 _SHELLS = ("node.py", "half.py", "__main__.py")
 # Raise it with every change of what `compile_cache` writes, or of the options of the compiler.
-_CACHE_FORMAT = "6"
+_CACHE_FORMAT = "7"
 # Files of other checkouts and of obsolete signatures are removed after so many days.
 CACHE_DAYS = 14
 # This file in the folder of the cache tells when it was last cleaned.
@@ -53,6 +54,8 @@ STEP = "_telenano_step"
 _INNER = "_telenano_inner_step"
 # marks a step that is compiled into its callers
 INLINED = "_telenano_inlined"
+# the function that compiled code runs in the place of a step
+VECTORIZED = "_telenano_vectorized"
 # The choices whose compiled form the compiler does not know yet, each with the function that chooses. The compiler is
 # imported when it is needed.
 _unregistered: list[tuple[Callable[..., Any], Callable[[type], Callable[..., Any]]]] = []
@@ -161,6 +164,19 @@ def inlined(function: F) -> F:
     return compiled(function)
 
 
+def vectorized(plain: F) -> Callable[[F], F]:
+    """Mark a function that compiled code runs in the place of `plain`: a loop of the same bits over many elements.
+
+    The compiler does several elements at once, for which a division by zero must raise nothing there.
+    """
+
+    def mark(function: F) -> F:
+        setattr(compiled(plain), VECTORIZED, function)
+        return function
+
+    return mark
+
+
 def is_step(function: Callable[..., Any]) -> bool:
     """Return whether a function is marked as a step that can be compiled."""
     return hasattr(function, STEP)
@@ -199,6 +215,15 @@ def chosen_step(choose: Callable[[type], Callable[..., Any]]) -> Callable[..., A
     return plain
 
 
+def borrowed(value: V) -> V:
+    """Return the value, in compiled code with arrays whose references are not counted any more.
+
+    A tuple that holds an array counts one reference more and one less at each call that takes it. What calls the
+    compiled code must keep the arrays, and nothing made of them may go back to Python.
+    """
+    return value
+
+
 def _form_of(function: F, kind: str = STEP) -> F:
     compile_and_keep = _compiler()
     _register_choices()
@@ -231,6 +256,7 @@ def _compiler() -> Callable[[Callable[..., object], bool], object]:
     from numba.core import config, types
     from numba.core.typing.typeof import typeof_impl
 
+    import services.numerics.borrowed_arrays  # noqa: F401 - tells numba what `borrowed` is
     from services.numerics.compile_cache import CheckedCache
     from services.signals.interruptible import InterruptibleDispatcher
 
@@ -250,12 +276,15 @@ def _compiler() -> Callable[[Callable[..., object], bool], object]:
 
     def compile_and_keep(function: Callable[..., object], python_calls: bool) -> object:
         # What unpacks the tuples that Python gives is larger than most steps, and takes as long to compile.
-        options = {"no_cpython_wrapper": not python_calls, "no_cfunc_wrapper": True}
-        dispatcher: Any = numba.njit(forceinline=hasattr(function, INLINED), **cast(Any, options))(function)
+        options: dict[str, Any] = {"no_cpython_wrapper": not python_calls, "no_cfunc_wrapper": True}
+        source: Any = getattr(function, VECTORIZED, function)
+        if source is not function:
+            options["error_model"] = "numpy"
+        dispatcher: Any = numba.njit(forceinline=hasattr(function, INLINED), **options)(source)
         if not vars(config)["DISABLE_JIT"]:
             # numba has no option for the class of what it makes
             dispatcher.__class__ = InterruptibleDispatcher
-            dispatcher._cache = CheckedCache(function, python_calls)
+            dispatcher._cache = CheckedCache(source, python_calls)
         return dispatcher
 
     return compile_and_keep

@@ -33,7 +33,7 @@ from services.controller.law import NO_SIGNAL, TipMeasurement
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.step import HapticParams
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
-from services.numerics.compiled import compiled, compiled_form, inlined
+from services.numerics.compiled import borrowed, compiled, compiled_form, inlined
 from studies.loops.across import (
     PARTICLE_X,
     PARTICLE_Y,
@@ -171,12 +171,11 @@ def simulate(
     """
     if not 0 <= session_tick < schedule.ticks:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
-    rows = np.empty((schedule.ticks, len(COLUMNS)))
+    rows = np.empty((len(COLUMNS), schedule.ticks))
     start = rig.haptic_start, rig.instrument_start
     run = compiled_form(_run)
     done = run(rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, path)
-    rows = rows[:done]
-    columns: dict[str, Any] = dict(zip(COLUMNS, np.ascontiguousarray(rows[session_tick:].T), strict=True))
+    columns: dict[str, Any] = dict(zip(COLUMNS, rows[:, session_tick:done], strict=True))
     for name in ("in_contact", "hand_following"):
         columns[name] = columns[name].astype(bool)
     for name in ("instrument_mode", "instrument_reason"):
@@ -221,7 +220,11 @@ def _run(
     steers: Hand | None,
     path: AcrossPath | None,
 ) -> int:
-    """Fill `rows` (ticks, columns) with the closed loop, and return how many; the module's text gives the order."""
+    """Fill `rows` (columns, ticks) with the closed loop, and return how many; the module's text gives the order."""
+    # `simulate` keeps all arrays until the end, so that no call in here need count references to them.
+    halves, haptic, instrument = borrowed((halves, haptic, instrument))
+    haptic_state, instrument_state = borrowed((haptic_state, instrument_state))
+    schedule, rows = borrowed((schedule, rows))
     # The fields are taken out of the tuple once, because every access costs a count of references to its arrays.
     forward_ns, forward_of = schedule.forward_ns, schedule.forward_of
     backward_ns, backward_of = schedule.backward_ns, schedule.backward_of
@@ -239,7 +242,7 @@ def _run(
     i = instrument_at(instrument_state, period_ns)
     hand_energy_j, f, b, before = 0.0, 0, 0, m.hand
     across = across_at_rest()
-    for n in range(len(rows)):
+    for n in range(schedule.ticks):
         now_ns = n * period_ns
         session_s = (n - session_tick) * dt if n >= session_tick else -1.0
         haptic_state, hand = hand_stepped(haptic, haptic_state, m.command, now_ns, session_s, dt)
@@ -298,12 +301,12 @@ def _run(
                 b += 1
             else:
                 s, i = went_on(halves, instrument, s, i, event_ns)
-        _record(rows[n], session_s, m, s.tip, hand_energy_j, i)
+        _record(rows[:, n], session_s, m, s.tip, hand_energy_j, i)
         if path is not None:
             put_answer(path.rows[n, STAGE_X:], i.lateral)
             if steers is not None:
                 path.rows[n, PARTICLE_X], path.rows[n, PARTICLE_Y] = steers.state[TRUE_X], steers.state[TRUE_Y]
-    return len(rows)
+    return schedule.ticks
 
 
 @inlined

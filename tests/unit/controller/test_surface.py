@@ -12,17 +12,21 @@ from instrument_theory import base_for
 from services.afm_node.config import AfmConfig
 from services.controller.laws.model_mediated import ModelMediatedConfig
 from services.controller.laws.shared.surface import (
+    BINS,
     Surface,
+    _place_roots_at_once,
     fitted,
     gradient,
     met,
     misfit,
     over,
+    place_roots,
     remembered,
     root_of,
     solved_pair,
     unknown,
 )
+from services.numerics.compiled import compiled_form
 
 FIT = ModelMediatedConfig().to_params(1e-3).fit
 K, RANGE = FIT.cantilever, FIT.range_nm
@@ -35,6 +39,23 @@ surfaces = st.builds(Surface, st.floats(-20.0, 20.0), st.floats(0.5, 200.0), st.
 def test_root_solves_its_equation(y: float, ratio: float) -> None:
     r = root_of(y, ratio)
     assert r * r * (1.0 + ratio * r) == pytest.approx(y, rel=1e-12, abs=0.0)
+
+
+def test_the_roots_of_all_samples_at_once_are_those_of_each_by_itself() -> None:
+    numbers, both = np.random.default_rng(1), (place_roots, compiled_form(place_roots), _place_roots_at_once)
+    for _ in range(60):
+        samples = np.zeros((4, BINS))
+        samples[0] = numbers.uniform(-1.0, 4.0, BINS) * 10.0 ** numbers.integers(-9, 4, BINS)
+        # empty bins and a contact at a sample
+        samples[0, :4] = 0.0
+        contact_nm = float(numbers.choice([0.0, -3.0, samples[0, 5], numbers.uniform(-20.0, 20.0)]))
+        ratio, given = float(numbers.choice([0.0, 10.0 ** numbers.uniform(-3.0, 2.0)])), []
+        for place in both:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                given.append(samples.copy())
+                place(given[-1], contact_nm, ratio)
+        assert given[0].tobytes() == given[1].tobytes() == given[2].tobytes()
+        assert given[0][3].tolist() == [root_of(float(at) - contact_nm, ratio) for at in samples[0]]
 
 
 def test_kappa_of_table_2_is_hertz() -> None:

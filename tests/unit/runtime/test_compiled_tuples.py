@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from services.controller.law import NO_SIGNAL, PortSignal, port_signal
-from services.numerics.compiled import compiled, compiled_form
+from services.numerics.compiled import borrowed, compiled, compiled_form
 
 ROOT = Path(__file__).resolve().parents[3]
 MARKS = {"compiled", "inlined", "always_compiled"}
@@ -117,7 +117,8 @@ def _next(kept: Kept, n: int) -> Kept:
 
 @compiled
 def _many(start: Kept, count: int) -> Kept:
-    state = start
+    # what is made of a borrowed array has a count again
+    state = borrowed(start)
     for n in range(count):
         state = _next(state, n)
     return state
@@ -137,6 +138,30 @@ def test_arrays_in_the_states_of_steps_are_freed() -> None:
     assert after.alloc - before.alloc >= 1000
     assert after.alloc - before.alloc - (after.free - before.free) <= 1
     assert start.values.tolist() == [0.0] * 4
+
+
+class Around(NamedTuple):
+    """A tuple of tuples with arrays and without."""
+
+    alike: tuple[Kept, Kept]
+    nothing: None
+    number: int
+
+
+@compiled
+def _second_of(around: Around) -> npt.NDArray[np.float64]:
+    return borrowed(around).alike[1].values[1:]
+
+
+def test_a_borrowed_array_is_that_of_the_caller_and_has_no_count() -> None:
+    pytest.importorskip("numba")
+    around = Around((Kept(np.zeros(4), 0.0), Kept(np.ones(4), 1.0)), None, 3)
+    second = compiled_form(_second_of)(around)
+    assert _second_of(around).base is around.alike[1].values
+    assert second.ctypes.data == _second_of(around).ctypes.data
+    # numba gives Python an array without an owner where there is no count of references to its memory
+    assert second.base is None
+    assert not second.flags.owndata
 
 
 def test_a_step_that_compiled_code_has_called_can_be_called_by_python_too() -> None:
