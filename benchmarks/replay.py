@@ -2,9 +2,10 @@
 
     python benchmarks/replay.py [--seconds S] [--smoke] [--json]
 
-- Timing: the error of the intervals between messages against the recording, at rate 1, with all ten topics at 1 kHz.
-- Rate 0: messages a second through the bus to one reader, as a ratio to the same frames from memory over a bare XPUB
-  socket to the same reader, and to reading the file without the bus.
+- Timing: the error of the intervals between messages against the recording, at rate 1, with all ten topics at 1 kHz,
+  beside that of a plain loop that sleeps until each message of a list is due and sends it over one bare XPUB socket.
+- Rate 0: messages a second through the bus to one reader, as a ratio to the same frames from memory to the same reader
+  over one bare XPUB socket, and over one for each node as the player has them, and to reading the file without the bus.
 - Verify: messages a second, as a ratio to reading the file.
 - Recording: messages a second through the recorder's intake, as a ratio to the plain `mcap` writer with the same bytes,
   by the processor's time: best of three, in turns.
@@ -14,6 +15,7 @@ clock and keeps nothing else.
 """
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
@@ -21,8 +23,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from multiprocessing.connection import Connection
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +42,22 @@ from recording.reader import Recording
 from recording.verify import verify
 from recording.writer import RecordingWriter
 from services.player.node import PlaySettings
+from services.player.plan import node_of
 from services.player.run import ReplayRequest, run_replay
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.open_recording import open_recording
 from services.runtime.bus.bus import Subscriber
+from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK
 from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage
+from services.runtime.loop.realtime import (
+    RealtimeConfig,
+    apply_realtime,
+    freeze_garbage,
+    on_time,
+    shallow_idle,
+)
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -132,34 +143,82 @@ def listen(site_file: Path, expected: int, result: Connection) -> None:
         result.send((arrivals, topics))
 
 
-def send_bare(path: Path, site_file: Path) -> None:
-    """Send the frames of a recording from memory over one bare socket, in a process of its own."""
-    frames = [(message.topic.encode(), message.payload) for message in Recording(path).messages()]
-    nodes = yaml.safe_load(site_file.read_text())["nodes"]
-    with zmq.Context() as context, context.socket(zmq.XPUB) as socket:
-        socket.set(zmq.SNDHWM, 100_000)
-        socket.set(zmq.XPUB_NODROP, 1)
-        socket.bind(nodes[next(node for node in nodes if node != PLAYER)])
-        for _ in dict.fromkeys(topic for topic, _, _ in STREAMS):
-            socket.recv()
-        for pair in frames:
-            while True:
-                try:
-                    socket.send_multipart(pair, zmq.DONTWAIT, copy=True)
-                    break
-                except zmq.Again:
-                    time.sleep(0.0005)
+def schedule(path: Path) -> list[tuple[int, str, bytes, bytes]]:
+    """Return when each message of a recording is played [ns], by which node, its topic and its payload, in order."""
+    # What the link sent on is played at the time at which it did, which is told by its reception.
+    rows = [
+        (
+            message.log_ns if message.via == "link" else message.publish_ns,
+            node_of(message.channel),
+            message.topic.encode(),
+            message.payload,
+        )
+        for message in Recording(path).messages()
+    ]
+    return sorted(rows, key=itemgetter(0))
 
 
-def replayed(path: Path, site_file: Path, rate: float | None, expected: int) -> tuple[Any, list[bytes]]:
-    """Play a recording to a reader, or with no rate send it bare; gives times of arrival [ns] and frames."""
+def send_bare(path: Path, site_file: Path, rate: float, *, apart: bool = False) -> None:
+    """Send the frames of a recording from memory, in a process of its own.
+
+    Args:
+        path: The recording.
+        site_file: The address book.
+        rate: 0 sends as fast as the reader takes them, 1 as recorded.
+        apart: Whether each node has a socket of its own, as in a replay, or all of them one.
+    """
+    rows = schedule(path)
+    endpoints = yaml.safe_load(site_file.read_text())["nodes"]
+    nodes = sorted({node for _, node, _, _ in rows})
+    # The threads of a context have the scheduling under which it was made.
+    scheduling = on_time() if rate > 0.0 else contextlib.nullcontext()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(scheduling)
+        stack.enter_context(shallow_idle())
+        context = stack.enter_context(zmq.Context())
+        sockets = [stack.enter_context(context.socket(zmq.XPUB)) for _ in (nodes if apart else nodes[:1])]
+        for socket, node in zip(sockets, nodes, strict=False):
+            socket.set(zmq.SNDHWM, SEND_HIGH_WATER_MARK if apart else 100_000)
+            socket.set(zmq.XPUB_NODROP, 1)
+            socket.bind(endpoints[node])
+        for socket in sockets:
+            for _ in dict.fromkeys(topic for topic, _, _ in STREAMS):
+                socket.recv()
+        socket_of = dict(zip(nodes, sockets if apart else sockets * len(nodes), strict=True))
+        parts = [(due_ns, socket_of[node], (topic, payload)) for due_ns, node, topic, payload in rows]
+        freeze_garbage()
+        (send_on_time if rate > 0.0 else send_at_once)(parts)
+
+
+def send_at_once(parts: list[tuple[int, "zmq.Socket[bytes]", tuple[bytes, bytes]]]) -> None:
+    """Send messages as fast as the reader takes them."""
+    for _, socket, pair in parts:
+        while True:
+            try:
+                socket.send_multipart(pair, zmq.DONTWAIT, copy=True)
+                break
+            except zmq.Again:
+                time.sleep(0.0005)
+
+
+def send_on_time(parts: list[tuple[int, "zmq.Socket[bytes]", tuple[bytes, bytes]]]) -> None:
+    """Send messages when they are due, by a plain loop."""
+    ahead_ns = parts[0][0] - time.monotonic_ns()
+    for due_ns, socket, pair in parts:
+        if (wait_ns := due_ns - ahead_ns - time.monotonic_ns()) > 0:
+            time.sleep(wait_ns * 1e-9)
+        socket.send_multipart(pair, copy=True)
+
+
+Sender = Callable[[Path, Path, float], None]
+
+
+def replayed(path: Path, site_file: Path, rate: float, expected: int, sender: Sender) -> tuple[Any, list[bytes]]:
+    """Play a recording to a reader by a process of its own; gives times of arrival [ns] and frames."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     reader = context.Process(target=listen, args=(site_file, expected, theirs))
-    if rate is None:
-        player = context.Process(target=send_bare, args=(path, site_file))
-    else:
-        player = context.Process(target=play, args=(path, site_file, rate))
+    player = context.Process(target=sender, args=(path, site_file, rate))
     reader.start()
     player.start()
     found: tuple[Any, list[bytes]] = ours.recv()
@@ -168,18 +227,13 @@ def replayed(path: Path, site_file: Path, rate: float | None, expected: int) -> 
     return found
 
 
-def timing(path: Path, site_file: Path) -> dict[str, Any]:
+def timing(path: Path, site_file: Path, sender: Sender = play) -> dict[str, Any]:
     """Measure the error of the interval between consecutive messages, all streams taken together [s]."""
-    recording = Recording(path)
-    due = {}
-    for message in recording.messages():
-        # What the link sent on is played at the time at which it did, which is told by its reception.
-        sent_ns = message.log_ns if message.via == "link" else message.publish_ns
-        due[message.topic.encode() + message.payload, message.channel_topic] = sent_ns
     by_frame: dict[bytes, list[int]] = {}
-    for (frame, _), sent_ns in due.items():
-        by_frame.setdefault(frame, []).append(sent_ns)
-    arrivals, frames = replayed(path, site_file, 1.0, len(due))
+    rows = schedule(path)
+    for sent_ns, _, topic, payload in rows:
+        by_frame.setdefault(topic + payload, []).append(sent_ns)
+    arrivals, frames = replayed(path, site_file, 1.0, len(rows), sender)
     # the two copies of what crosses the link are the same bytes and come in the order recorded
     times = [by_frame[frame].pop(0) for frame in frames]
     order = np.argsort(times, kind="stable")
@@ -199,21 +253,21 @@ def timing(path: Path, site_file: Path) -> dict[str, Any]:
 
 
 def throughput(path: Path, site_file: Path) -> dict[str, Any]:
-    """Measure rate 0 against a bare socket and against reading the file."""
+    """Measure rate 0 against bare sockets and against reading the file; best of two of each, in turns."""
     count, reading_s = timed(lambda: sum(1 for _ in Recording(path).messages()))
-    bare, playing = 0.0, 0.0
+    senders: dict[str, Sender] = {"bare": send_bare, "bare_apart": partial(send_bare, apart=True), "bus": play}
+    best = dict.fromkeys(senders, 0.0)
     for _ in range(2):
-        for rate in (None, 0.0):
-            arrivals, _ = replayed(path, site_file, rate, count)
-            per_s = count / ((arrivals[-1] - arrivals[0]) * 1e-9)
-            bare, playing = (max(bare, per_s), playing) if rate is None else (bare, max(playing, per_s))
+        for name, sender in senders.items():
+            arrivals, _ = replayed(path, site_file, 0.0, count, sender)
+            best[name] = max(best[name], count / ((arrivals[-1] - arrivals[0]) * 1e-9))
     reading = count / reading_s
     return {
         "file_per_s": reading,
-        "bare_per_s": bare,
-        "bus_per_s": playing,
-        "ratio_to_bare": playing / bare,
-        "ratio_to_file": playing / reading,
+        **{f"{name}_per_s": per_s for name, per_s in best.items()},
+        "ratio_to_bare": best["bus"] / best["bare"],
+        "ratio_to_bare_apart": best["bus"] / best["bare_apart"],
+        "ratio_to_file": best["bus"] / reading,
     }
 
 
@@ -293,6 +347,7 @@ def main() -> int:
         results = {
             "cpus": os.cpu_count(),
             "timing": timing(path, site_file),
+            "plain_timer": timing(path, site_file, send_bare),
             "rate_0": throughput(path, site_file),
             "verify": verification(path),
             "recording": recording_throughput(path, folder),

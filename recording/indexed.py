@@ -8,10 +8,10 @@ unless they are asked for in order.
 
 import mmap
 import struct
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from operator import itemgetter
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +29,18 @@ from recording.mcap_scan import (
     records_of,
     unpack,
 )
+from recording.messages import ChannelFilter, RecordedMessage
 from recording.multi_file import MultiFileRecording, RecordingSource
 from recording.overtaken import BlockOrder
-from recording.reader import Recording
+from recording.reader import END_OF_TIME, DamageCallback, Recording, each_block
 from recording.summary import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
+
+# The head of a record and that of the message in it, of 9 and 22 bytes.
+_HEAD = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("seq", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
+)
+# The checksum of a chunk was right, and that of its index is not known.
+_UNSOUND = (struct.error, ValueError, OverflowError)
 
 
 class IndexedRecording(Recording):
@@ -59,6 +67,43 @@ class IndexedRecording(Recording):
         layout, self._indexes = found
         return layout
 
+    def select(
+        self,
+        wanted: ChannelFilter | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        report: DamageCallback | None = None,
+    ) -> Iterator[RecordedMessage]:
+        """Yield messages as those of any recording; with an index the heads of a chunk are read together."""
+        if report is not None or self._in_order or not self._indexes:
+            yield from super().select(wanted, start_ns, end_ns, report)
+            return
+        first = 0 if start_ns is None else start_ns
+        after = END_OF_TIME if end_ns is None else end_ns
+        selected = self._recorded_channels(wanted, self._channels_by_number).selected
+        # The constructor of a named tuple is a function of Python.
+        new = tuple.__new__
+        with self._open() as data:
+            for block in each_block(data, self._layout.blocks):
+                if block.last_ns < first or block.first_ns >= after or not self._may_have(block, selected):
+                    continue
+                try:
+                    content = self._content(data, block)
+                    heads, starts, ends = _heads_of(data, content, self._indexes[block.offset], selected)
+                except DamagedBlockError:
+                    continue
+                except _UNSOUND:
+                    for message in self._walk(self._recorded_channels(wanted), RecordedMessage, blocks=(block,)):
+                        if first <= message.log_ns < after:
+                            yield message
+                    continue
+                inside = (heads["log_ns"] >= first) & (heads["log_ns"] < after)
+                bodies = starts[inside] + MESSAGE_HEAD.size, ends[inside]
+                columns = *(heads[name][inside] for name in ("channel", "log_ns", "publish_ns", "seq")), *bodies
+                for number, log_ns, publish_ns, seq, start, end in zip(*(c.tolist() for c in columns), strict=True):
+                    row = (selected[number], log_ns, publish_ns, seq, content[start:end])
+                    yield new(RecordedMessage, row)
+
     def _may_have(self, block: Block, selected: Container[int]) -> bool:
         indexes = self._indexes.get(block.offset)
         return indexes is None or any(number in selected for number in channels_in(indexes))
@@ -75,34 +120,41 @@ class IndexedRecording(Recording):
         self, data: mmap.mmap, block: Block, content: bytes, selected: Container[int]
     ) -> Iterable[tuple[int, int, int]]:
         indexes = self._indexes.get(block.offset)
-        try:
-            return records_of(content) if indexes is None else _messages_of(data, content, indexes, selected)
-        except (struct.error, ValueError, OverflowError):
-            # The checksum of the chunk was right, and that of its index is not known.
+        if indexes is None:
             return records_of(content)
+        try:
+            _, starts, ends = _heads_of(data, content, indexes, selected)
+        except _UNSOUND:
+            return records_of(content)
+        return zip(repeat(Opcode.MESSAGE), starts.tolist(), ends.tolist())
 
 
-def _messages_of(
+def _heads_of(
     data: mmap.mmap, content: bytes, indexes: bytes, selected: Container[int]
-) -> list[tuple[int, int, int]]:
-    """Return opcode, start and end of each message of the selected channels; ValueError where the index is wrong."""
-    found = []
-    for number, place in channels_in(indexes).items():
-        if number not in selected:
-            continue
-        for at in message_places(data, number, place).tolist():
-            opcode, length = RECORD_HEAD.unpack_from(content, at)
-            start = at + RECORD_HEAD.size
-            if opcode != Opcode.MESSAGE or MESSAGE_HEAD.unpack_from(content, start)[0] != number:
-                raise ValueError(f"there is no message of channel {number} at {at}")
-            if not MESSAGE_HEAD.size <= length <= len(content) - start:
-                raise ValueError(f"the message at {at} is not whole")
-            found.append((opcode, start, start + length))
-    found.sort(key=_start_of)
-    return found
+) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return head (_HEAD), start and end of each message of the selected channels, in the order of the chunk.
 
-
-_start_of = itemgetter(1)
+    Raises:
+        ValueError: The index is wrong.
+    """
+    found = {number: place for number, place in channels_in(indexes).items() if number in selected}
+    each = [message_places(data, number, place).astype(np.int64) for number, place in found.items()]
+    places = np.concatenate([np.empty(0, dtype=np.int64), *each])
+    order = np.argsort(places, kind="stable")
+    numbers = np.repeat(np.array(list(found), dtype=np.int64), [len(part) for part in each])[order]
+    starts = places[order] + RECORD_HEAD.size
+    last = len(content) - _HEAD.itemsize
+    if places.size and not 0 <= places.min() <= places.max() <= last:
+        raise ValueError("the index has places beyond the chunk")
+    # A head may begin at any byte, and so each lies over the one before.
+    heads = np.ndarray((max(0, last + 1),), _HEAD, content, strides=(1,))[places[order]]
+    if np.any(heads["opcode"] != Opcode.MESSAGE) or np.any(heads["channel"] != numbers):
+        raise ValueError("the index names what is no message of its channel")
+    if np.any(heads["length"] < MESSAGE_HEAD.size) or np.any(
+        heads["length"] > (len(content) - starts).astype(np.uint64)
+    ):
+        raise ValueError("a message is not whole")
+    return heads, starts, starts + heads["length"].astype(np.int64)
 
 
 def message_places(data: mmap.mmap, number: int, start: int) -> npt.NDArray[np.uint64]:

@@ -46,7 +46,7 @@ from recording.messages import (
 from recording.overtaken import BlockOrder, OvertakenFinder, Place
 from recording.record_topics import RECORD_TOPICS
 
-_END_OF_TIME = 2**64
+END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once or with the next trigger.
 _PLANNED_ENDS = ("split", "snapshot")
 
@@ -115,7 +115,7 @@ class Recording:
     def span_ns(self) -> tuple[int, int]:
         """First and last time of reception [ns]; zeros in a recording without messages."""
         blocks = [block for block in self._layout.blocks if block.first_ns or block.last_ns]
-        bounded = bool(blocks) and all(block.whole and block.last_ns != _END_OF_TIME for block in blocks)
+        bounded = bool(blocks) and all(block.whole and block.last_ns != END_OF_TIME for block in blocks)
         if self.closed and bounded:
             return min(block.first_ns for block in blocks), max(block.last_ns for block in blocks)
         times = [message.log_ns for message in self.select()]
@@ -146,7 +146,7 @@ class Recording:
         Chunks outside of the bounds are not read. `report` is called for each part that cannot be used.
         """
         first = 0 if start_ns is None else start_ns
-        after = _END_OF_TIME if end_ns is None else end_ns
+        after = END_OF_TIME if end_ns is None else end_ns
         table = self._recorded_channels(wanted, None if start_ns is None else self._channels_by_number)
         for message in self._walk(table, RecordedMessage, report, first, after, order=self._order):
             if first <= message.log_ns < after:
@@ -239,7 +239,7 @@ class Recording:
         message_type: Callable[[_ChannelT, int, int, int, bytes], _MessageT],
         report: DamageCallback | None = None,
         first_ns: int = 0,
-        after_ns: int = _END_OF_TIME,
+        after_ns: int = END_OF_TIME,
         blocks: Iterable[Block] | None = None,
         order: Mapping[int, BlockOrder] | None = None,
     ) -> Iterator[_MessageT]:
@@ -250,7 +250,7 @@ class Recording:
         """
         known, selected, order = channels.known, channels.selected, order or {}
         with self._open() as data:
-            for block in _each(data, self._layout.blocks if blocks is None else blocks):
+            for block in each_block(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
                     continue
                 if report is None and not self._may_have(block, selected):
@@ -313,7 +313,7 @@ class Recording:
 
     def _contents(self, data: mmap.mmap) -> Iterator[tuple[Block, bytes]]:
         """Yield the blocks that can be read, with what is in them."""
-        for block in _each(data, self._layout.blocks):
+        for block in each_block(data, self._layout.blocks):
             with contextlib.suppress(DamagedBlockError):
                 yield block, self._content(data, block)
 
@@ -328,7 +328,7 @@ class Recording:
         return (channel, seq, log_ns, publish_ns), content[place.at + MESSAGE_HEAD.size : place.at + length]
 
 
-def _each(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
+def each_block(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
     """Yield the blocks, and give back the memory of those that were read."""
     read = 0
     for block in blocks:

@@ -29,7 +29,7 @@ _LEAST_HORIZON_NS = 3 * _NS // 2
 _FATE_PATIENCE_NS = _NS
 _MOST_FATES = 100_000
 # messages that are read and sorted together: a player stands still for it, less where it reads ahead
-_READ_AT_ONCE, _READ_AHEAD = 64, 16
+_READ_AT_ONCE, _READ_AHEAD = 128, 16
 # below this rate [Hz] a topic may have several sources with the same numbers, and the exact time matters less
 _FAST_HZ = 100.0
 
@@ -51,25 +51,38 @@ class SenderClock:
     """
 
     def __init__(self, recording: RecordingSource) -> None:
-        self._of_slave = ClockShift(read_site_clock(recording))
+        self.of_slave = ClockShift(read_site_clock(recording))
         # The shift of each source; None means that the clock of the slave's site applies to it.
         self._shifts: dict[str, int | None] = {}
 
     def time_ns(self, message: RecordedMessage) -> int:
         """Return when a message was sent."""
-        src, publish_ns = message.channel.src, message.publish_ns
+        shift = self.shift_ns(message)
+        return message.publish_ns + (self.of_slave(message.publish_ns) if shift is None else shift)
+
+    def shift_ns(self, message: RecordedMessage) -> int | None:
+        """Return the shift of the source of a message [ns]; None means that `of_slave` has it for each stamp."""
+        src = message.channel.src
         if src not in self._shifts:
             self._shifts[src] = self._shift_ns(message)
-        shift = self._shifts[src]
-        return publish_ns + (self._of_slave(publish_ns) if shift is None else shift)
+        return self._shifts[src]
 
     def _shift_ns(self, message: RecordedMessage) -> int | None:
-        is_shifted = self._of_slave.is_needed and is_of_slave(message.src)
+        is_shifted = self.of_slave.is_needed and is_of_slave(message.src)
         lag_ns = message.log_ns - message.publish_ns
-        shown_ns = lag_ns - (self._of_slave(message.publish_ns) if is_shifted else 0)
+        shown_ns = lag_ns - (self.of_slave(message.publish_ns) if is_shifted else 0)
         if not -_LEAST_HORIZON_NS <= shown_ns <= _LONGEST_LAG_NS:
             return lag_ns
         return None if is_shifted else 0
+
+
+class _Known(NamedTuple):
+    """A channel, the shift of its source, whether it is wanted, and whether nothing in its messages matters."""
+
+    channel: RecordedChannel
+    shift_ns: int | None
+    wanted: bool
+    is_plain: bool
 
 
 class SenderOrder:
@@ -103,8 +116,8 @@ class SenderOrder:
         self._ends = ends
         self._clock = clock
         self._wanted = wanted
-        # by channel, what `wanted` has returned
-        self._is_wanted: dict[RecordedChannel, bool] = {}
+        # What is known of a channel, by its identity: its hash, of all its fields, takes longer than all the rest.
+        self._known: dict[int, _Known] = {}
         links = any(channel.via == "link" and wanted(channel) for channel in recording.channels)
         reports = any(channel.topic == FATES_TOPIC for channel in recording.channels)
         self._fates: _Fates | None = _Fates() if links and reports else None
@@ -113,9 +126,9 @@ class SenderOrder:
         # Messages that were just read are in no order.
         self._arrived: list[Sent] = []
         # Something may still come before a pending message, and nothing before a ready one; both are in the order of
-        # sending.
+        # sending. The reader takes the ready ones from the left.
         self._pending: list[Sent] = []
-        self._ready: deque[Sent] = deque()
+        self.ready: deque[Sent] = deque()
         # Messages that left the link and are not reported yet, by channel, each with the time at which the link
         # received it.
         self._waiting: dict[RecordedChannel, deque[Sent]] = {}
@@ -133,21 +146,21 @@ class SenderOrder:
 
     def peek(self) -> Sent | None:
         """Return the next message without moving on; None at the end."""
-        while not self._ready:
+        while not self.ready:
             if self._exhausted:
                 return None
             self._read_on()
-        return self._ready[0]
+        return self.ready[0]
 
     def pop(self) -> None:
         """Move past the next message."""
-        self._ready.popleft()
+        self.ready.popleft()
 
-    def read_ahead(self, least: int) -> bool:
-        """Read a few messages on unless so many are ready; return whether there may be more to read."""
-        if len(self._ready) >= least or self._exhausted:
+    def read_ahead(self, least: int, count: int = _READ_AHEAD) -> bool:
+        """Read a number of messages on unless so many are ready; return whether there may be more to read."""
+        if len(self.ready) >= least or self._exhausted:
             return False
-        self._read_on(_READ_AHEAD)
+        self._read_on(count)
         return True
 
     def __iter__(self) -> Iterator[Sent]:
@@ -155,27 +168,41 @@ class SenderOrder:
             self.pop()
             yield found
 
-    def _wanted_channel(self, channel: RecordedChannel) -> bool:
-        found = self._is_wanted.get(channel)
-        if found is None:
-            found = self._is_wanted[channel] = self._wanted(channel)
-        return found
-
     def _needs(self, channel: RecordedChannel) -> bool:
         return self._wanted(channel) or (self._fates is not None and channel.topic == FATES_TOPIC)
 
     def _read_on(self, count: int = _READ_AT_ONCE) -> None:
         """Read a number of messages, sort what is pending, and make ready what nothing can have been sent before."""
-        before = self._place
+        before, known, arrived, new = self._place, self._known, self._arrived, tuple.__new__
         for message in islice(self._source, count):
-            self._add(message)
+            channel, log_ns, publish_ns, _, _ = message
+            _, shift_ns, wanted, is_plain = known.get(id(channel)) or self._look_at(message)
+            time_ns = publish_ns + (self._clock.of_slave(publish_ns) if shift_ns is None else shift_ns)
+            self._place += 1
+            if log_ns > self._read_ns:
+                self._read_ns = log_ns
+            if not is_plain:
+                self._add(message, time_ns, wanted)
+                continue
+            if log_ns - time_ns > self._most_lag_ns:
+                self._most_lag_ns = log_ns - time_ns
+            # The constructor of a named tuple is a function of Python.
+            arrived.append(new(Sent, (time_ns, self._place, message)))
         if self._place - before < count:
             self._exhausted = True
             self._release_waiting(0)
         self._sort_in()
         count = len(self._pending) if self._exhausted else bisect_left(self._pending, (self._settled_ns(),))
-        self._ready.extend(self._pending[:count])
+        self.ready.extend(self._pending[:count])
         del self._pending[:count]
+
+    def _look_at(self, message: RecordedMessage) -> "_Known":
+        """Find out how the messages of a channel are handled."""
+        channel = message.channel
+        wanted = self._wanted(channel)
+        is_plain = wanted and channel.via != "link" and channel.topic not in (FATES_TOPIC, END_TOPIC)
+        found = self._known[id(channel)] = _Known(channel, self._clock.shift_ns(message), wanted, is_plain)
+        return found
 
     def _sort_in(self) -> None:
         """Sort what has arrived into what is pending, which it mostly follows."""
@@ -189,30 +216,27 @@ class SenderOrder:
         settled_ns = self._read_ns - self._most_lag_ns * 5 // 4 - _LEAST_HORIZON_NS
         return min([settled_ns, *(waiting[0].time_ns for waiting in self._waiting.values() if waiting)])
 
-    def _add(self, message: RecordedMessage) -> None:
-        self._place += 1
-        self._read_ns = max(self._read_ns, message.log_ns)
+    def _add(self, message: RecordedMessage, time_ns: int, wanted: bool) -> None:
         if message.channel.via == "link":
-            self._add_forwarded(message)
+            self._add_forwarded(message, time_ns)
         else:
-            self._add_direct(message)
+            self._add_direct(message, time_ns, wanted)
         if self._fates is not None and message.channel.topic == FATES_TOPIC:
             self._release_waiting(_FATE_PATIENCE_NS + 2 * self._most_lag_ns)
 
-    def _add_direct(self, message: RecordedMessage) -> None:
-        time_ns = self._clock.time_ns(message)
+    def _add_direct(self, message: RecordedMessage, time_ns: int, wanted: bool) -> None:
         self._most_lag_ns = max(self._most_lag_ns, message.log_ns - time_ns)
         if self._fates is not None and message.topic == FATES_TOPIC:
             self._fates.record(message, time_ns - message.publish_ns)
-        if self._wanted_channel(message.channel) and (self._ends or not _is_end(message)):
+        if wanted and (self._ends or not _is_end(message)):
             self._arrived.append(Sent(time_ns, self._place, message))
 
-    def _add_forwarded(self, message: RecordedMessage) -> None:
+    def _add_forwarded(self, message: RecordedMessage, time_ns: int) -> None:
         if self._fates is not None and _is_fast(message.topic):
             waiting = self._waiting.setdefault(message.channel, deque())
-            waiting.append(Sent(self._clock.time_ns(message), self._place, message))
+            waiting.append(Sent(time_ns, self._place, message))
         else:
-            self._add_guessed(message, self._place)
+            self._add_guessed(Sent(time_ns, self._place, message))
 
     def _release_waiting(self, patience_ns: int) -> None:
         """Move on what has its fate, and what was received longer ago than the patience [ns]."""
@@ -224,17 +248,16 @@ class SenderOrder:
                     self._delay_ns[message.channel] = time_ns - arrived_ns
                     self._arrived.append(Sent(time_ns, place, message))
                 elif message.log_ns <= self._read_ns - patience_ns:
-                    self._add_guessed(message, place)
+                    self._add_guessed(waiting[0])
                 else:
                     break
                 waiting.popleft()
 
-    def _add_guessed(self, message: RecordedMessage, place: int) -> None:
-        sent_ns = self._clock.time_ns(message)
-        delay_ns = message.log_ns - sent_ns
+    def _add_guessed(self, sent: Sent) -> None:
+        delay_ns, message = sent.message.log_ns - sent.time_ns, sent.message
         delay_ns = min(delay_ns, self._delay_ns.get(message.channel, delay_ns))
         self._delay_ns[message.channel] = delay_ns
-        self._arrived.append(Sent(sent_ns + max(0, delay_ns), place, message))
+        self._arrived.append(Sent(sent.time_ns + max(0, delay_ns), sent.place, message))
 
 
 class _Fates:

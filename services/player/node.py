@@ -9,6 +9,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import msgpack
@@ -19,16 +20,18 @@ from proto.messages import Scalar, SessionControl
 from recording.messages import RecordedChannel, RecordedMessage
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, PlaybackClock, is_state
-from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.bus.publisher import SNDMORE, ZmqPublisher
 from services.runtime.loop.clock import Clock
 from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
 _TICK_NS = 50_000_000
 _PROGRESS_NS = 1_000_000_000
 _RETRY_NS = 500_000
-# reading a few messages ahead takes less
-_READING_NS = 250_000
+# Reading a few messages ahead takes less, and so does a message of the player's own.
+_PIECE_NS = 250_000
 _BATCH = 256
+# As fast as possible, so many are read and then sent in a row: the threads of both ends wake up less often.
+_FAST_BATCH = 2048
 _LINGER_MS = 10_000
 # a millionth: an hour takes a century
 _LEAST_RATE = 1e-6
@@ -50,6 +53,7 @@ class ReplayPublisher:
     def __init__(self, publisher: ZmqPublisher) -> None:
         """Configure the socket of a publisher, which must be made with `kind=zmq.XPUB`."""
         self.publisher = publisher
+        self._send_frame = publisher.send_frame
         self.sent = 0
         self.subscriptions: set[bytes] = set()
         socket = publisher.socket
@@ -59,10 +63,11 @@ class ReplayPublisher:
         socket.set(zmq.SNDTIMEO, 0)
         socket.set(zmq.LINGER, _LINGER_MS)
 
-    def send(self, topic: str, payload: bytes) -> bool:
+    def send(self, topic: bytes, payload: bytes) -> bool:
         """Send bytes; return False when the queue of a reader is full, and then nothing is sent to any reader."""
         try:
-            self.publisher.send(topic, payload)
+            self._send_frame(topic, SNDMORE)
+            self._send_frame(payload)
         except zmq.Again:
             return False
         self.sent += 1
@@ -71,7 +76,8 @@ class ReplayPublisher:
     def read_subscriptions(self) -> bool:
         """Read subscription messages; return whether there was a new subscription since the last call."""
         subscribed = False
-        while self.publisher.socket.poll(0):
+        # `Socket.poll` would make a poller first.
+        while int(self.publisher.socket.get(zmq.EVENTS)) & zmq.POLLIN:
             message: bytes = self.publisher.socket.recv()
             if message.startswith(_SUBSCRIBE):
                 self.subscriptions.add(message[1:])
@@ -85,30 +91,34 @@ class ReplayPublisher:
         return any(name.startswith(prefix) for prefix in self.subscriptions)
 
 
-class SequenceShift:
-    """Shift of `seq` that keeps each channel counting by one over the jumps of a replay."""
+class Route:
+    """How the messages of a channel are sent: publisher, topic, and the shift by which `seq` counts on after jumps."""
 
-    def __init__(self) -> None:
-        self._offsets: dict[RecordedChannel, int] = {}
-        self._last: dict[RecordedChannel, int] = {}
-        self._jumped: set[RecordedChannel] = set()
+    def __init__(self, publisher: ReplayPublisher, topic: str, *, is_command: bool) -> None:
+        self.publisher = publisher
+        self.topic = topic.encode()
+        # Whether the recorded bytes are sent.
+        self.as_recorded = not is_command
+        self._is_command = is_command
+        self._offset = 0
+        self._jumped = False
+        # The `seq` that was sent last; none was at first.
+        self._last: int | None = None
 
     def jump(self) -> None:
-        """Record that the next message of each channel does not follow its last one."""
-        self._jumped = set(self._last)
+        """Record that the next message does not follow the last one."""
+        self._jumped = self._last is not None
+        self.as_recorded = self.as_recorded and not self._jumped
 
     def payload(self, message: RecordedMessage, clock: Clock) -> bytes:
         """Return the bytes to send: the recorded ones, unless there was a jump or it is a command, sent now."""
-        channel = message.channel
-        if self._jumped and channel in self._jumped:
-            self._offsets[channel] = self._last[channel] + 1 - message.seq
-        offset = self._offsets.get(channel, 0)
-        is_command = channel.topic == "session/control"
-        if offset == 0 and not is_command:
+        if self._jumped and self._last is not None:
+            self._offset = self._last + 1 - message.seq
+        if self._offset == 0 and not self._is_command:
             return message.payload
         fields = message.fields()
-        fields["seq"] = message.seq + offset
-        if is_command:
+        fields["seq"] = message.seq + self._offset
+        if self._is_command:
             fields["t_ns"] = clock.now_ns()
             # it refers to an emergency stop of the recorded run, which nobody can release a second time
             fields.pop("node_latch", None)
@@ -116,9 +126,11 @@ class SequenceShift:
         return packed
 
     def sent(self, message: RecordedMessage) -> None:
-        channel = message.channel
-        self._jumped.discard(channel)
-        self._last[channel] = message.seq + self._offsets.get(channel, 0)
+        """Note what was sent."""
+        self._last = message.seq + self._offset
+        if not self.as_recorded:
+            self._jumped = False
+            self.as_recorded = self._offset == 0 and not self._is_command
 
 
 class PlayerNode(Node):
@@ -154,11 +166,13 @@ class PlayerNode(Node):
         self.playback_clock = PlaybackClock(now, playback.position_ns, settings.rate, paused=settings.paused)
         self._plan = plan
         self._publishers = publishers
-        # by channel, the publisher and the topic of its messages
-        self._routes: dict[RecordedChannel, tuple[ReplayPublisher, str]] = {}
+        self._routes = {channel: self._route(channel) for channel in plan.topics}
+        # The same by the identity of a channel, which is kept with it: its hash takes longer than sending a message.
+        self._known: dict[int, tuple[RecordedChannel, Route]] = {}
         self._observe = observe
         self._warnings = warnings
-        self._sequence_shift = SequenceShift()
+        # What is done in the gaps between messages, and no later than with the next tick.
+        self._deferred: deque[Callable[[], None]] = deque()
         self._pending_state: deque[RecordedMessage] = deque()
         self._steps = 0
         self._step_topic = ""
@@ -272,7 +286,11 @@ class PlayerNode(Node):
         return self.playback_clock.due_ns(self.playback.next_ns)
 
     def _play(self, now_ns: int) -> None:
-        for _ in range(_BATCH):
+        batch = _BATCH
+        if self.playback_clock.rate == 0.0 and not self.playback_clock.paused:
+            batch = _FAST_BATCH
+            self.playback.read_ahead(batch)
+        for _ in range(batch):
             if self._pending_state:
                 if not self._send(self._pending_state[0]):
                     return
@@ -284,37 +302,44 @@ class PlayerNode(Node):
                 return
             due = now_ns if self._steps else self.playback_clock.due_ns(found.time_ns)
             if due is not None and due > now_ns:
-                self._read_until(due)
+                self._use_gap(due)
             if due is None or due > now_ns or not self._send(found.message):
                 return
             self.playback.advance(found)
             if self._steps:
                 self._count_step(found.message)
 
-    def _read_until(self, due_ns: int) -> None:
-        """Read ahead while there is time before the next message is due."""
-        while due_ns - self.clock.monotonic_ns() > _READING_NS and self.playback.read_ahead():
-            pass
+    def _use_gap(self, due_ns: int) -> None:
+        """Do what can wait, one piece after the other, while there is time before the next message is due."""
+        while due_ns - self.clock.monotonic_ns() > _PIECE_NS:
+            if self._deferred:
+                self._deferred.popleft()()
+            elif not self.playback.read_ahead():
+                return
 
     def _count_step(self, message: RecordedMessage) -> None:
         if self._step_topic in ("", message.channel_topic):
             self._steps -= 1
 
     def _send(self, message: RecordedMessage) -> bool:
-        channel = message.channel
-        route = self._routes.get(channel)
-        if route is None:
-            route = self._publishers[self._plan.node(channel)], self._plan.topics[channel]
-            self._routes[channel] = route
-        publisher, topic = route
-        self.blocked = not publisher.send(topic, self._sequence_shift.payload(message, self.clock))
+        channel = message[0]
+        found = self._known.get(id(channel))
+        if found is None:
+            found = self._known[id(channel)] = channel, self._routes[channel]
+        route = found[1]
+        payload = message.payload if route.as_recorded else route.payload(message, self.clock)
+        self.blocked = not route.publisher.send(route.topic, payload)
         if self.blocked:
             self._retry_ns = self.clock.monotonic_ns() + _RETRY_NS
             return False
-        self._sequence_shift.sent(message)
+        route.sent(message)
         self.sent += 1
         self.steps += 1
         return True
+
+    def _route(self, channel: RecordedChannel) -> Route:
+        publisher, topic = self._publishers[self._plan.node(channel)], self._plan.topics[channel]
+        return Route(publisher, topic, is_command=channel.topic == "session/control")
 
     def _handle_end(self) -> None:
         self._steps = 0
@@ -324,28 +349,42 @@ class PlayerNode(Node):
             self.end()
 
     def _jump(self, state: Sequence[RecordedMessage]) -> None:
-        self._sequence_shift.jump()
+        self._note_jump()
         self._pending_state = deque(state)
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns)
         self._publish_status("moved")
 
+    def _note_jump(self) -> None:
+        # What is read from another place on may have channels of its own that are equal to these.
+        self._known.clear()
+        for route in self._routes.values():
+            route.jump()
+
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns + _TICK_NS
+        self._run_deferred()
         # an empty list first: `any` would leave the others unread
         subscribed = [key for key, publisher in self._publishers.items() if publisher.read_subscriptions()]
         if not self.started:
             self._start_when_subscribed(now_ns)
-        elapsed_s = (now_ns - self._health_ns) * 1e-9
-        if now_ns - self._health_ns >= HEALTH_PERIOD_NS:
-            self._health_ns = now_ns
-            self._publish_all_health(elapsed_s)
         for key in subscribed:
             # a new reader learns that this is a replay before it receives anything else
             self._publish_health(self._publishers[key], 0.0, "running")
+        if now_ns - self._health_ns >= HEALTH_PERIOD_NS:
+            elapsed_s = (now_ns - self._health_ns) * 1e-9
+            self._health_ns = now_ns
+            self._deferred.extend(partial(self._publish_rate, key, elapsed_s) for key in self._publishers)
         if now_ns - self._progress_ns >= _PROGRESS_NS:
             self._progress_ns = now_ns
-            self._publish_status("playing")
-        self._observe(self)
+            self._deferred.append(partial(self._publish_status, "playing"))
+        self._deferred.append(partial(self._observe, self))
+        if not self.started or self.playback_clock.paused or self.playback_clock.rate == 0.0:
+            self._run_deferred()
+
+    def _run_deferred(self) -> None:
+        """Do what has found no gap between messages since the last tick."""
+        while self._deferred:
+            self._deferred.popleft()()
 
     def _start_when_subscribed(self, now_ns: int) -> None:
         unsubscribed = sorted(
@@ -362,7 +401,7 @@ class PlayerNode(Node):
         for publisher in self._publishers.values():
             self._publish_health(publisher, 0.0, "running")
         self._pending_state.extend(self.playback.state())
-        self._sequence_shift.jump()
+        self._note_jump()
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns)
         if unsubscribed:
             self.event(
@@ -390,11 +429,11 @@ class PlayerNode(Node):
             },
         )
 
-    def _publish_all_health(self, elapsed_s: float) -> None:
-        for key, publisher in self._publishers.items():
-            rate = (publisher.sent - self._reported[key]) / elapsed_s
-            self._reported[key] = publisher.sent
-            self._publish_health(publisher, rate, "running")
+    def _publish_rate(self, key: str, elapsed_s: float) -> None:
+        publisher = self._publishers[key]
+        rate_hz = (publisher.sent - self._reported[key]) / elapsed_s
+        self._reported[key] = publisher.sent
+        self._publish_health(publisher, rate_hz, "running")
 
     def _publish_health(self, publisher: ReplayPublisher, rate_hz: float, state: str) -> None:
         try:

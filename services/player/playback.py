@@ -68,18 +68,23 @@ class Playback:
 
     def next(self) -> Sent | None:
         """Return the next message with the time [ns] at which it was sent; None at the end of the span."""
-        found = self._order.peek()
-        return None if found is None or found.time_ns >= self.end_ns else found
+        ready = self._order.ready
+        found = ready[0] if ready else self._order.peek()
+        return None if found is None or found[0] >= self.end_ns else found
 
     def advance(self, found: Sent) -> None:
         """Move past the next message, which is `found`."""
-        if found.time_ns > self.position_ns:
-            self.position_ns = found.time_ns
-        self._order.pop()
+        if found[0] > self.position_ns:
+            self.position_ns = found[0]
+        self._order.ready.popleft()
 
-    def read_ahead(self) -> bool:
-        """Read a few messages, for `next` not to; return whether there may be more to read."""
-        return self._order.read_ahead(_READY)
+    def read_ahead(self, count: int | None = None) -> bool:
+        """Read messages, for `next` not to; return whether there may be more to read.
+
+        Args:
+            count: So many are read where fewer are ready; None reads a few unless enough are.
+        """
+        return self._order.read_ahead(_READY) if count is None else self._order.read_ahead(count, count)
 
     def peek(self) -> RecordedMessage | None:
         """Return the next message without moving on; None at the end of the span."""

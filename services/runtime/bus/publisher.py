@@ -21,7 +21,7 @@ SEND_HIGH_WATER_MARK = 22_000
 # a subscriber sends nothing but names of topics
 _LARGEST_SUBSCRIPTION = 4096
 # A plain number is used, because the enumeration of the binding makes the call half as expensive again.
-_SNDMORE = int(zmq.SNDMORE)
+SNDMORE = int(zmq.SNDMORE)
 # This thread of a context moves the messages of a node; another one serves the sockets that strangers can reach.
 FIRST_THREAD = 1
 # Messages of these topics have one version, whatever keys they have.
@@ -105,7 +105,7 @@ class ZmqPublisher(_NumberingPublisher):
         self.socket.set(zmq.MAXMSGSIZE, _LARGEST_SUBSCRIPTION)
         # Call the C base class directly: the method of the subclass first checks options that a PUB socket does not
         # have.
-        self._send = super(zmq.Socket, self.socket).send
+        self.send_frame = super(zmq.Socket, self.socket).send
         # It is called first with topic and bytes of each message: some cross to another machine on this other way.
         self.carry: Callable[[str, bytes], None] | None = None
         # Whether the thread that carries a message has this processor before the next one is taken up.
@@ -127,8 +127,8 @@ class ZmqPublisher(_NumberingPublisher):
         frame = _FRAMES.get(topic) or topic.encode()
         if self._batch is not None:
             self._batch.add(frame, payload)
-        self._send(frame, _SNDMORE)
-        self._send(payload)
+        self.send_frame(frame, SNDMORE)
+        self.send_frame(payload)
         if self.yields:
             os.sched_yield()
 
@@ -153,8 +153,8 @@ class ZmqPublisher(_NumberingPublisher):
         self._lock.release()
 
     def _send_batch(self, payload: bytes) -> None:
-        self._send(BATCH_FRAME, _SNDMORE)
-        self._send(payload)
+        self.send_frame(BATCH_FRAME, SNDMORE)
+        self.send_frame(payload)
 
 
 def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:

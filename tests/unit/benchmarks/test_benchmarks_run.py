@@ -40,7 +40,9 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "recompile.py": {"rows.*.share": (0.02, 1.5), "rows.*.time_s": (0.5, 600.0)},
     "replay.py": {
         "timing.messages": (1000, 1e6), "timing.interval_error_p50_s": (0.0, 0.05),
-        "rate_0.ratio_to_bare": (0.05, 5.0), "verify.ratio": (0.03, 1.5), "recording.ratio": (0.1, 5.0),
+        "plain_timer.interval_error_p50_s": (0.0, 0.05),
+        "rate_0.ratio_to_bare": (0.05, 5.0), "rate_0.ratio_to_bare_apart": (0.05, 5.0),
+        "verify.ratio": (0.03, 1.5), "recording.ratio": (0.1, 5.0),
     },
     "side_by_side.py": {"cases.*.median.p50_ms": (0.05, 500.0), "cases.*.median.hand_hz": (100.0, 1100.0)},
     "soak.py": {"least_rate_share": (0.2, 1.05), "rate_to_machine": (0.2, 2.0)},

@@ -179,6 +179,45 @@ def test_messages_are_sent_when_they_are_due(stage: Callable[..., Stage], make_f
     assert rig.player.sent == 16
 
 
+def test_what_can_wait_is_done_between_messages_and_makes_none_late(
+    stage: Callable[..., Stage], make_file: MakeFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = stage(make_file(), wait_s=0.0, rate=0.05)
+    calls: list[int] = []
+
+    def observe(player: PlayerNode) -> None:
+        calls.append(rig.clock.monotonic_ns())
+        rig.clock.advance_ns(200_000)
+
+    sent_ns: list[int] = []
+    send = ReplayPublisher.send
+
+    def noted(publisher: ReplayPublisher, topic: bytes, payload: bytes) -> bool:
+        sent_ns.append(rig.clock.monotonic_ns())
+        return send(publisher, topic, payload)
+
+    monkeypatch.setattr(ReplayPublisher, "send", noted)
+    rig.player._observe = observe
+    rig.run_ms(850)
+    assert rig.player.finished
+    # One message every 20 ms, from the first tick on, whose multiples are those of the ticks as well.
+    assert {later - earlier for earlier, later in pairwise(sent_ns)} == {20 * MILLISECOND_NS}
+    assert len(calls) > 10
+
+
+@pytest.mark.parametrize("rate", [0.0, 100.0])
+def test_what_can_wait_is_done_where_messages_leave_no_gap(
+    stage: Callable[..., Stage], make_file: MakeFile, rate: float
+) -> None:
+    rig = stage(make_file(), wait_s=0.0, rate=rate, span=Span(loop=True))
+    calls: list[int] = []
+    rig.player._observe = lambda player: calls.append(rig.clock.monotonic_ns())
+    for _ in range(100):
+        rig.clock.advance_ns(10 * MILLISECOND_NS)
+        rig.player.on_deadline(rig.clock.monotonic_ns())
+    assert len(calls) >= 19
+
+
 def test_nothing_is_sent_before_somebody_listens_or_the_wait_is_over(
     stage: Callable[..., Stage], make_file: MakeFile
 ) -> None:

@@ -199,7 +199,7 @@ def test_a_first_batch_that_begins_before_the_single_messages_is_recorded_in_ord
     node = rig.node(HAND)
     assert node.batch is not None
     # sent before anybody had subscribed, so that only the batch has it
-    with mock.patch.object(node.publisher, "_send"):
+    with mock.patch.object(node.publisher, "send_frame"):
         node.send("haptic/state", hand(4453))
     for seq in range(4454, 4460):
         rig.advance(1.0)

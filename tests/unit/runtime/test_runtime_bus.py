@@ -173,7 +173,7 @@ def test_a_publisher_that_yields_gives_the_processor_away_behind_each_message(
 ) -> None:
     publisher = ZmqPublisher(context, VirtualClock(), "delay_node@slave", endpoint)
     sent: list[bytes] = []
-    monkeypatch.setattr(publisher, "_send", lambda frame, flags=0: sent.append(frame))
+    monkeypatch.setattr(publisher, "send_frame", lambda frame, flags=0: sent.append(frame))
     monkeypatch.setattr(os, "sched_yield", lambda: sent.append(b"yield"))
     publisher.send("teleop/forward", b"1")
     assert sent == [b"teleop/forward", b"1"]
