@@ -1,6 +1,7 @@
 """The way from a command line to a running node: configuration, clock, bus, loop."""
 
 import argparse
+import gc
 import importlib
 import os
 import signal
@@ -123,6 +124,9 @@ def load_site(path: Path) -> AddressBook:
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
     """Run a node until it is stopped; return the exit code, 2 when it could not start."""
     given = parse_arguments(kind.name, kind.sites, arguments)
+    # What was imported stays, so that no later collection has to look through it.
+    gc.freeze()
+    gc.enable()
     configure_logging()
     log = StructuredLog(f"{kind.name}@{given.site}")
     try:

@@ -1,10 +1,13 @@
 """From a command line to a running node, or to one clear line that says why not."""
 
+import ast
 import gc
 import logging
 import os
 import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
@@ -12,6 +15,7 @@ from typing import Annotated, Any, ClassVar, cast
 import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
+import services
 from proto.errors import ConfigError
 from services.runtime.bus.bus import Received
 from services.runtime.loop.main import (
@@ -92,6 +96,23 @@ def arguments(tmp_path: Path) -> list[str]:
     site.write_text(f"nodes: {{controller@master: 'ipc://{tmp_path}/controller'}}\n")
     scenario.write_text(SCENARIO)
     return ["--site-file", str(site), "--scenario", str(scenario)]
+
+
+def test_no_node_looks_for_garbage_during_its_imports() -> None:
+    for name in ("afm_node", "controller", "delay_node", "haptic_node", "recorder"):
+        text = Path(services.__path__[0], name, "__main__.py").read_text()
+        first, second, *_ = ast.parse(text).body[1:]
+        assert ast.unparse(first) == "import gc"
+        assert ast.unparse(second) == "if __name__ == '__main__':\n    gc.disable()"
+    # It ends with its help after the imports, in which there would be more than a hundred collections.
+    script = (
+        "import atexit, gc, runpy, sys; sys.argv = ['node', '--help']; found = []; gc.collect(); "
+        "gc.callbacks.append(lambda phase, info: found.append(info)); "
+        "atexit.register(lambda: print(len(found))); "
+        "runpy.run_module('services.delay_node', run_name='__main__')"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert int(ended.stdout.splitlines()[-1]) < 10
 
 
 def test_a_node_runs_until_it_is_stopped(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
