@@ -22,7 +22,7 @@ from studies.experiments.table import tidy, write_tables
 pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(1500)]
 
 PAGES = (
-    "index.html", "gallery.html", "unstable.html", "tutorial.html", "operating.html", "cli.html",
+    "index.html", "gallery.html", "unstable.html", "tutorial.html", "operating.html", "cli.html", "architecture.html",
     "notebooks/fig12_against_delay.html", "notebooks/experiment_table.html",
 )  # fmt: skip
 SIZES = ((1280, 800), (390, 844))
@@ -86,10 +86,39 @@ def test_every_link_and_picture_of_the_site_is_there(site: Path) -> None:
 
 
 def test_no_page_names_a_file_of_another_server(site: Path) -> None:
-    """A diagram is drawn by what Material's own script fetches; on all other pages nothing is fetched at all."""
     for path in site.rglob("*.html"):
         text = path.read_text(encoding="utf-8")
         assert re.findall(r'<(?:img|script|link rel="stylesheet")\b[^>]*(?:src|href)="https?:[^"]*"', text) == [], path
+        # Material's own script fetches the library for these from elsewhere
+        assert 'class="mermaid"' not in text, path
+
+
+@needs_browser
+@pytest.mark.browser
+def test_no_page_asks_another_server_for_anything(site: Path, address: str, chromium: Any) -> None:
+    """Open every page, scripts and all, with a window that notes what it is asked for and answers nothing of others."""
+    window = chromium.new_context()
+    asked: list[str] = []
+
+    def decide(route: Any) -> None:
+        if route.request.url.startswith(address):
+            route.continue_()
+        else:
+            asked.append(route.request.url)
+            route.abort()
+
+    window.route("**/*", decide)
+    page = window.new_page()
+    pages = sorted(path.relative_to(site) for path in site.rglob("*.html") if path.name != "404.html")
+    assert len(pages) > 60
+    for name in pages:
+        page.goto(f"{address}/{name}", wait_until="load")
+        page.wait_for_function("document.readyState === 'complete'")
+    assert asked == []
+    # the window does see what is asked for
+    page.evaluate("fetch('http://elsewhere.invalid/library.js').catch(() => 0)")
+    assert asked == ["http://elsewhere.invalid/library.js"]
+    window.close()
 
 
 def test_the_notebooks_have_what_they_print_and_draw(site: Path) -> None:

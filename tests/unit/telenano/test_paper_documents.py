@@ -5,14 +5,17 @@ import re
 import shlex
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
+from proto.nodes import name_of
 from telenano.cli.lazy_commands import LAZY_COMMANDS
-from telenano.cli.rig_graph import edges, mermaid
+from telenano.cli.rig_graph import edges
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
+SVG = "{http://www.w3.org/2000/svg}"
 SOURCES = [
     path for folder in ("services", "studies", "analysis", "recording") for path in (ROOT / folder).rglob("*.py")
 ]
@@ -96,8 +99,19 @@ def anchors(page: Path) -> set[str]:
 
 
 def test_the_diagram_of_the_architecture_is_the_graph_of_the_tables() -> None:
-    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
-    assert f"```mermaid\n{mermaid(edges())}\n```" in text
+    drawn = ElementTree.parse(DOCS / "architecture.svg").getroot()
+    arrows = {}
+    for group in drawn.iterfind(f"{SVG}g[@id]"):
+        assert group.find(f"{SVG}path") is not None
+        arrows[group.attrib["id"]] = " ".join(str(words.text) for words in group.iter(f"{SVG}tspan"))
+    topics: dict[str, list[str]] = {}
+    for edge in edges():
+        rate = f" {edge.rate_hz:g} Hz" if edge.rate_hz is not None else ""
+        topics.setdefault(f"{edge.source}-{edge.reader}", []).append(f"{edge.topic}{rate}")
+    assert arrows == {arrow: " ".join(words) for arrow, words in topics.items()}
+    boxes = {words.text for words in drawn.iter(f"{SVG}text")}
+    assert {name_of(node) for arrow in arrows for node in arrow.split("-")} <= boxes
+    assert "](architecture.svg)" in (DOCS / "architecture.md").read_text(encoding="utf-8")
 
 
 def test_the_site_has_every_page() -> None:
