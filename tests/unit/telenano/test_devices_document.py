@@ -1,4 +1,4 @@
-"""docs/devices.md: every fault has its row, and every test that a row names exists."""
+"""docs/devices/faults.md: every fault has its row, and every test that a row names exists."""
 
 import itertools
 import re
@@ -12,7 +12,7 @@ from services.haptic_node.config import HapticConfig
 from services.runtime.settings.scenario import load_scenario
 
 ROOT = Path(__file__).parents[3]
-TEXT = (ROOT / "docs" / "devices.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "devices" / "faults.md").read_text(encoding="utf-8")
 NAMED = re.compile(r"(test_\w+\.py)::(test_\w+)(?:\[([^\]]+)\])?")
 # a row of a table of faults, and one of a start that is refused
 CASES = re.compile(r'^    "([^"]+)": (?:Fault|refused)\(|pytest\.param\(.*\bid="([^"]+)"\)', re.MULTILINE)
