@@ -1,5 +1,6 @@
 """Packages made by `telenano new` are laws, devices, operators and samples of the rig once they are installed."""
 
+import ast
 import json
 import os
 import re
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from proto.errors import ConfigError
+from services.afm_node.physics.part import AfmSample
 from telenano.cli.new_package import KINDS, new_package
 
 ROOT = Path(__file__).parents[3]
@@ -178,19 +180,30 @@ def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any
     assert found["refused"] == ["filtered.filter_s", "layered.k"]
 
 
-def test_every_package_passes_the_test_that_it_comes_with_as_it_is(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "compiled", [False, pytest.param(True, marks=[pytest.mark.endurance, pytest.mark.timeout(900)])]
+)
+def test_every_package_passes_the_test_that_it_comes_with_as_it_is(compiled: bool, tmp_path: Path) -> None:
     folders, tests = [tmp_path, ROOT], []
     for kind, name in NAMES.items():
         new_package(kind, name, tmp_path / name)
         put_on_path(tmp_path / name, tmp_path)
         folders.append(tmp_path / name)
         tests.append(str(tmp_path / name / "tests"))
-    # without a compiler, whose work would take longer than the sessions
-    paths = {"PYTHONPATH": os.pathsep.join(map(str, folders)), "NUMBA_DISABLE_JIT": "1"}
+    # `make test` is without a compiler, whose work would take longer than the sessions
+    paths = {"PYTHONPATH": os.pathsep.join(map(str, folders)), "NUMBA_DISABLE_JIT": str(int(not compiled))}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", *tests]
     done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **paths}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"\b([8-9]|1[0-9]) passed", done.stdout), done.stdout
+
+
+def test_a_new_sample_gives_every_field_because_the_compiler_fills_in_none(tmp_path: Path) -> None:
+    new_package("sample", "layered", tmp_path / "p")
+    text = (tmp_path / "p" / "telenano_layered" / "__init__.py").read_text()
+    made = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    given = [len(call.args) for call in made if getattr(call.func, "id", "") == "AfmSample"]
+    assert given == [len(AfmSample._fields)]
 
 
 @pytest.mark.endurance
