@@ -91,7 +91,8 @@ def test_the_log_of_ping_is_a_network_by_the_letter(rig: Rig, tmp_path: Path) ->
     for text in found:
         done = shell(text + (" --duration 2.5 --json" if "telenano" in text else ""), environment, tmp_path)
         assert done.returncode in (0, 3), done.stderr
-    assert 0.008 < json.loads(done.stdout)["loop_age_ms"]["p50"] * 1e-3 < 0.08
+    # the whole round trip, which is 20 to 26 ms, and not the half of it
+    assert 0.018 < json.loads(done.stdout)["loop_age_ms"]["p50"] * 1e-3 < 0.08
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl")
