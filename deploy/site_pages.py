@@ -5,6 +5,7 @@ MkDocs calls the functions that begin with `on_` (mkdocs.yml, `hooks`).
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 from posixpath import dirname, join, normpath, relpath
 from typing import Any
@@ -32,6 +33,8 @@ _WIDE = {"index.md": ["navigation", "toc"], "gallery.md": ["toc"], "unstable.md"
 # the picture in whose place the site has the gallery of delay itself
 _STILL = re.compile(r"^!\[[^\]]*\]\(view/gallery\.png\)$", re.MULTILINE)
 _SLIDER = "<!-- the gallery of delay -->"
+# a link that is called as the repository calls its file, which a reader of the site does not know
+_FILE_NAME = re.compile(r"[\w./-]+\.md")
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\](?:\([^)]*\))?)*)\]\(([^)\s]+)((?:\s+\"[^\"]*\")?)\)")
 # What a kernel says stays on sockets of the user.
@@ -82,6 +85,8 @@ def linked(found: re.Match[str], uri: str) -> str:
     path, hash_, anchor = target.partition("#")
     origin = uri.removeprefix(_PREFIX) if uri.startswith(_PREFIX) else f"docs/{uri}"
     there = normpath(join(dirname(origin), path))
+    if _FILE_NAME.fullmatch(text):
+        text = title_of(there) or text
     if there.startswith("docs/"):
         there = there.removeprefix("docs/").replace(".ipynb", ".md")
     elif there in _OTHERS:
@@ -89,6 +94,15 @@ def linked(found: re.Match[str], uri: str) -> str:
     else:
         return text
     return f"{image}[{text}]({relpath(there, dirname(uri) or '.')}{hash_}{anchor}{title})"
+
+
+@cache
+def title_of(document: str) -> str:
+    """Return the title of a document by its path in the repository, empty where it has none."""
+    path = ROOT / document
+    text = path.read_text(encoding="utf-8") if document.endswith(".md") and path.is_file() else ""
+    found = re.search(r"^# (.+)$", text, re.MULTILINE)
+    return found[1] if found else ""
 
 
 def executed(path: Path) -> tuple[str, dict[str, bytes]]:

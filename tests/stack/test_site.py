@@ -85,6 +85,11 @@ def test_every_link_and_picture_of_the_site_is_there(site: Path) -> None:
     assert missing == []
 
 
+def test_a_link_to_a_page_has_its_title_and_not_the_name_of_its_file(site: Path) -> None:
+    for path in site.rglob("*.html"):
+        assert re.findall(r"<a [^>]*>([\w./-]+\.md)</a>", path.read_text(encoding="utf-8")) == [], path
+
+
 def test_no_page_names_a_file_of_another_server(site: Path) -> None:
     for path in site.rglob("*.html"):
         text = path.read_text(encoding="utf-8")
