@@ -70,6 +70,7 @@ FOREIGN = {
     "_compile_for_args": "numba",
     "_data_path": "numba",
     "_dump": "numba",
+    "_getvalue": "numba",
     "_instance": "zenoh-ros2-sdk",
     "_open_for_write": "numba",
     "_py_func": "numba",

@@ -187,7 +187,8 @@ def test_a_node_with_other_private_names_classes_and_modules_takes_the_state(
     monkeypatch.setattr(afm, "AfmNode", getattr(module, "OtherAfmNode", None))
     monkeypatch.setattr(haptic, "HapticNode", getattr(module, "OtherHapticNode", None))
     monkeypatch.setattr(virtual_rig, "DelayNode", getattr(module, "OtherDelayNode", None))
-    monkeypatch.setattr(virtual_rig, "half_of_site", getattr(module, "half_of_site", None))
+    half = getattr(module, f"Other{type(node).__name__}")
+    monkeypatch.setattr(virtual_rig, "half_of_site", half)
     other = rig._node(node.context)
     assert type(other).__name__ == f"Other{type(node).__name__}"
     assert set(vars(other)) != set(vars(node))

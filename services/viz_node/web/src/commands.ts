@@ -55,10 +55,11 @@ export class Commands {
     return this.ask(about, { k: "command", command, target, parameters });
   }
 
-  /** Arm the devices one after the other, as far as they permit, and no further than to the next emergency stop. */
-  async arm(mayGoOn = this.stops.begin()): Promise<void> {
+  /** Arm the devices one after the other, as far as they permit, and no further than to the next emergency stop; the answer says whether all are. */
+  async arm(mayGoOn = this.stops.begin()): Promise<boolean> {
     this.onArm();
-    for (const device of DEVICES) if (!mayGoOn() || !(await this.command(`arm ${device}`, "arm", device))) return;
+    for (const device of DEVICES) if (!mayGoOn() || !(await this.command(`arm ${device}`, "arm", device))) return false;
+    return true;
   }
 
   /** Couple hand and tip anew: the tip is withdrawn, and armed when the hand is at rest. */

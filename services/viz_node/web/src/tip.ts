@@ -29,13 +29,13 @@ export class Tip {
     return runs ? String(this.store.fact(PROGRAM, "program") ?? "") : "";
   }
 
-  /** End a program, wait until the tip is away, and let it follow the hand again. */
-  async followHand(): Promise<void> {
+  /** End a program, wait until the tip is away, and let it follow the hand again; the answer says whether it does. */
+  async followHand(): Promise<boolean> {
     const mayGoOn = this.commands.stops.begin();
-    if (this.program && !(await this.commands.command("abort", "set", INSTRUMENT, { program: "abort" }))) return;
+    if (this.program && !(await this.commands.command("abort", "set", INSTRUMENT, { program: "abort" }))) return false;
     const isEnding = (): boolean => this.program !== "" || this.store.fact("afm/state/slave", "mode") === "retracting";
     for (let waited = 0; isEnding() && waited < LONGEST_END_MS; waited += LOOK_MS) await new Promise((go) => setTimeout(go, LOOK_MS));
-    await this.commands.arm(mayGoOn);
+    return this.commands.arm(mayGoOn);
   }
 
   /** Move the tip over the sample as the pointer goes [nm]: one command at a time, and then to the newest place. */

@@ -33,6 +33,10 @@ export class ParticlesPanel implements Panel {
   private pushed: Known | undefined;
   private isAssembling = false;
   private isTakenOver = false;
+  /** The tip follows the hand that has taken over, as far as the nodes have acknowledged it. */
+  private isByHand = false;
+  /** What the hand across is, as the nodes have acknowledged it. */
+  private chosen = "rate";
   private words = "No image yet: Scan takes one, with its tip clear of the particles.";
   private aside = NaN;
   private before: [number, number] | undefined;
@@ -47,7 +51,7 @@ export class ParticlesPanel implements Panel {
   private readonly assemble = this.button("assemble", "Assemble", () => void this.run());
   private readonly takeOver = this.button("take-over", "Take over", () => void this.take());
   private readonly giveBack = this.button("give-back", "Give back", () => void this.give());
-  private readonly mode = make("select", { id: "lateral-mode", "aria-label": "What the hand across the sample is", onchange: () => void this.set({ "lateral.mode": this.mode.value }) }, ...["rate", "position"].map((name) => make("option", { value: name }, `hand is ${name === "rate" ? "velocity" : "place"}`)));
+  private readonly mode = make("select", { id: "lateral-mode", "aria-label": "What the hand across the sample is", onchange: () => void this.choose() }, ...["rate", "position"].map((name) => make("option", { value: name }, `hand is ${name === "rate" ? "velocity" : "place"}`)));
   private readonly switches = [
     this.toggle("lateral-clutch", "Clutch", "The hand moves freely and the tip stands", (on) => ({ "lateral.clutch": on ? "released" : "engaged" })),
     this.toggle("hold-depth", "Hold depth", "The hand stays at its depth", (on) => ({ "lateral.depth.enabled": on })),
@@ -75,7 +79,7 @@ export class ParticlesPanel implements Panel {
     image.onDraw = (pen, at, scale) => this.draw(pen, at, scale);
     image.onGrab = (x, y) => this.grab(x, y);
     image.onNext = () => this.cockpit.commands.may && this.next();
-    image.nextText = () => (this.known.some(({ target }) => target) ? `Stick pressed: ${this.isTakenOver ? "give back" : this.isAssembling ? "take over" : "assemble"}` : "");
+    image.nextText = () => (this.known.some(({ target }) => target) ? `Stick pressed: ${this.isByHand ? "give back" : this.isAssembling || this.isTakenOver ? "take over" : "assemble"}` : "");
     this.pad.addEventListener("pointerdown", (event) => {
       this.pad.setPointerCapture(event.pointerId);
       this.steer(event);
@@ -213,7 +217,7 @@ export class ParticlesPanel implements Panel {
   private async run(): Promise<void> {
     if (this.isAssembling) return;
     this.isAssembling = true;
-    this.isTakenOver = false;
+    this.isTakenOver = this.isByHand = false;
     while (!this.isTakenOver) {
       const open = this.known.filter((one) => one.target && !one.isLost && Math.hypot(one.target.x - one.x, one.target.y - one.y) > 2 * DONE_SHARE * one.radius);
       const next = open.find((one) => !isBlocked(one, one.target!, this.known.filter((other) => other !== one)));
@@ -228,7 +232,7 @@ export class ParticlesPanel implements Panel {
   }
 
   private next(): void {
-    void (this.isTakenOver ? this.give() : this.isAssembling ? this.take() : this.run());
+    void (this.isByHand ? this.give() : this.isAssembling || this.isTakenOver ? this.take() : this.run());
   }
 
   private async push(one: Known): Promise<boolean> {
@@ -255,9 +259,10 @@ export class ParticlesPanel implements Panel {
   /** Let the hand go on where the program is: the tip comes up, and down again at the same place. */
   private async take(): Promise<void> {
     this.isTakenOver = true;
-    this.words = "By hand: press down with Keep holding, and steer across.";
-    await this.cockpit.tip.followHand();
-    await this.set({ "lateral.mode": this.mode.value, "lateral.clutch": "engaged", ...this.line() });
+    this.words = "The program ends, and the tip comes up.";
+    this.isByHand = await this.cockpit.tip.followHand();
+    this.words = this.isByHand ? "By hand: press down with Keep holding, and steer across." : "The tip does not follow the hand: take over again.";
+    if (this.isByHand) await this.set({ "lateral.mode": this.mode.value, "lateral.clutch": "engaged", ...this.line() });
   }
 
   /** Let the program go on from where the particles are believed to be now. */
@@ -273,6 +278,13 @@ export class ParticlesPanel implements Panel {
     const one = this.pushed ?? this.known.find(({ target }) => target);
     if (!one?.target) return {};
     return { "lateral.guide.x0_m": one.x / NM, "lateral.guide.y0_m": one.y / NM, "lateral.guide.x1_m": one.target.x / NM, "lateral.guide.y1_m": one.target.y / NM };
+  }
+
+  /** Choose what the hand across is; the list shows again what it was where that is refused. */
+  private async choose(): Promise<void> {
+    const wanted = this.mode.value;
+    if (await this.set({ "lateral.mode": wanted })) this.chosen = wanted;
+    else this.mode.value = this.chosen;
   }
 
   private async set(values: Values): Promise<boolean> {
