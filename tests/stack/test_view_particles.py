@@ -48,6 +48,8 @@ class Pushed:
 
 
 def newest(rig: Rig, topic: str) -> Any:
+    """Return the newest message of a topic in the recording, once there is one."""
+    rig.wait_until(lambda: bool(rig.recording().messages(topic)), f"{topic} in the recording")
     return rig.recording().messages(topic)[-1].decode()
 
 
@@ -275,7 +277,6 @@ def taken_over(rig: Rig, page: Page, headset: bool) -> None:
     page.until("document.querySelector('#assemble') !== null", "the panel of the particles")
     if not headset:
         page.click("#show-flat")
-    rig.wait_until(lambda: bool(rig.recording().messages("afm/particles")), "the truth in the recording")
     before = particle_m(rig)
     imaged(rig, page)
     assert math.dist(before, particle_m(rig)) < 1e-9
