@@ -27,6 +27,8 @@ const UNITS: readonly (readonly [string, string])[] = [
   ["_m_per_s", "m/s"],
   ["_sqrt_w", "√W"],
   ["_bytes_per_s", "B/s"],
+  ["_kbit_per_s", "kbit/s"],
+  ["_per_s", "1/s"],
   ["_kg", "kg"],
   ["_s", "s"],
   ["_m", "m"],
@@ -73,7 +75,8 @@ function settingOf(key: string, name: string, schema: Schema, units: typeof SHOW
   const type = plain["type"];
   const kind = type === "number" || type === "integer" || type === "boolean" ? type : type === "string" ? "text" : undefined;
   if (!kind) return undefined;
-  const unit = UNITS.find(([end]) => name.endsWith(end));
+  // A quotient that is not in the list has no unit here, rather than that of its divisor.
+  const unit = UNITS.find(([end]) => name.endsWith(end) && !name.endsWith(`_per${end}`));
   const [shownUnit, scale] = units[unit?.[1] ?? ""] ?? [unit?.[1] ?? "", 1];
   const [min, max] = [plain["minimum"] ?? plain["exclusiveMinimum"], plain["maximum"] ?? plain["exclusiveMaximum"]];
   return {

@@ -18,3 +18,13 @@ test("the programs of the page are those that the instrument says it has, of pac
   // of an instrument in the units in which people speak of it
   expect(settings(schema, "circle", "instrument")).toMatchObject([{ unit: "nm", scale: 1e9, initial: 2e-8, min: 1 }]);
 });
+
+test("a quotient is not shown in the unit of its divisor", () => {
+  const number = { type: "number", default: 0.5, description: "Some number." };
+  const gains = { properties: { gain_per_s: number, sensitivity_per_m: number, speed_m_per_s: number } };
+  expect(settings(gains, "", "instrument")).toMatchObject([
+    { unit: "1/s", scale: 1, label: "gain", initial: 0.5 },
+    { unit: "", scale: 1, label: "sensitivity per m" },
+    { unit: "nm/s", scale: 1e9, label: "speed" },
+  ]);
+});
