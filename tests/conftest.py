@@ -18,6 +18,8 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("telenano")
+# No session leaves a process that compiles behind, or runs plain where a test is about compiled code.
+os.environ.setdefault("TELENANO_COMPILE_FIRST", "1")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -221,7 +221,10 @@ def simulate_scenario(
     duration_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> SimulatedSession:
-    """Run a scenario in lockstep, without processes: in the first call the models compile, which takes a minute.
+    """Run a scenario in lockstep, without processes.
+
+    The first call of its kind runs as plain Python, which takes a second or two for Fig. 12, while another process
+    compiles the models; later calls run compiled, and the bits are the same (docs/api.md).
 
     Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way, or
     delay_ms, one way; environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s];
@@ -247,16 +250,19 @@ def simulate_scenario(
     if operator is not None:
         # in the place of that of the scenario, and not key by key: it may be of another kind
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
-    return simulate_document(document, str(path))
+    return simulate_document(document, str(path), single=True)
 
 
-def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers | None = None) -> SimulatedSession:
+def simulate_document(
+    document: Mapping[str, Any], origin: str, steers: Steers | None = None, *, single: bool = False
+) -> SimulatedSession:
     """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
 
     Args:
         document: The scenario.
         origin: What an error names.
         steers: Makes a hand that steers the tip across the sample to a particle, in mode rate.
+        single: Whether few others of its kind follow, as in `lockstep.simulate`.
     """
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
     controller = loaded.section("controller", ControllerConfig)
@@ -288,7 +294,7 @@ def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers |
         text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
         raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
     hand = None if steers is None else steers(schedule.window, period_s)
-    course = simulate(rig, schedule, settle, hand, path)
+    course = simulate(rig, schedule, settle, hand, path, single=single)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
