@@ -92,7 +92,13 @@ def show(folder: DirOption = None, as_json: JsonOption = False) -> None:
 @app.command()
 def allow(
     name: NameArgument,
-    key: Annotated[str, typer.Argument(metavar="KEY|FILE", help="Its public key (quoted), or its NAME.key file.")],
+    key: Annotated[
+        str,
+        typer.Argument(
+            metavar="KEY|FILE",
+            help="Its public key (quoted; behind -- where it begins with a hyphen), or its NAME.key file.",
+        ),
+    ],
     role: Annotated[
         list[RoleName],
         typer.Option(
