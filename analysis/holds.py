@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.swings import Swing, swings_of
 from analysis.verdict import GUARD_ACTED, Circumstances, Kind, Verdict, judge
 
@@ -31,12 +32,12 @@ _MISSING_SHARE = 0.1
 # A swing of which less than this share is left in its last turn dies out.
 _LEFT_SHARE = 0.5
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
-_STARVED = ("command_deadline", "hold_expired")
+_STARVED = (DEADLINE, "hold_expired")
+# A hold with one of these verdicts blames the law for nothing.
+_NO_BLAME = ("stable", "settling", "released", "guarded", "no_data")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
 # It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
 _ASKED = ("retract_requested", "estop")
-# a report of the instrument belongs to what it did at most so long before or after [s]
-_REPORTED_WITHIN_S = 0.2
 # an incident is the cause of what ends so long after it [s], or is reported so long after what it caused
 _CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
 # a session that swings and drifts swings: what a person meets first, and what does not end by itself
@@ -119,7 +120,8 @@ class Programme(NamedTuple):
     planned: holds of the operator's programme, start [s], end [s], force [N]; answered_s: when the hand took up answers
     [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
     sites that fell silent; limits, those of the instrument's guard, if they are known; programs: from when to when [s]
-    the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop.
+    the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop;
+    interruptions: when the loop was open.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -129,6 +131,7 @@ class Programme(NamedTuple):
     limits: Limits | None = None
     programs: Sequence[tuple[float, float]] = ()
     by_hand: bool = False
+    interruptions: Sequence[Interruption] = ()
 
 
 NO_PROGRAMME = Programme()
@@ -237,7 +240,7 @@ def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -
     follows = np.concatenate([np.ones(1, dtype=bool), tip.following, np.ones(1, dtype=bool)])
     for first, after in np.flatnonzero(np.diff(follows)).reshape(-1, 2).tolist():
         from_s = float(tip_time_s[first])
-        near = [guard for guard in programme.guards if abs(guard.time_s - from_s) <= _REPORTED_WITHIN_S]
+        near = [guard for guard in programme.guards if abs(guard.time_s - from_s) <= REPORTED_WITHIN_S]
         if near and min(near, key=lambda guard: abs(guard.time_s - from_s)).reason in _ASKED:
             spans.append((from_s, float(tip_time_s[min(after, len(tip_time_s) - 1)])))
     return spans
@@ -289,6 +292,17 @@ def _judge_hold(
         causes = _causes(programme, lacking[0].start_s, lacking[-1].end_s)
         return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
     verdict = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
+    without = [one for one in programme.interruptions if one.starved and one.start_s < end and one.end_s > start]
+    if without and not known.guarded and verdict.kind not in _NO_BLAME:
+        # What an interrupted loop does after it is no motion of the law, which is judged by what it did before.
+        judged &= series.tip_s < without[0].start_s
+        before = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
+        span_s = float(np.ptp(series.tip_s[judged])) if judged.any() else 0.0
+        if span_s < SHORTEST_HOLD_S or before.kind not in ("diverged", "limit_cycle"):
+            reason = f"{in_words(without)}: the network or a node was away, which says nothing of the law"
+            reason = "; ".join([reason, *_causes(programme, without[0].start_s, without[-1].end_s)])
+            return Hold(start, end, force, *verdict._replace(kind="guarded", reason=reason))
+        verdict = before
     return Hold(start, end, force, *verdict)
 
 
@@ -349,7 +363,7 @@ def _guarded(
         words, starved = _in_words(before[-1].time_s, before[-1].reason, programme)
         return known._replace(guarded=True, guard=words, starved=starved)
     at_s = float(tip_time_s[lost])
-    near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= _REPORTED_WITHIN_S]
+    near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
     reason = min(near, key=lambda guard: abs(guard.time_s - at_s)).reason if near else ""
     if not reason and tip.held is not None and bool(tip.held[lost - 1]):
         reason = "hold_expired"
@@ -377,7 +391,7 @@ def guard_of(tip_time_s: Series, tip: Instrument, programme: Programme = NO_PROG
     before = np.concatenate([np.ones(1, dtype=bool), tip.following[:-1]])[: len(tip_time_s)]
     for index in np.flatnonzero(~tip.following & before).tolist():
         at_s = float(tip_time_s[index])
-        near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= _REPORTED_WITHIN_S]
+        near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
         # a session that begins withdrawn was ended by what the guard did last
         near = near or [guard for guard in programme.guards if index == 0 and guard.time_s <= at_s][-1:]
         if near and near[0].reason in _GUARDING:
@@ -394,18 +408,20 @@ def _causes(programme: Programme, start_s: float, end_s: float) -> list[str]:
     ]
 
 
-def verdict_of(holds: list[Hold], guard: str = "", greatest_n: float | None = None) -> tuple[Kind, str]:
+def verdict_of(
+    holds: list[Hold], guard: str = "", greatest_n: float | None = None, interrupted: str = ""
+) -> tuple[Kind, str]:
     """Return the verdict on a session and the reason: those of its worst hold, or of the last where all are stable.
 
     Parameters: guard, what `guard_of` says, which comes first in the reason, and makes a session guarded that no hold
-    shows to be; greatest_n, the hand's greatest force [N], if it is known.
+    shows to be; greatest_n, the hand's greatest force [N], if it is known; interrupted, what `in_words` says of the
+    session's interruptions, with which the reason ends.
     """
     kind, reason = _worst_of(holds, greatest_n)
-    if not guard:
-        return kind, reason
-    if kind not in ("diverged", "guarded", "no_data"):
-        kind = "guarded"
-    return kind, reason if reason.startswith(guard) else f"{guard}; {reason}"
+    if guard:
+        kind = kind if kind in ("diverged", "guarded", "no_data") else "guarded"
+        reason = reason if reason.startswith(guard) else f"{guard}; {reason}"
+    return kind, f"{reason}; in the session {interrupted}" if interrupted else reason
 
 
 def _worst_of(holds: list[Hold], greatest_n: float | None) -> tuple[Kind, str]:

@@ -2,6 +2,9 @@
 
 import math
 
+# a normal number is within so many standard deviations 95 times in 100
+_DEVIATIONS = 1.959964
+
 
 def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
     """Return half the interval of a mean by Student's t.
@@ -16,18 +19,17 @@ def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
     return float(t.ppf(0.5 + 0.5 * confidence, count - 1) * deviation / math.sqrt(count))
 
 
-def wilson(successes: int, trials: int, deviations: float = 1.959964) -> tuple[float, float]:
-    """Return the interval of a share after E. B. Wilson (J. Am. Stat. Assoc. 22 (1927) 209), of 95 % by default.
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Return the interval of a share after E. B. Wilson (J. Am. Stat. Assoc. 22 (1927) 209), of 95 %.
 
     Args:
         successes: How many succeeded, 0 to trials.
         trials: How many there were.
-        deviations: The standard deviations of a normal number that the interval goes to either side.
     """
     if trials == 0:
         return 0.0, 1.0
-    share, z2 = successes / trials, deviations * deviations
+    share, z2 = successes / trials, _DEVIATIONS * _DEVIATIONS
     middle = (share + 0.5 * z2 / trials) / (1.0 + z2 / trials)
-    half = deviations / (1.0 + z2 / trials) * math.sqrt(share * (1.0 - share) / trials + 0.25 * z2 / trials**2)
+    half = _DEVIATIONS / (1.0 + z2 / trials) * math.sqrt(share * (1.0 - share) / trials + 0.25 * z2 / trials**2)
     # the ends are exact where rounding would leave a bit
     return (middle - half if successes else 0.0), (middle + half if successes < trials else 1.0)

@@ -11,6 +11,7 @@ from analysis.holds import LONGEST_STEP_S
 from proto.ends import END_TOPIC, read_end
 from recording.arrays import replayed_sources
 from recording.info import RecordingInfo
+from recording.messages import readable
 from recording.multi_file import RecordingSource
 
 # A recorder that received the hand from the start has its first sample long before this.
@@ -19,30 +20,33 @@ _LATE_START_S = 0.1
 Spans = tuple[tuple[float, float], ...]
 
 
-def cut_off(recording: RecordingSource, session_s: npt.NDArray[Any], running: npt.NDArray[np.intp]) -> list[str]:
+def cut_off(
+    recording: RecordingSource, session_s: npt.NDArray[Any], running: npt.NDArray[np.intp], length_s: float
+) -> list[str]:
     """Return in sentences what a recording lacks of the operator's programme at either end.
 
     Args:
         recording: The recording that is judged.
         session_s: session_s of every haptic/state [s].
         running: The indices of the samples in the session.
+        length_s: The time from the start of the programme to the last of them [s].
     """
     hand = next(channel.src for channel in recording.channels if channel.channel_topic == "haptic/state")
     if hand in replayed_sources(recording):
         # The operator chose the beginning and the end of what is played.
         return []
     found = []
-    first_s, last_s = float(session_s[running[0]]), float(session_s[running[-1]])
+    first_s = float(session_s[running[0]])
     if first_s > _LATE_START_S:
         found.append(f"the recording begins {first_s:.3f} s after the operator's programme")
     if running[-1] == session_s.size - 1 and not _has_ended(recording, hand):
-        found.append(f"the recording ends within the operator's programme, {last_s:.3f} s after its start")
+        found.append(f"the recording ends within the operator's programme, {length_s:.3f} s after its start")
     return found
 
 
 def _has_ended(recording: RecordingSource, src: str) -> bool:
     events = recording.select(lambda channel: channel.topic == END_TOPIC and channel.src == src)
-    return any(read_end(event.fields()) is not None for event in events)
+    return any(read_end(fields) is not None for _, fields in readable(events, recording.left_out))
 
 
 def gaps(time_s: Iterable[npt.NDArray[np.float64]], end_s: float) -> Spans:
@@ -82,6 +86,8 @@ def recording_facts(info: RecordingInfo, start_ns: int, missing: Sequence[str]) 
         "lost": info.lost,
         "messages": info.messages,
     }
+    if info.odd:
+        found["odd"] = list(info.odd)
     if info.parts:
         found["parts"] = [
             {

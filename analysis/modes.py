@@ -36,6 +36,8 @@ _LINE_OVER_NOISE = 20.0
 _BAND = 0.25
 # Three moving averages leave noise that is alike in neighbouring samples, so that averaging reduces it less.
 _CORRELATION = 1.8
+# A fit explains a motion of which it leaves no more than this share.
+_LEFT_SHARE = 0.1
 # A band lets through this share of a line outside of it.
 _LEAK = 1e-2
 # least distance of two lines, and of a line from zero, whose band reaches to BAND * BLOCKS [1/length of the hold]
@@ -46,7 +48,8 @@ class Mode(NamedTuple):
     """One exponential of the motion: frequency [Hz], growth [1/s] and its standard error, size when the hold ends [N].
 
     end_n is half of what the motion is from peak to peak; of one without frequency, how far it has still to go, or
-    has gone in the hold if that is less. explained: whether the fit that it belongs to leaves little but noise.
+    has gone in the hold if that is less. explained: whether the fit that it belongs to leaves little but noise;
+    explained_late: whether it does so in the later half of the hold as well, where a motion that grows is largest.
     """
 
     frequency_hz: float
@@ -54,6 +57,7 @@ class Mode(NamedTuple):
     error_per_s: float
     end_n: float
     explained: bool
+    explained_late: bool
 
 
 class _Fit(NamedTuple):
@@ -61,6 +65,7 @@ class _Fit(NamedTuple):
     weights: list[complex]
     left: float
     size: float
+    late_share: float
 
 
 def _total(values: npt.NDArray[np.number]) -> complex:
@@ -192,7 +197,8 @@ def _mode(fit: _Fit, pole: complex, size: float, frequency_hz: float, step_s: fl
     end = gain * size / float(np.sinc(turned)) ** 3 * _power(abs(pole), steps + 1.5)
     rms = size * math.sqrt(sum(_power(abs(pole), 2.0 * k) for k in range(BLOCKS)) / BLOCKS)
     error = _CORRELATION * math.sqrt(6.0 / BLOCKS) * fit.left / (max(rms, 1e-300) * BLOCKS * step_s)
-    return Mode(abs(frequency_hz + turned / step_s), growth, error, end, fit.left <= 0.1 * fit.size)
+    explained, late = fit.left <= _LEFT_SHARE * fit.size, fit.late_share <= _LEFT_SHARE
+    return Mode(abs(frequency_hz + turned / step_s), growth, error, end, explained, late)
 
 
 def _power(base: float, exponent: float) -> float:
@@ -202,9 +208,9 @@ def _power(base: float, exponent: float) -> float:
 def _fitted(samples: Complex, noise: float) -> _Fit:
     """Fit the lowest number of exponentials that leaves no more than noise, BLOCKS samples from the end backwards."""
     samples = samples[-BLOCKS:]
-    size = math.sqrt((_total((samples * samples.conj()).real).real) / len(samples))
+    size = _rms(samples)
     vectors = _signal_vectors(samples)
-    best = _Fit([], [], size, size)
+    best = _Fit([], [], size, size, 1.0)
     for order in range(1, _MOST_POLES + 1):
         poles = _poles(vectors[:order])
         weights = _weights(samples, poles)
@@ -214,12 +220,17 @@ def _fitted(samples: Complex, noise: float) -> _Fit:
         rest = samples.copy()
         for weight, pole in zip(weights, poles, strict=True):
             rest -= weight * pole**times
-        left = math.sqrt((_total((rest * rest.conj()).real).real) / len(samples))
+        left = _rms(rest)
         if left < 0.7 * best.left:
-            best = _Fit(poles, weights, left, size)
+            late = slice(len(samples) // 2, None)
+            best = _Fit(poles, weights, left, size, _rms(rest[late]) / max(_rms(samples[late]), 1e-300))
         if left <= 1.5 * noise + 1e-4 * size:
             break
     return best
+
+
+def _rms(samples: Complex) -> float:
+    return math.sqrt(_total((samples * samples.conj()).real).real / len(samples))
 
 
 def _signal_vectors(samples: Complex) -> list[list[complex]]:

@@ -23,7 +23,7 @@ _BRAILLE = 0x2800
 _LABEL_COLUMNS = 12
 # parts of a trace in a picture, two for each of its pixels
 _BINS = 2160
-# of a trace, samples in memory
+# So many samples of a trace are kept in memory.
 _MOST_KEPT = 1 << 20
 
 

@@ -3,18 +3,19 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from analysis.conditions import conditions, described, title
-from analysis.hand_cycles import cycles_of
 from analysis.holds import (
     ANSWERS,
     HAND,
     NO_PROGRAMME,
+    SHORTEST_HOLD_S,
     TIP,
     Guard,
     Hold,
@@ -28,20 +29,23 @@ from analysis.holds import (
     lacks_of,
     verdict_of,
 )
-from analysis.line import lines_of
+from analysis.interruptions import Interruption, Told, in_words, interruptions_of
 from analysis.missing import Spans, cut_off, gaps, recording_facts
-from analysis.programme import is_by_hand, planned_holds
 from analysis.summary import Summary
 from proto import TOPICS, extras
 from proto.errors import RecordingError, ReportError
-from proto.nodes import LAUNCHER, name_of
+from proto.nodes import HAND as HAND_NODE
+from proto.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
 from recording.arrays import columns, last_session
 from recording.indexed import open_indexed
 from recording.info import RecordingInfo
+from recording.messages import readable
 from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
 from services.afm_node.section_config import SafetyConfig
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
 from services.runtime.settings.config import parse_yaml, validate
 from services.runtime.settings.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, fig12_files
@@ -56,6 +60,13 @@ _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
 _RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
+_ALARMS = ("warning", "error")
+# part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
+_LEAST_SHARE, _LEAST_N = 0.1, 0.1
+# A launcher that is busy reports the end of a process so long after it [s].
+_EXIT_WITHIN_S = 2.0
+_NOT_ANEW = "its programme was not started anew, which `telenano session start` does"
+_HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
@@ -166,7 +177,7 @@ def write_report(
     show(f"2 of 4: counting the messages of its {session.duration_s:.0f} s")
     traffic = read_traffic(indexed, session)
     show("3 of 4: looking for what is missing, and judging")
-    summary = summarise(session, recording.info(), traffic, missing)
+    summary = summarise(session, recording.info(), traffic, [*missing, *indexed.left_out.sentences()])
     show("4 of 4: drawing the figure")
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
@@ -217,10 +228,12 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     hand = _series(
         recording,
         "haptic/state",
-        ("seq", "session_s", "operator_force_n.2", "position_m.2", "answered_seq", "answered_t_ns", "answered_at_ns"),
+        (*_HAND_FIELDS, "answered_seq", "answered_t_ns", "answered_at_ns"),
         timeline,
     )
-    running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], _session_starts_ns(recording))
+    reports = _launchers_on_sessions(recording)
+    starts_ns, ends_ns = ([at_ns for at_ns, data in reports if key in data] for key in ("duration_s", "interrupted"))
+    running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], starts_ns, ends_ns)
     if running.size < 2:
         raise RecordingError(f"{recording.path}: the operator's programme never ran in it, so there is no session")
     start_ns = int(hand["t_ns"][running[0]] - round(hand["session_s"][running[0]] * 1e9))
@@ -229,18 +242,20 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     found = conditions(recording, document, start_ns, end_ns, timeline)
     if lines := lines_of(recording, timeline, start_ns, end_ns):
         found["lines"] = lines
-    missing = cut_off(recording, hand["session_s"], running)
+    missing = cut_off(recording, hand["session_s"], running, (end_ns - start_ns) * 1e-9)
     is_cut = any(sentence.startswith("the recording ends") for sentence in missing)
     hand = {name: values[running] for name, values in hand.items()}
     seconds = (end_ns - start_ns) * 1e-9
     answered = hand["answered_t_ns"] > 0
     new = answered & (np.diff(hand["answered_seq"], prepend=-1) != 0)
+    tip = _within(_series(recording, "afm/state", _TIP_FIELDS, timeline), start_ns, end_ns)
+    reported = _reported(recording, timeline, start_ns)
     return Session(
         start_ns=start_ns,
         end_ns=end_ns,
         hand=hand,
         command=_within(_series(recording, "haptic/command", _COMMAND_FIELDS, timeline), start_ns, end_ns),
-        tip=_within(_series(recording, "afm/state", _TIP_FIELDS, timeline), start_ns, end_ns),
+        tip=tip,
         force_scale=found["parameters"]["force_scale"],
         scenario=document.name,
         conditions=found,
@@ -250,10 +265,12 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
             # A hold that was planned after the end of a recording that is cut off was not cut short by the operator.
             planned_holds(document, max(seconds, document.duration_s) if is_cut else seconds),
             (hand["t_ns"][new] - start_ns) * 1e-9,
-            *_reported(recording, timeline, start_ns),
+            reported.guards,
+            reported.incidents,
             _limits(document, found["changed"]),
             _programs(recording, timeline, start_ns, end_ns),
             is_by_hand(document),
+            _interruptions(hand, tip, reported, start_ns, end_ns),
         ),
     )
 
@@ -261,9 +278,10 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
 def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
     """Return from when to when the instrument ran programs of its own, in session time [s]."""
     found, begun_s = [], None
-    for report in recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct"):
+    reports = recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct")
+    for report, fields in readable(reports, recording.left_out):
         at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
-        at_s, runs = (at_ns - start_ns) * 1e-9, report.fields().get("state") in _RUNS
+        at_s, runs = (at_ns - start_ns) * 1e-9, fields["state"] in _RUNS
         if runs and begun_s is None:
             # its first step is reported before it
             begun_s = at_s - _FIRST_STEP_S
@@ -282,20 +300,96 @@ def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
     return Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s)
 
 
-def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> tuple[list[Guard], list[Incident]]:
-    """Return what the instrument reported of its guard, and launchers of nodes and sites, in session time [s]."""
+def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:
+    """Return start [s], end [s] and force [N] of each stretch of constant force up to an end [s].
+
+    Only a hand that is a force has them in its programme: what an arm or a person presses with is known from what was
+    recorded alone.
+
+    Raises:
+        ConfigError: A key of the scenario cannot be read; the message names it.
+    """
+    operator = validate(HapticConfig, scenario.haptic_node, "scenario.yaml", "haptic_node").operator
+    if not isinstance(operator, ForceProfileConfig):
+        return []
+    corners = [(point.time_s, point.force_n) for point in operator.points]
+    # The force is zero before the first corner, and stays at the last one.
+    corners = [(min(0.0, corners[0][0]), 0.0), (corners[0][0], 0.0), *corners]
+    corners.append((max(end_s, corners[-1][0]), corners[-1][1]))
+    holds: list[tuple[float, float, float]] = []
+    for (first_s, force_n), (last_s, then_n) in pairwise(corners):
+        if force_n != then_n:
+            continue
+        if holds and holds[-1][1] == first_s and holds[-1][2] == force_n:
+            first_s = holds.pop()[0]
+        holds.append((first_s, last_s, force_n))
+    cut = [(max(0.0, first_s), min(last_s, end_s), force_n) for first_s, last_s, force_n in holds]
+    return [hold for hold in cut if hold[1] - hold[0] >= SHORTEST_HOLD_S]
+
+
+def is_by_hand(scenario: Scenario) -> bool:
+    """Return whether a person presses, at a page or at a device, whose hand gives way to what the loop does.
+
+    Raises:
+        ConfigError: A key of the scenario cannot be read; the message names it.
+    """
+    config = validate(HapticConfig, scenario.haptic_node, "scenario.yaml", "haptic_node")
+    return isinstance(config.operator, InteractiveConfig) or not config.simulated
+
+
+class _Reported(NamedTuple):
+    """What devices reported of their modes, launchers of nodes and sites, and the link, all in session time [s]."""
+
+    guards: list[Guard]
+    incidents: list[Incident]
+    held: list[Told]
+    let_go: list[Told]
+    exits: list[tuple[str, Incident]]
+
+
+def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> _Reported:
     events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
-    guards, incidents = [], []
-    for event in events:
-        name, fields = name_of(event.src), event.fields()
-        data, kind = fields.get("data"), fields.get("kind")
+    found = _Reported([], [], [], [], [])
+    for event, fields in readable(events, recording.left_out):
+        name, data, kind, text = name_of(event.src), fields["data"], fields["kind"], fields["text"]
         at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
         at_s = (at_ns - start_ns) * 1e-9
-        if name == "afm_node" and kind == "mode" and isinstance(data, dict) and data.get("mode") in _WITHDRAWN:
-            guards.append(Guard(at_s, str(data.get("reason", ""))))
-        elif name == name_of(LAUNCHER) and kind == "node" and fields.get("level") in ("warning", "error"):
-            incidents.append(Incident(at_s, str(fields.get("text", ""))))
-    return guards, incidents
+        told = Told(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
+        if name == "afm_node" and kind == "mode" and told.mode in _WITHDRAWN:
+            found.guards.append(Guard(at_s, str(data.get("reason", ""))))
+        elif kind == "mode" and told.mode in ("hold", "off"):
+            (found.held if name == "afm_node" else found.let_go).append(told)
+        elif name in (name_of(LAUNCHER), LINK) and kind in ("node", "link") and fields["level"] in _ALARMS:
+            found.incidents.append(Incident(at_s, text))
+            if "exit_code" in data:
+                found.exits.append((str(data.get("about_node", "")), found.incidents[-1]))
+    return found
+
+
+def _interruptions(
+    hand: Mapping[str, Series], tip: Mapping[str, Series], reported: _Reported, start_ns: int, end_ns: int
+) -> list[Interruption]:
+    """Return what interrupted the loop while the session ran, in session time [s] and in the order of time."""
+    hand_s, tip_s = ((series["t_ns"] - start_ns) * 1e-9 for series in (hand, tip))
+    length_s = (end_ns - start_ns) * 1e-9
+    anew = (1 + np.flatnonzero(np.diff(hand["seq"]) <= 0)).tolist()
+    found = interruptions_of("hand_let_go", hand_s, hand["mode"] == "off", reported.let_go, anew)
+    found += interruptions_of("tip_held", tip_s, tip["mode"] == "hold", reported.held)
+    exits = [(node, incident) for node, incident in reported.exits if 0.0 <= incident.time_s <= length_s]
+    for first in anew:
+        begins_s, runs = float(hand_s[first - 1]), np.flatnonzero(hand["session_s"][first:] >= 0.0)
+        own = [exit for exit in exits if exit[0] == HAND_NODE and abs(exit[1].time_s - begins_s) < _EXIT_WITHIN_S]
+        text = own[0][1].text if own else f"the process of {HAND_NODE} ended and was started again"
+        ends_s = float(hand_s[first + runs[0]]) if runs.size else length_s
+        then = f"its programme began anew at {ends_s:.3f} s" if runs.size else _NOT_ANEW
+        found.append(Interruption("process_ended", begins_s, ends_s, f"{text}; {then}"))
+        exits = [exit for exit in exits if exit not in own]
+    found += [
+        Interruption("process_ended", incident.time_s, incident.time_s, incident.text)
+        for node, incident in exits
+        if node in (*START_ORDER, RECORDER)
+    ]
+    return sorted(found, key=lambda one: one.start_s)
 
 
 def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: Sequence[str] = ()) -> dict[str, Any]:
@@ -308,7 +402,10 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
     )
     holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
     guard = guard_of(series.tip_time_s, tip, session.programme)
-    verdict, reason = verdict_of(holds, guard, float(np.abs(series.hand_force_n).max(initial=0.0)))
+    interruptions = session.programme.interruptions
+    verdict, reason = verdict_of(
+        holds, guard, float(np.abs(series.hand_force_n).max(initial=0.0)), in_words(interruptions)
+    )
     missing = [*session.missing, *_lacking(session, series, holds), *missing]
     last_s = session.duration_s - RELEASE_WINDOW_S
     found = {
@@ -322,6 +419,10 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
         "release_force_nn": _rounded(_mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s])),
         "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
+        "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
+        "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
+        "processes_ended": sum(one.kind == "process_ended" for one in interruptions),
+        "interruptions": [one._asdict() for one in interruptions],
         "hand_cycles": cycles_of(series.hand_force_n),
         "loop_age_ms": _loop_age_ms(session),
         "overruns": traffic.overruns,
@@ -367,6 +468,48 @@ def _clocks(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[str
     }
 
 
+def lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
+    """Return the figures of each direction while the session ran; none without reports of a queue."""
+    reports: dict[str, dict[tuple[str, int], Mapping[str, Any]]] = {}
+    found = recording.select(lambda channel: channel.topic == "link/network")
+    for message, fields in readable(found, recording.left_out):
+        first_ns, last_ns = (timeline.stamp_ns(message.src, end) for end in (start_ns, end_ns))
+        # The report of the slave is in the master's recording twice, as it came and through the link.
+        if first_ns <= message.publish_ns <= last_ns and fields.get("queue_s") is not None:
+            reports.setdefault(fields["direction"], {})[message.src, message.seq] = fields
+    told = {way: list(found.values()) for way, found in reports.items()}
+    # Whether a line is full says who sends over it, and that is who receives the other direction.
+    others = {"forward": "backward", "backward": "forward"}
+    return [_line_figures(way, own, told.get(others[way], [])) for way, own in sorted(told.items(), reverse=True)]
+
+
+def _line_figures(way: str, reports: list[Mapping[str, Any]], of_sender: list[Mapping[str, Any]]) -> dict[str, Any]:
+    first, last = reports[0], reports[-1]
+    queues_ms = [1e3 * report["queue_s"] for report in reports]
+    settled, lost = last["settled"] - first["settled"], max(0, last["lost"] - first["lost"])
+    capacity = last.get("capacity_bit_per_s")
+    return {
+        "direction": way,
+        "queue_max_ms": round(max(queues_ms), 2),
+        "full_share": round(sum(report.get("line") == "full" for report in of_sender) / max(1, len(of_sender)), 3),
+        "capacity_mbit": None if capacity is None else round(capacity * 1e-6, 3),
+        "datagrams_per_s": round((last["sent"] - first["sent"]) / max(1e-9, (last["t_ns"] - first["t_ns"]) * 1e-9), 1),
+        "lost_share": round(min(1.0, lost / settled), 4) if settled > 0 else None,
+    }
+
+
+def cycles_of(force_n: npt.NDArray[np.float64]) -> int:
+    """Return how often a force [N], of shape (n,), rose and then fell again, by a tenth of its greatest."""
+    least_n = max(_LEAST_N, _LEAST_SHARE * float(np.abs(force_n).max(initial=0.0)))
+    cycles, rises, turn_n = 0, False, float(force_n[0]) if force_n.size else 0.0
+    for now_n in force_n.tolist():
+        turn_n = max(turn_n, now_n) if rises else min(turn_n, now_n)
+        if abs(now_n - turn_n) > least_n:
+            cycles += rises
+            rises, turn_n = not rises, now_n
+    return cycles
+
+
 def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
     """Count the messages sent while the session ran, by the time of sending."""
     messages: dict[str, int] = {}
@@ -384,9 +527,9 @@ def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
         name = message.channel_topic
         messages[name] = messages.get(name, 0) + 1
         if name == "node/health":
-            count = int(message.fields()["overruns"])
-            first, _ = overruns.get(message.src, (count, count))
-            overruns[message.src] = (first, count)
+            for _, fields in readable((message,), recording.left_out):
+                first, _ = overruns.get(message.src, (fields["overruns"], 0))
+                overruns[message.src] = (first, fields["overruns"])
     late = sum(max(0, last - first) for first, last in overruns.values())
     return Traffic(messages, late, 1.0 / scenario_in(recording).period_s)
 
@@ -445,14 +588,14 @@ def _series(
     return series
 
 
-def _session_starts_ns(recording: RecordingSource) -> list[int]:
-    """Return when launchers reported that a session runs [ns]."""
+def _launchers_on_sessions(recording: RecordingSource) -> list[tuple[int, dict[str, Any]]]:
+    """Return what launchers reported of sessions: when [ns], and the facts."""
     events = recording.select(
         lambda channel: (
             channel.topic == "session/event" and channel.via == "direct" and name_of(channel.src) == "launcher"
         )
     )
-    return [event.publish_ns for event in events if "duration_s" in event.fields().get("data", {})]
+    return [(event.publish_ns, fields["data"]) for event, fields in readable(events, recording.left_out)]
 
 
 def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, Series]:

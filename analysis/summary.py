@@ -12,6 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from analysis.interruptions import InterruptionKind
 from analysis.verdict import Kind
 
 _SCHEMA = "https://json-schema.org/draft/2020-12/schema"
@@ -74,6 +75,21 @@ class HoldSummary(_Part):
     )
 
 
+class InterruptionSummary(_Part):
+    """A time in which the loop was open, or a process was away."""
+
+    kind: InterruptionKind = Field(
+        description="`process_ended`; `tip_held`: the tip was held because no command came; `hand_let_go`: the motor "
+        "of the hand was off"
+    )
+    start_s: float = Field(description="Start in the session [s]")
+    end_s: float = Field(
+        description="End in the session [s]; where the hand's process ended, when its programme began anew, or else "
+        "the end of the session; of another process that ended the same as `start_s`"
+    )
+    reason: str = Field(description="What the device or the launcher reported of it")
+
+
 class OtherReading(_Part):
     """The figures of the other reading of the clocks."""
 
@@ -101,7 +117,7 @@ class LineSummary(_Part):
 
     direction: str = Field(description="`forward`, from the master to the slave, or `backward`")
     queue_max_ms: float = Field(description="Longest queue that stood before the line [ms]")
-    full_share: float = Field(description="Share of the time in which the queue was above 10 ms, 0..1")
+    full_share: float = Field(description="Share of the time in which its sender took it for full, 0..1")
     capacity_mbit: float | None = Field(
         description="What the line carried, of a train of datagrams or while it was full [Mbit/s]; null if not measured"
     )
@@ -129,6 +145,11 @@ class RecordingSummary(_Part):
     missing: list[str] = Field(description="What is missing, in sentences")
     lost: int = Field(description="Messages that are missing, without those that the impaired link dropped")
     messages: int = Field(description="Messages in the recording")
+    odd: list[str] = Field(
+        default=[],
+        description="What is odd although nothing is missing, such as messages dated far from all others, in "
+        "sentences; the key is absent where nothing is",
+    )
     parts: list[PartSummary] = Field(
         default=[], description="The files of a recording in parts; the key is absent where there is one file"
     )
@@ -159,7 +180,10 @@ class Summary(_Part):
         "law has to bridge it [ms]: the link and what the rig itself takes; null without `law/status`",
     )
     round_trip_ms: float | None = Field(description="The former name of `loop_round_trip_ms` [ms], until 0.2")
-    link_profile: str = Field(description="Profile of the link that the scenario names")
+    link_profile: str = Field(
+        description="Network of the scenario: its profile; `constant delay` or `custom` where keys make another one of "
+        "`clean`, and as in `lte, changed` where they change another profile"
+    )
     link_seed: int = Field(description="Seed of the random streams of the link")
     plugins: dict[str, Package] = Field(description="What other packages brought to the session, by `<kind>.<name>`")
     version: str = Field(description="Version of telenano that recorded the session; unknown if not recorded")
@@ -183,6 +207,12 @@ class Summary(_Part):
         description="Most negative force F_s on the tip in the session, 0 if it was never pulled [nN]; null without "
         "`afm/state`"
     )
+    tip_holds: int = Field(
+        description="How often the tip was held because no command came within the deadline (`command_deadline`)"
+    )
+    hand_let_go: int = Field(description="How often the hand was let go while the session ran")
+    processes_ended: int = Field(description="How many processes of the rig ended while the session ran")
+    interruptions: list[InterruptionSummary] = Field(description="Each of these, in order of time")
     hand_cycles: int = Field(
         description="How often the hand pressed harder and then less again, each way by a tenth of its greatest force "
         "and by 0.1 N: a law that loses some energy in each cycle may stand after a hundred, which fewer do not show"

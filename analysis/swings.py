@@ -42,18 +42,17 @@ class Swing(NamedTuple):
     peak_to_peak_n: float
 
 
-def swings_of(time_s: Series, force_n: Series, least_n: float = FELT_N) -> list[Swing]:
-    """Return the stretches in which a force swings by at least a way from peak to peak.
+def swings_of(time_s: Series, force_n: Series) -> list[Swing]:
+    """Return the stretches in which a force swings by at least FELT_N [N] from peak to peak.
 
     Args:
         time_s: Times [s], shape (n,), rising.
         force_n: Force [N] at those times, shape (n,).
-        least_n: The least way from peak to peak [N].
     """
     known = np.isfinite(force_n)
     times, values = _sampled(time_s[known], force_n[known])
     found: list[Swing] = []
-    height_n, places = least_n, turning_points(values, range(len(values)), least_n)
+    height_n, places = FELT_N, turning_points(values, range(len(values)), FELT_N)
     while len(places) > 2 * TURNS + 1:
         found += _even(times, values, places)
         height_n *= 2.0

@@ -18,6 +18,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from services.signals import children
+
 DEPLOY = Path(__file__).resolve().parents[1] / "deploy"
 PROJECT = f"telenano-bench-{os.getpid()}"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")
@@ -27,7 +29,7 @@ SESSION = ("--scenario", "fig12", "--json")
 
 def compose_command() -> list[str]:
     """Give compose v2 where there is one, else docker-compose."""
-    has_v2 = subprocess.run(["docker", "compose", "version"], capture_output=True).returncode == 0
+    has_v2 = children.run(["docker", "compose", "version"], capture_output=True).returncode == 0
     command = ["docker", "compose"] if has_v2 else ["docker-compose"]
     return [*command, "-p", PROJECT, "-f", "docker-compose.yml"]
 
@@ -36,7 +38,7 @@ def bare(*options: str) -> dict[str, Any]:
     """Give the summary of a session on the bare machine."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "telenano", "up", *SESSION, "--out", folder, "--overwrite", *options]
-        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        done = children.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     return dict(json.loads(done.stdout))
 
 
@@ -45,7 +47,7 @@ def composed() -> dict[str, Any]:
     compose = compose_command()
 
     def run(*arguments: str) -> str:
-        done = subprocess.run(
+        done = children.run(
             [*compose, *arguments], cwd=DEPLOY, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
         return done.stdout

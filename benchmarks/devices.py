@@ -34,6 +34,7 @@ from services.haptic_node.driver import DriveCommand
 from services.haptic_node.safety import MODE_OFF
 from services.runtime.loop.log import StructuredLog, configure_logging
 from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, use_huge_pages
+from services.signals import children
 
 PERIOD_S = 1e-3
 START_S = 60.0
@@ -75,7 +76,7 @@ def as_anybody() -> None:
 def started(arguments: list[str], ready: Callable[[], bool]) -> "subprocess.Popen[bytes]":
     """Start an emulated device, and return its process once it is ready."""
     command = [sys.executable, "-m", "telenano", "device", "simulate", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, preexec_fn=as_anybody)
+    process = children.start(command, stdout=subprocess.DEVNULL, preexec_fn=as_anybody)
     until = time.monotonic() + START_S
     while not ready():
         if process.poll() is not None or time.monotonic() > until:

@@ -18,7 +18,6 @@ import argparse
 import json
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -33,6 +32,7 @@ from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import dynamic_afm
 from services.afm_node.physics.sim import simulated_afm
+from services.signals import children
 
 LATE_STEP_S = 2e-3
 # as fine as an empty loop can tell, which is itself late by some tens of microseconds
@@ -79,7 +79,7 @@ def measure_rig(duration_s: float, steps: int | None) -> dict[str, float]:
         if steps is not None:
             command += ["--set", "afm_node.model=dynamic", "--set", f"afm_node.cantilever.steps_per_period={steps}"]
         with EmptyLoops(WITNESS_PERIOD_NS, WITNESS_LATE_NS) as witness:
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+            done = children.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode not in (0, 3):
             raise SystemExit(f"the rig ended with exit code {done.returncode}: {done.stderr or done.stdout}")
         age: dict[str, float] = json.loads(done.stdout)["loop_age_ms"]

@@ -27,6 +27,7 @@ from proto.errors import TelenanoError
 from services.console.command_client import send_control
 from services.runtime.loop.commands import Command
 from services.runtime.loop.main import load_site
+from services.signals import children
 
 AFM = "afm_node@slave"
 # how msgpack writes the mode of an afm/state
@@ -38,7 +39,7 @@ PATIENCE_S = 90.0
 def running_rig(folder: Path) -> Iterator[None]:
     """Run a rig whose files are in `folder`, until the block ends."""
     arguments = ["up", "--scenario", "fig12", "--duration", "600", "--out", str(folder / "out"), "--json"]
-    with subprocess.Popen([sys.executable, "-m", "telenano", *arguments], stdout=subprocess.DEVNULL) as rig:
+    with children.start([sys.executable, "-m", "telenano", *arguments], stdout=subprocess.DEVNULL) as rig:
         try:
             yield
         finally:
@@ -48,7 +49,7 @@ def running_rig(folder: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def busy_processors() -> Iterator[None]:
     """Keep every processor busy until the block ends."""
-    spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
+    spinning = [children.start([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
     try:
         yield
     finally:
@@ -101,11 +102,11 @@ def one_round(afm: Afm, command: list[str]) -> dict[str, float]:
     arm()
     afm.wait_for(FOLLOWS)
     begun = time.monotonic()
-    subprocess.run([sys.executable, "-c", "pass"], check=True)
+    children.run([sys.executable, "-c", "pass"], check=True)
     baseline_s = time.monotonic() - begun
     afm.discard()
     begun_ns, begun = time.time_ns(), time.monotonic()
-    process = subprocess.Popen([sys.executable, "-m", "telenano", *command], stdout=subprocess.DEVNULL)
+    process = children.start([sys.executable, "-m", "telenano", *command], stdout=subprocess.DEVNULL)
     stopped_ns = afm.wait_for(STOPPED)
     if process.wait() != 0:
         raise SystemExit(f"telenano {' '.join(command)} ended with {process.returncode}")

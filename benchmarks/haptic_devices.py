@@ -18,6 +18,8 @@ from typing import Any
 
 from side_by_side import figures
 
+from services.signals import children
+
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "doubles"))
 
 BASELINE = "simulated"
@@ -44,14 +46,14 @@ def session(case: str, folder: Path, duration_s: float) -> dict[str, Any]:
     service = ""
     if case == "haply":
         command = [*telenano, "device", "simulate", "haply", "--port", "0"]
-        emulator = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        emulator = children.start(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         assert emulator.stdout is not None
         service = re.findall(r"ws://\S+:\d+", emulator.stdout.readline())[0]
     command = [*telenano, "up", "--scenario", "fig12", "--json", "--overwrite", "--headless", "--out", str(folder)]
     command += ["--duration", str(duration_s), *settings_of(case, service)]
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(folder.parent / "run")}
     try:
-        done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+        done = children.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     finally:
         if emulator is not None:
             with emulator:

@@ -29,6 +29,7 @@ from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from services.signals import children
 
 BURST = 3
 PERIOD_NS = 1_000_000
@@ -117,13 +118,14 @@ def run(delay_s: float, duration_s: float) -> tuple[dict[str, np.ndarray], dict[
         os.environ[EPOCH_OFFSET_VARIABLE] = str(time.time_ns() - time.monotonic_ns())
         command = [sys.executable, "-m", "services.delay_node", "--with-parent"]
         command += ["--site-file", str(folder / "site.yaml"), "--scenario", str(folder / "scenario.yaml")]
-        link = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        link = children.start(command, stderr=subprocess.DEVNULL)
         context = multiprocessing.get_context("spawn")
         pipes = [context.Pipe() for _ in range(3)]
         sender = context.Process(target=source, args=(book, round(duration_s * 1000), pipes[0][1]))
         receiver = context.Process(target=sink, args=(book, pipes[1][0], pipes[2][1]))
-        sender.start()
-        receiver.start()
+        with children.safe_path():
+            sender.start()
+            receiver.start()
         pipes[1][1].recv()
         time.sleep(2.0)
         pipes[0][0].send("go")

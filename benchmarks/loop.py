@@ -33,6 +33,7 @@ from proto import decode
 from proto.messages import HapticState
 from recording.reader import Recording
 from services.runtime.loop.realtime import shallow_idle
+from services.signals import children
 
 FLOORS = {
     "plain": ("sockets, plain", lambda ticks: measure_sockets(ticks, placed=False)),
@@ -71,7 +72,7 @@ def measure_rig(duration_s: float, *, trace: bool, words: Sequence[str] = ("--sc
             before = environment.get("PYTHONPATH", "")
             environment["PYTHONPATH"] = os.pathsep.join([str(TRACED_NODE), *([before] if before else [])])
         begin_ns = time.time_ns()
-        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as rig:
+        with children.start(command, env=environment, stdout=subprocess.PIPE, text=True) as rig:
             watch = ProcessWatch(rig.pid)
             printed = rig.communicate()[0]
             watch.end()

@@ -40,6 +40,7 @@ from services.runtime.loop.realtime import (
 from services.runtime.relay.protocol import split_host_port
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
+from services.signals import children
 
 PERIOD_NS = 1_000_000
 # the two ends of the link between machines
@@ -149,8 +150,9 @@ def run(way: str, folder: Path, messages: int) -> tuple[list[int], float]:
         for (node, peer), (_, end) in zip(pairs, pipes, strict=True)
     ]
     relay = [spawn.Process(target=carry, args=(book,), daemon=True)] if book.relay else []
-    for process in (*relay, *processes):
-        process.start()
+    with children.safe_path():
+        for process in (*relay, *processes):
+            process.start()
     for mine, _ in pipes:
         mine.recv()
     trips, cpu_s = pipes[0][0].recv()

@@ -15,6 +15,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from services.signals import children
+
 KINDS = ("none", "direct", "shared")
 # The sessions begin some seconds after the processes; the observers connect when the rig runs.
 START_S, MARGIN_S = 4.0, 2.0
@@ -43,11 +45,11 @@ def session(kind: str, observers: int, duration_s: float, folder: Path) -> dict[
     reader = [sys.executable, "-c", OBSERVER, kind, str(listening_s)]
     pipe = subprocess.PIPE
     count = observers if kind != "none" else 0
-    readers = [subprocess.Popen(reader, env=environment, stdin=pipe, stdout=pipe, text=True) for _ in range(count)]
+    readers = [children.start(reader, env=environment, stdin=pipe, stdout=pipe, text=True) for _ in range(count)]
     for each in readers:
         assert each.stdout is not None
         each.stdout.readline()
-    rig = subprocess.Popen(command, env=environment, stdout=pipe, text=True)
+    rig = children.start(command, env=environment, stdout=pipe, text=True)
     time.sleep(START_S)
     for each in readers:
         assert each.stdin is not None

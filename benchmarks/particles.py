@@ -18,14 +18,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 from loop import PACED, RigRun, measure_rig
+from telenano_learning import PUSH
+from telenano_learning.push_env import PushVectorEnv
 
-import telenano.learn  # noqa: F401
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import driver_of
 from services.runtime.settings.config import validate
 from studies.learning.engine import CONTROL_S
-from studies.learning.push_env import PushVectorEnv
-from studies.learning.registration import PUSH
 
 ROWS = 64
 _PRESSED_M = 30e-9

@@ -7,12 +7,13 @@ import argparse
 import json
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from services.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
@@ -67,8 +68,7 @@ def study(environment: dict[str, str], out: Path) -> tuple[float, int, float]:
     cache = Path(environment["XDG_CACHE_HOME"])
     began_ns = time.time_ns()
     command = [sys.executable, "-m", "telenano", *STUDY, str(out)]
-    # the current folder comes before PYTHONPATH: it has to be that of the copy
-    subprocess.run(command, env=environment, cwd=environment["PYTHONPATH"], check=True, capture_output=True)
+    children.run(command, env=environment, check=True, capture_output=True)
     took_s = (time.time_ns() - began_ns) * 1e-9
     files = [path.stat() for path in cache.rglob("*.nbc")]
     return took_s, sum(file.st_mtime_ns >= began_ns for file in files), sum(file.st_size for file in files) / 1e6

@@ -58,6 +58,7 @@ from services.runtime.loop.realtime import (
     on_time,
     shallow_idle,
 )
+from services.signals import children
 
 PERIOD_NS = 1_000_000
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -219,8 +220,9 @@ def replayed(path: Path, site_file: Path, rate: float, expected: int, sender: Se
     ours, theirs = context.Pipe()
     reader = context.Process(target=listen, args=(site_file, expected, theirs))
     player = context.Process(target=sender, args=(path, site_file, rate))
-    reader.start()
-    player.start()
+    with children.safe_path():
+        reader.start()
+        player.start()
     found: tuple[Any, list[bytes]] = ours.recv()
     reader.join()
     player.join()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from recording.reader import Recording
+from services.signals import children
 
 BASELINE = (1, 1000.0)
 # These are in the loop, or carry it.
@@ -26,7 +27,7 @@ def start(folder: Path, rate_hz: float, duration_s: float, environment: dict[str
     command = [sys.executable, "-m", "telenano", "up", "--scenario", "fig12", "--json", "--overwrite"]
     command += ["--out", str(folder), "--duration", str(duration_s), "--set", f"realtime.rate_hz={rate_hz}"]
     pipe = subprocess.PIPE
-    return subprocess.Popen(command, env=environment, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
+    return children.start(command, env=environment, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
 
 
 def figures(summary: dict[str, Any], folder: Path) -> dict[str, Any]:

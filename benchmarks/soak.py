@@ -23,6 +23,7 @@ from empty_loop import EmptyLoops
 from presets import SCENARIO_DIRECTORY
 from proto import TOPICS
 from recording.reader import Recording
+from services.signals import children
 
 # caches, free lists and the recorder's buffers find their size in the first part of a run
 SETTLED_S = 60.0
@@ -109,7 +110,7 @@ def run(duration_s: float, out: Path, settled_s: float) -> dict[str, Any]:
     file.write_text(yaml.safe_dump(scenario(duration_s)))
     command = [sys.executable, "-m", "telenano", "up", "--scenario", str(file), "--json"]
     with EmptyLoops() as machine:
-        subprocess.run([*command, "--out", str(out), "--overwrite"], check=True, stdout=subprocess.DEVNULL)
+        children.run([*command, "--out", str(out), "--overwrite"], check=True, stdout=subprocess.DEVNULL)
     return judge(out, settled_s, machine)
 
 

@@ -10,7 +10,6 @@ import argparse
 import json
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import time
@@ -18,6 +17,8 @@ from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from services.signals import children
 
 FOLDER = Path(__file__).resolve().parent
 PAGES = (FOLDER / "README.md", FOLDER.parent / "docs" / "performance.md")
@@ -112,7 +113,7 @@ def machine() -> str:
     lines = _text("/proc/cpuinfo").splitlines()
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     model = next(named, platform.machine())
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=FOLDER, capture_output=True, text=True)
+    commit = children.run(["git", "rev-parse", "--short", "HEAD"], cwd=FOLDER, capture_output=True, text=True)
     return (
         f"Measured on {datetime.now(UTC):%Y-%m-%d} at {commit.stdout.strip() or 'an unknown commit'}: {model},"
         f" {len(os.sched_getaffinity(0))} processors, Linux {platform.release()}, Python {platform.python_version()};"
@@ -130,7 +131,9 @@ def _text(path: str) -> str:
 def figures_of(script: str, arguments: tuple[str, ...]) -> Figures | str:
     """Return the figures that a script prints as JSON, or why it has none."""
     command = [sys.executable, str(FOLDER / script), *arguments, "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tempfile.gettempdir())
+    # the scripts share parts of themselves
+    environment = {**os.environ, "PYTHONPATH": str(FOLDER)}
+    done = children.run(command, capture_output=True, text=True, cwd=tempfile.gettempdir(), env=environment)
     if done.returncode:
         return done.stderr.strip().rpartition("\n")[2] or f"exit code {done.returncode}"
     found: Figures = json.loads(done.stdout.splitlines()[-1])

@@ -39,6 +39,7 @@ from proto import TOPICS
 from proto.topics import LOOP_DEADLINE_S
 from recording.reader import Recording
 from recording.writer import FileSettings, RecordingWriter
+from services.signals import children
 
 SETTLE_S = 1.0
 PATIENCE_S = 90.0
@@ -79,7 +80,7 @@ class Reader(threading.Thread):
 def process(arguments: Sequence[str], environment: dict[str, str]) -> Iterator["subprocess.Popen[str]"]:
     """Run a telenano command while the block runs."""
     command = [sys.executable, "-m", "telenano", *arguments]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as found:
+    with children.start(command, env=environment, stdout=subprocess.PIPE, text=True) as found:
         try:
             yield found
         finally:

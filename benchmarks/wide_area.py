@@ -26,6 +26,8 @@ from typing import Any
 
 import numpy as np
 
+from services.signals import children
+
 ROOT = Path(__file__).resolve().parents[1]
 TUN_CABLE = ROOT / "tests" / "stack" / "tun_cable.py"
 THERE, HERE = "10.78.0.1", "10.78.0.2"
@@ -41,12 +43,12 @@ def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, s
     token = secrets.token_hex(3)
     names = (f"wa{token}", f"wb{token}")
     for name in names:
-        subprocess.run(["ip", "netns", "add", name], check=True)
+        children.run(["ip", "netns", "add", name], check=True)
     wire = None
     try:
         command = [sys.executable, str(TUN_CABLE), names[0], f"{THERE}/24", names[1], f"{HERE}/24"]
         options = ["--delay-s", str(delay_s), "--loss", str(loss), "--seed", str(seed)]
-        wire = subprocess.Popen([*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        wire = children.start([*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert wire.stdin is not None
         assert wire.stdout is not None
         assert wire.stdout.readline() == "ready\n"
@@ -64,7 +66,7 @@ def cable(delay_s: float, loss: float, seed: int) -> Iterator[tuple[tuple[str, s
             wire.kill()
             wire.wait()
         for name in names:
-            subprocess.run(["ip", "netns", "del", name], check=False)
+            children.run(["ip", "netns", "del", name], check=False)
 
 
 def send(way: str, seconds: float, folder: Path) -> None:
@@ -192,10 +194,11 @@ def measure(way: str, delay_s: float, loss: float, seconds: float) -> tuple[list
             make_keys(Path(folder))
         base = [sys.executable, __file__, "--be"]
         common = ["--way", way, "--seconds", str(seconds), "--folder", folder]
-        sender = subprocess.Popen(["ip", "netns", "exec", names[0], *base, "send", *common])
+        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+        sender = children.start(["ip", "netns", "exec", names[0], *base, "send", *common], env=environment)
         receiver = ["ip", "netns", "exec", names[1], *base, "receive", *common]
         try:
-            done = subprocess.run(receiver, stdout=subprocess.PIPE, check=True, timeout=seconds + 60)
+            done = children.run(receiver, stdout=subprocess.PIPE, check=True, timeout=seconds + 60, env=environment)
             counts = ask()
         finally:
             sender.kill()

@@ -16,6 +16,7 @@ from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.loop.main import EXIT_BAD_START
 from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.settings.config import ENVIRONMENT_PREFIX, layered
+from services.signals import children
 
 # the cache that the build filled; the image is read-only, and a study compiles more
 PREPARED = Path("/opt/cache")
@@ -37,7 +38,7 @@ def main(command: list[str]) -> None:
     except ConfigError as error:
         sys.stderr.write(f"{error}\n")
         raise SystemExit(EXIT_BAD_START) from error
-    os.execvp(program[0], program)
+    children.become(program)
 
 
 def node_command(node: str) -> list[str]:

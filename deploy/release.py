@@ -1,10 +1,11 @@
 """Make what a release consists of, and try it: `make dist` runs this with the Python of `.venv`.
 
-In the folder that is given: wheel and source distribution, an inventory of all packages that the extra `rig` brings
-(CycloneDX), the list of their licences, and SHA256SUMS. Each is made from the commit, dated by it, so that the same
-commit gives the same bytes; the wheel is made from the source distribution alone. The recording that is given is left
-beside them, for `tests/releases`. The wheel is then installed without an extra, from the index that pip knows, with
-every Python from 3.11 to 3.14 that the machine has, and has to read that recording and to simulate.
+In the folder that is given: wheel and source distribution, a wheel of each of packages/, an inventory of all packages
+that the extra `rig` brings (CycloneDX), the list of their licences, and SHA256SUMS. Each is made from the commit, dated
+by it, so that the same commit gives the same bytes; the wheel is made from the source distribution alone. The recording
+that is given is left beside them, for `tests/releases`. The wheel is then installed without an extra, from the index
+that pip knows, with every Python from 3.11 to 3.14 that the machine has, and has to read that recording and to
+simulate.
 """
 
 import argparse
@@ -73,7 +74,7 @@ def release(out: Path, recording: Path) -> None:
     check_wheel(wheel)
     (source,) = out.glob("telenano-*.tar.gz")
     check_source(source)
-    run([sys.executable, "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano-*")))])
+    run([sys.executable, "-P", "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano-*")))])
     rig = installed("rig", Path(sys.executable), wheel, out, "[rig]")
     inventory = [str(Path(sys.executable).parent / "cyclonedx-py"), "environment", str(rig), "--output-reproducible"]
     run([*inventory, "--of", "JSON", "-o", str(out / "sbom.json")])
@@ -94,10 +95,12 @@ def release(out: Path, recording: Path) -> None:
 
 
 def built(out: Path) -> Path:
-    """Build the source distribution, and the wheel from it, dated by the commit; return the wheel."""
+    """Build source distribution and wheels, packages/ included, dated by the commit; return the wheel of the core."""
     date = run(["git", "log", "-1", "--format=%ct"]).strip()
-    command = [sys.executable, "-m", "build", "--outdir", str(out), str(ROOT)]
-    run(command, env={**os.environ, "SOURCE_DATE_EPOCH": date})
+    command = [sys.executable, "-P", "-m", "build", "--outdir", str(out)]
+    packages = [["--wheel", str(path.parent)] for path in sorted(ROOT.glob("packages/*/pyproject.toml"))]
+    for arguments in ([str(ROOT)], *packages):
+        run([*command, *arguments], env={**os.environ, "SOURCE_DATE_EPOCH": date})
     (wheel,) = out.glob("telenano-*.whl")
     return wheel
 
@@ -125,22 +128,24 @@ def check_source(source: Path) -> None:
 def installed(name: str, python: Path | str, wheel: Path, out: Path, extra: str = "") -> Path:
     """Install a wheel into an environment of its own; return the interpreter there."""
     folder = out / name
-    run([str(python), "-m", "venv", str(folder)])
+    run([str(python), "-P", "-m", "venv", str(folder)])
     interpreter = (folder / "bin" / "python").absolute()
-    run([str(interpreter), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}{extra}"])
+    run([str(interpreter), "-P", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}{extra}"])
     return interpreter
 
 
 def starts(python: str) -> bool:
     """Return whether an interpreter is there; a name that a version manager has put there may have none behind it."""
     found = shutil.which(python)
-    return found is not None and subprocess.run([found, "-c", ""], capture_output=True, check=False).returncode == 0
+    return (
+        found is not None and subprocess.run([found, "-P", "-c", ""], capture_output=True, check=False).returncode == 0
+    )
 
 
 def tried_with(python: str, wheel: Path, out: Path, recording: Path) -> str:
     """Install the wheel without an extra, let it read a recording and simulate, and return a line about it."""
     interpreter = installed(python, python, wheel, out)
-    said = run([str(interpreter), "-c", TRIAL, str(recording.absolute())], cwd=out)
+    said = run([str(interpreter), "-P", "-c", TRIAL, str(recording.absolute())], cwd=out)
     run([str(interpreter.parent / "telenano"), "bag", "verify", str(recording.absolute())], cwd=out)
     shutil.rmtree(out / python)
     return f"{python}: {said.strip()}"
@@ -148,7 +153,7 @@ def tried_with(python: str, wheel: Path, out: Path, recording: Path) -> str:
 
 def site_of(interpreter: Path) -> str:
     """Return the folder of the packages of an environment."""
-    return run([str(interpreter), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]).strip()
+    return run([str(interpreter), "-P", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]).strip()
 
 
 def licences(found: Iterable[Distribution]) -> str:

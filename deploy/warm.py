@@ -1,4 +1,4 @@
-"""Prepare and check an image: matplotlib searches for fonts now, not with the first figure; the view has its page."""
+"""Prepare and check an image: fonts are found and models compiled now, not at the first need; the view has its page."""
 
 import sys
 
@@ -7,6 +7,10 @@ if __name__ == "__main__":
         from matplotlib import font_manager
 
         font_manager.fontManager.findfont("sans")
+    if sys.argv[1] == "study":
+        from telenano.doctor.report import compile_models
+
+        compile_models(as_json=False)
     if sys.argv[1] == "viz_node":
         from services.viz_node.serve import page_folder
 

@@ -1,4 +1,4 @@
-"""What installed packages add: laws, devices, operators, samples, programs, tasks and scenarios, by entry points.
+"""What installed packages add: laws, devices, samples, programs, commands and more, by entry points.
 
 A package names them in its `pyproject.toml`, and is found as soon as pip has installed it:
 
@@ -6,30 +6,29 @@ A package names them in its `pyproject.toml`, and is found as soon as pip has in
     my_law = "my_package.law:MY_LAW"
 
 One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is reported to
-whoever asks for it. That holds for a module that ends the program or never comes back when it is imported as well,
-which a process of its own tries first (`package_probe`). What is recorded of one is its package, version and a digest
-of the package's files.
+whoever asks for it. An installed package is code that runs as who started the program: one that ends the process or
+never returns when it is imported does so. What is recorded of one is its package, version and a digest of its files.
 """
 
+import contextlib
 import hashlib
 import importlib.util
 import re
+import sys
 from collections.abc import Callable, Collection, Iterable
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points, version
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from presets.package_probe import import_problem
-
-KINDS = ("laws", "devices", "operators", "samples", "programs", "tasks", "scenarios")
+# What scenarios and experiments name, and so what a run depends on.
+SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "programs", "tasks", "scenarios")
+KINDS = (*SCENARIO_KINDS, "commands", "checks", "exports")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")
 
-# It is true in the process that tries a package, which imports no other package.
-_without_packages = False
 # The problems of what this process has loaded so far, by kind and name.
 _problems: dict[tuple[str, str], str] = {}
 
@@ -67,11 +66,9 @@ def installed(kind: str) -> dict[str, Plugin]:
     A name is that of a key in a scenario; one that two packages use belongs to neither.
     """
     rows: dict[str, Plugin] = {}
-    if _without_packages:
-        return rows
     for entry in sorted(entry_points(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
-        package, version = (entry.dist.name, entry.dist.version) if entry.dist else ("unknown", "unknown")
-        row = Plugin(kind, entry.name, package, version, entry.value)
+        package, its_version = (entry.dist.name, entry.dist.version) if entry.dist else ("unknown", "unknown")
+        row = Plugin(kind, entry.name, package, its_version, entry.value, _other_version(entry.dist))
         if not NAME.fullmatch(entry.name):
             text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
             row = row._replace(problem=text)
@@ -82,10 +79,16 @@ def installed(kind: str) -> dict[str, Plugin]:
     return rows
 
 
-def leave_out_packages() -> None:
-    """Go on in this process as if no package with entries was installed."""
-    global _without_packages
-    _without_packages = True
+def _other_version(package: Distribution | None) -> str:
+    """Return that a package is for another version of telenano than this one, by what it requires; empty if not."""
+    for text in (package.requires if package else None) or ():
+        if text.startswith("telenano") and any(sign in text for sign in "<>=~!"):
+            from packaging.requirements import Requirement
+
+            needed, own = Requirement(text), version("telenano")
+            if needed.name == "telenano" and not needed.specifier.contains(own, prereleases=True):
+                return f"it needs telenano {needed.specifier}, and this is {own}: install its release for {own}"
+    return ""
 
 
 def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = ()) -> Loaded[T]:
@@ -114,13 +117,15 @@ def known_problems() -> list[str]:
 
 
 def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, T]) -> str:
-    module = row.target.partition(":")[0].strip()
-    if problem := import_problem(row.package, row.version, module, _files(_top_level(row.target))):
-        return problem
     try:
-        value = check(row.name, EntryPoint(row.name, row.target, f"telenano.{row.kind}").load())
-    except KeyboardInterrupt:
-        raise
+        # What a package prints at its import is no part of what a command prints.
+        with contextlib.redirect_stdout(sys.stderr):
+            value = check(row.name, EntryPoint(row.name, row.target, f"telenano.{row.kind}").load())
+    except KeyboardInterrupt as error:
+        # A signal at a command has a class of its own; this one the package may have raised itself.
+        if type(error) is not KeyboardInterrupt:
+            raise
+        return "its import raises KeyboardInterrupt"
     except SystemExit as error:
         return f"its import ends the whole program (SystemExit: {error})"
     # The code of a package may raise anything, of which not all is an `Exception`.
@@ -136,9 +141,14 @@ def all_installed() -> list[Plugin]:
     return [row for kind in KINDS for row in installed(kind).values()]
 
 
+def in_scenarios() -> list[Plugin]:
+    """Return the entries that scenarios and experiments can name: a run depends on these packages and on no other."""
+    return [row for kind in SCENARIO_KINDS for row in installed(kind).values()]
+
+
 def modules() -> tuple[str, ...]:
-    """Return the packages that have entries, as the beginnings of module names."""
-    return tuple(sorted({_top_level(row.target) + "." for row in all_installed()}))
+    """Return the packages that scenarios can name, as the beginnings of module names."""
+    return tuple(sorted({_top_level(row.target) + "." for row in in_scenarios()}))
 
 
 def fault_of_package(error: BaseException) -> str:
@@ -157,13 +167,13 @@ def fault_of_package(error: BaseException) -> str:
 
 
 def digest_of_all() -> str:
-    """Return a digest of the files of all packages with entries; empty without any."""
-    found = [f"{row.kind}.{row.name} {row.digest}" for row in all_installed()]
+    """Return a digest of the files of all packages that scenarios can name; empty without any."""
+    found = [f"{row.kind}.{row.name} {row.digest}" for row in in_scenarios()]
     return hashlib.sha256("\n".join(found).encode()).hexdigest() if found else ""
 
 
 def package_files() -> list[Path]:
-    """Return the files of all packages with entries."""
+    """Return the files of all packages that scenarios can name."""
     return [path for name in modules() for _, path in _files(name.removesuffix("."))]
 
 

@@ -52,6 +52,11 @@ def read_regular(path: Path, most_bytes: int) -> bytes:
     return content
 
 
+def is_own(found: os.stat_result) -> bool:
+    """Return whether a file belongs to this user and nobody else can write it, so that what is in it may be run."""
+    return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
+
+
 def _require_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

@@ -8,7 +8,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from proto.codec import MAX_MESSAGE_BYTES, WireError, accept, compose, decode, decode_header, encode, read_header
+    from proto.codec import (
+        MAX_MESSAGE_BYTES,
+        WireError,
+        accept,
+        compose,
+        decode,
+        decode_header,
+        encode,
+        fields_of,
+        read_header,
+    )
     from proto.messages import Message
     from proto.topics import TOPICS, Topic
 
@@ -23,6 +33,7 @@ __all__ = [
     "decode",
     "decode_header",
     "encode",
+    "fields_of",
     "read_header",
 ]
 

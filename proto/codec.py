@@ -182,6 +182,11 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
     return decode_header(topic, payload)[0]
 
 
+def fields_of(topic: str, message: Message) -> Mapping[str, Any]:
+    """Return the fields of a message as plain data: records as maps. A key that is absent has None, or is not there."""
+    return vars(message) if _FORMS[topic].plain else message.model_dump()
+
+
 @cache
 def header_check(topic: str) -> Callable[[bytes], tuple[int, int, str] | None]:
     """Return what finds seq, t_ns and src of a payload without making a message of it.

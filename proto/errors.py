@@ -22,6 +22,15 @@ class TelenanoError(Exception):
     """Base of every error that the project raises on purpose."""
 
 
+def cause(error: BaseException) -> str:
+    """Return why something failed, for a person: a text that was written for one, or class and text of the surprise."""
+    if isinstance(error, TelenanoError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"the connection is gone: {error.strerror or error}"
+    return f"an answer that nobody expected: {type(error).__name__}: {error}"[:200]
+
+
 class ConfigError(TelenanoError):
     """A configuration, scenario or site file is missing or wrong; the text names file and key."""
 

@@ -5,11 +5,8 @@ import re
 DISTRIBUTION = "telenano"
 # These distributions have another name than their module.
 _DISTRIBUTIONS = {
-    "google": "protobuf",
-    "mcap_ros2": "mcap-ros2-support",
     "serial": "pyserial",
     "yaml": "pyyaml",
-    "zenoh_ros2_sdk": "zenoh-ros2-sdk",
     "zmq": "pyzmq",
 }
 _EXTRA = re.compile(r"extra == ['\"]([^'\"]+)['\"]")
@@ -19,6 +16,17 @@ def how_to_install(extra: str) -> str:
     """Return the command that adds an extra to this installation, such as `pip install '/a/telenano.whl[view]'`."""
     editable, source = _source()
     return f"pip install {'-e ' if editable else ''}'{source}[{extra}]'"
+
+
+def how_to_add_package(package: str) -> str:
+    """Return the command that adds a package of the project: a folder of the checkout, or a wheel of the release."""
+    from importlib.metadata import version
+
+    editable, source = _source()
+    if editable:
+        return f"pip install -e '{source}/packages/{package}'"
+    # A file and no name, because the index may have a stranger's package of that name.
+    return f"pip install {package.replace('-', '_')}-{version(DISTRIBUTION)}-py3-none-any.whl"
 
 
 def extra_of(module: str) -> str:

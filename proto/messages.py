@@ -324,7 +324,9 @@ class LawStatus(Message):
 class LinkDirection(Record):
     """One direction of the link: the settings in force and what it did since the last report."""
 
-    profile: Text = Field(description="Name of the profile in force; custom when it was changed by hand")
+    profile: Text = Field(
+        description="Name of the network in force: profile, constant delay, custom, or as in `lte, changed`"
+    )
     settings: Facts = Field(description="Settings in force, by dotted key; SI units in the names")
     messages_in: Count = Field(description="Messages taken in since the start")
     messages_out: Count = Field(description="Messages delivered since the start, duplicates included")

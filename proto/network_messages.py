@@ -65,17 +65,19 @@ class LinkNetwork(_Extended):
         default=None, description="Datagrams of which it is known whether they arrived; `lost` is a share of these"
     )
     queue_s: DurationS | None = Field(
-        default=None, description="Queue that stands before the line of this direction [s]; absent until it is known"
+        default=None,
+        description="Longest queue that stood before the line of this direction since the last report [s]; absent until"
+        " it is known",
     )
     capacity_bit_per_s: Count | None = Field(
         default=None,
-        description="What the line of this direction carried [bit/s], of a train of datagrams or while it was full; "
-        "absent until it is known",
+        description="What the line of this direction carries [bit/s], by a train of datagrams, or by its sender while"
+        " it is full; absent until it is known",
     )
     line: Literal["free", "full", "shared"] | None = Field(
         default=None,
-        description="Line that this end sends over: free; full, it sends no more than is delivered; shared, others fill"
-        " it, and losses limit what is sent",
+        description="Line that this end sends over: free; full, it sends no more than is delivered; shared, sending"
+        " less does not lower the delay, which others or jitter keep, and losses limit what is sent",
     )
     limit_bit_per_s: Count | None = Field(
         default=None, description="Most that this end sends now [bit/s], network headers included"

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.errors import RecordingError, probably_meant
-from recording.messages import RecordedChannel, RecordedMessage
+from recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
 from recording.multi_file import RecordingSource
 
 Column = npt.NDArray[Any]
@@ -25,7 +25,9 @@ _FAST_HZ = 100.0
 _REWIND_RUN, _REWIND_NS = 8, 1_000_000_000
 # so many messages are put into arrays at once
 _AT_ONCE = 8192
-_SCALARS = frozenset((bool, int, float, str, type(None)))
+_SCALARS, _NUMBERS = frozenset((bool, int, float, str, type(None))), frozenset((int, float))
+# Reasons for which a message is of a model that is not known here.
+_UNKNOWN = frozenset(("topic", "newer_version"))
 # a launcher reports a session when the device has answered that its programme runs
 _START_REPORT_NS = 2_000_000_000
 
@@ -80,11 +82,13 @@ def column_pieces(
     is_first = True
     while (batch := list(islice(messages, _AT_ONCE))) or is_first:
         is_first = False
+        found = read(batch)
+        if found is None or not all(_is_column(found[field], kinds[field]) for field in paths):
+            batch, found = _read_each(recording, batch, paths)
         values: dict[str, list[Any]] = {
             field: [getattr(message, field) for message in batch] for field in fields if field not in paths
         }
-        found = read(batch)
-        values |= _read_each(recording, batch, paths) if found is None else found
+        values |= found
         for field in fields:
             kinds[field].update(map(type, values[field]))
         yield {field: _array(recording, channel_topic, field, values[field], kinds[field]) for field in fields}
@@ -98,7 +102,7 @@ def replayed_sources(recording: RecordingSource, *, newest: bool = False) -> set
 
     last_ns = recording.span_ns[1] + 1
     health = recording.newest_before(last_ns, is_health).values() if newest else recording.select(is_health)
-    return {message.src for message in health if message.fields().get("replay") is True}
+    return {message.src for message, fields in readable(health, recording.left_out) if fields["replay"]}
 
 
 def replay_shifts(recording: RecordingSource, *, newest: bool = False) -> dict[str, int]:
@@ -136,18 +140,40 @@ def _reader(paths: Mapping[str, _Path]) -> Callable[[Sequence[RecordedMessage]],
                 found[field] = values
         except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError):
             return None
-        return found if all(_SCALARS.issuperset(map(type, values)) for values in found.values()) else None
+        return found
 
     return read
 
 
+def _is_column(values: Sequence[Any], before: set[type]) -> bool:
+    """Return whether values that nobody has checked are all of one kind, with those before, and finite numbers."""
+    kinds = before.union(map(type, values)) - {type(None)}
+    if not kinds <= _NUMBERS:
+        return len(kinds) == 1 and kinds < _SCALARS
+    try:
+        kind = np.float64 if float in kinds else np.int64
+        numbers = np.array([value for value in values if value is not None], dtype=kind)
+    except OverflowError:
+        return False
+    return bool(np.isfinite(numbers).all())
+
+
 def _read_each(
     recording: RecordingSource, messages: Sequence[RecordedMessage], paths: Mapping[str, _Path]
-) -> dict[str, list[Any]]:
-    """Return fields of messages that are decoded as a whole; RecordingError names what one lacks."""
+) -> tuple[list[RecordedMessage], dict[str, list[Any]]]:
+    """Return the messages that are valid, each decoded as a whole, and their fields; RecordingError for one it lacks.
+
+    Those that are not valid are counted and left out. Where all are of a model that is not known here, they are taken
+    as they are.
+    """
     values: dict[str, list[Any]] = {field: [] for field in paths}
-    for message in messages:
-        decoded = message.fields()
+    left_out = LeftOut()
+    taken = list(readable(messages, left_out))
+    if not taken and left_out.rejected.keys() <= _UNKNOWN:
+        taken = [(message, message.fields()) for message in messages]
+    else:
+        recording.left_out.add(left_out)
+    for message, decoded in taken:
         for field, path in paths.items():
             value: Any = decoded
             try:
@@ -159,7 +185,7 @@ def _read_each(
                 known = f"{', '.join(decoded)}{probably_meant(str(path[0]), decoded)}"
                 raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
             values[field].append(value)
-    return values
+    return [message for message, _ in taken], values
 
 
 def _path_of(field: str) -> _Path:
@@ -219,31 +245,50 @@ def last_programme(session_s: Column, t_ns: Column) -> npt.NDArray[np.intp]:
     return running[anew[-1] + 1 :] if anew.size else running
 
 
-def last_session(session_s: Column, seq: Column, t_ns: Column, starts_ns: Sequence[int] = ()) -> npt.NDArray[np.intp]:
+def last_session(
+    session_s: Column, seq: Column, t_ns: Column, starts_ns: Sequence[int] = (), ends_ns: Sequence[int] = ()
+) -> npt.NDArray[np.intp]:
     """Return the indices of the last session: the last programme, and those that a restart of the device has cut off.
 
     A device whose process died while the programme ran begins it anew when it is commanded to; that is the same
-    session, unless a launcher has started one since.
+    session, unless a launcher has started one since. What the new process sent until then, or until a launcher ended
+    the session where nobody commanded it, is of the session too.
 
     Args:
         session_s: session_s of `haptic/state` [s], negative while no programme runs, shape (n,).
         seq: The seq of its messages, shape (n,).
         t_ns: The times of sending of its messages [ns], shape (n,).
         starts_ns: The times at which launchers reported that a session runs [ns].
+        ends_ns: The times at which launchers reported that a session is over [ns].
 
     Returns:
         The indices, fewer than two when no programme ran.
     """
     session = last_programme(session_s, t_ns)
+    if session.size and (last := int(session[-1])) + 1 < len(seq) and _died(last, seq, t_ns):
+        end_ns = min((end_ns for end_ns in ends_ns if end_ns > t_ns[last]), default=t_ns.max() + 1)
+        after = _rising(np.arange(last + 1, len(seq)), t_ns)
+        session = np.concatenate((session, after[t_ns[after] < end_ns]))
     while session.size and (first := int(session[0])) > 0:
         before = last_programme(session_s[:first], t_ns[:first])
         if not before.size or not _was_cut_off(int(before[-1]), first, seq, t_ns, starts_ns):
             break
-        session = np.concatenate((before, session))
+        between = _rising(np.arange(before[-1] + 1, first), t_ns)
+        session = np.concatenate((before, between[t_ns[between] < t_ns[first]], session))
     return session
+
+
+def _died(last: int, seq: Column, t_ns: Column) -> bool:
+    """Return whether the message after one is the first of a new process: its number begins anew, and its time not."""
+    return bool(seq[last + 1] <= seq[last] and t_ns[last + 1] > t_ns[last])
+
+
+def _rising(places: npt.NDArray[np.intp], t_ns: Column) -> npt.NDArray[np.intp]:
+    """Return the places without those that stand behind later messages."""
+    return places[t_ns[places] >= np.maximum.accumulate(t_ns[places])] if places.size else places
 
 
 def _was_cut_off(last: int, first: int, seq: Column, t_ns: Column, starts_ns: Sequence[int]) -> bool:
     """Return whether a programme ended with its process, and the one that follows is of the same session."""
-    died = seq[last + 1] <= seq[last] and t_ns[last + 1] > t_ns[last]
-    return bool(died) and not any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
+    begun_anew = any(t_ns[last] < start_ns < t_ns[first] + _START_REPORT_NS for start_ns in starts_ns)
+    return _died(last, seq, t_ns) and not begun_anew

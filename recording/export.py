@@ -1,49 +1,51 @@
-"""Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP with JSON or protobuf payloads for viewers."""
+"""Recordings for other tools: Parquet, CSV, HDF5 tables, and MCAP for viewers."""
 
 import csv
 import importlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from presets import plugins
+from presets.known_packages import KNOWN_PACKAGES
 from proto import TOPICS
-from proto.errors import ConfigError, ExistsError, RecordingError
-from proto.extras import how_to_install
+from proto.errors import ConfigError, ExistsError, RecordingError, probably_meant
+from proto.extras import how_to_add_package, how_to_install
 from proto.messages import Record
 from recording.channel_filter import ALL, Selection
 from recording.mcap_scan import Damage, describe_damage
-from recording.messages import RawChannel, RawMessage, RecordedChannel
+from recording.messages import RawChannel, RawMessage, RecordedChannel, RecordedMessage, file_stem, topic_of
 from recording.parquet_tables import parquet_tables
-from recording.protobuf_export import ProtobufMessage
 from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import RECORDS
 from recording.rewrite import CopyResult, CopyWriter
-from recording.ros2_export import export_ros2
 from recording.sender_time import SenderClock, SenderOrder
 from recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of, write_tables
 from recording.tables import plain
 from recording.whole_files import whole_file, whole_folder
 
-Format = Literal["parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf", "ros2"]
+# The formats of this module; packages add others, each a function of a recording, a target and a selection.
+FORMATS = ("parquet", "csv", "hdf5", "mcap-json")
+# What a message becomes: of each new one its channel and payload. It may raise TypeError, ValueError or KeyError.
+Encodes = Callable[[RecordedMessage], Iterable[tuple[RawChannel, bytes]]]
 
 
-def export_recording(source: Path, target: Path, kind: Format, selection: Selection = ALL) -> CopyResult:
+def export_recording(source: Path, target: Path, kind: str, selection: Selection = ALL) -> CopyResult:
     """Write the chosen channels of a recording in another format.
 
-    `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json` and
-    `mcap-protobuf` an MCAP file, in which a topic of several publishers has a channel for each, and messages the time
-    of their sending. Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset
-    (`hdf5`), in the table `columns.csv` (`csv`), in the schema (`mcap-json`, `mcap-protobuf`). Attachments and metadata
-    of the recording, so scenario, versions and seeds, go along: as files beside the tables (`csv`), else inside.
-    `ros2` is an MCAP file with the topics and messages of ROS 2 (`recording.ros2`).
+    `parquet` and `csv` make a folder with a file for each channel, `hdf5` a file with a group for each, `mcap-json` an
+    MCAP file, in which a topic of several publishers has a channel for each, and messages the time of their sending.
+    Columns carry unit and description: as metadata of a field (`parquet`), as attributes of a dataset (`hdf5`), in the
+    table `columns.csv` (`csv`), in the schema (`mcap-json`). Attachments and metadata of the recording, so scenario,
+    versions and seeds, go along: as files beside the tables (`csv`), else inside. Installed packages add formats.
 
     It has its name only when it is complete, and nothing is left of one that is not.
 
@@ -70,11 +72,11 @@ def export_recording(source: Path, target: Path, kind: Format, selection: Select
         raise RecordingError(f"{target}: cannot be written: {reason}") from error
 
 
-def _export(recording: Recording, target: Path, kind: Format, selection: Selection) -> CopyResult:
-    if kind in ("mcap-json", "mcap-protobuf"):
-        return _export_mcap(recording, target, selection, _as_json if kind == "mcap-json" else _as_protobuf)
-    if kind == "ros2":
-        return export_ros2(recording, target, selection)
+def _export(recording: Recording, target: Path, kind: str, selection: Selection) -> CopyResult:
+    if kind == "mcap-json":
+        return write_viewer_mcap(recording, target, selection, _as_json)
+    if kind not in FORMATS:
+        return _of_package(kind)(recording, target, selection)
     if kind == "hdf5":
         h5py = _package("h5py", "hdf5")
         with whole_file(target, replace=False) as file:
@@ -99,11 +101,6 @@ def _write_descriptions(folder: Path, tables: Mapping[str, Kinds]) -> None:
         described += [(name, column, *quantity(topic_of(name), column)) for column in columns]
     with (folder / "columns.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(described)
-
-
-def file_stem(channel_topic: str) -> str:
-    """Return a channel name in a form that is valid in a file name."""
-    return channel_topic.replace("/", "_")
 
 
 def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,11 +134,6 @@ def plain_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
 
 _TEXT = "_text"
 _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
-
-
-def topic_of(channel_topic: str) -> str:
-    """Return the topic of a channel, which may have the site of its reception after an `@`."""
-    return channel_topic.partition("@")[0]
 
 
 @contextmanager
@@ -227,7 +219,7 @@ def _append(dataset: Any, kind: type, values: list[Any]) -> None:
         dataset[before:] = np.array(array, dtype=dataset.dtype)
 
 
-class _Payload(NamedTuple):
+class Payload(NamedTuple):
     """How the messages of a channel are written: encoding, schema, and a function of the JSON values of one."""
 
     encoding: str
@@ -235,62 +227,90 @@ class _Payload(NamedTuple):
     encode: Callable[[dict[str, Any]], bytes]
 
 
-def _export_mcap(
-    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str], _Payload]
+def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
+    loaded = plugins.load("exports", lambda name, value: value if callable(value) else None, (*FORMATS, "nexus"))
+    if kind in loaded.problems:
+        raise ConfigError(loaded.problems[kind])
+    if kind in loaded.found:
+        found: Callable[[Recording, Path, Selection], CopyResult] = loaded.found[kind]
+        return found
+    if package := KNOWN_PACKAGES.get(f"export {kind}"):
+        raise ConfigError(f"the format {kind} is in the package {package}: {how_to_add_package(package)}")
+    known = (*FORMATS, *loaded.found)
+    raise ConfigError(f"{kind!r} is no format{probably_meant(kind, known)}; known are {', '.join(known)}")
+
+
+def write_viewer_mcap(
+    recording: Recording, target: Path, selection: Selection, payload_of: Callable[[str], Payload]
 ) -> CopyResult:
+    """Write the chosen channels as MCAP for viewers, in what `payload_of` makes of each topic (`write_mcap`)."""
+    publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
+    payloads = {channel.topic: payload_of(channel.topic) for channel in recording.channels if selection(channel)}
+    channels: dict[RecordedChannel, RawChannel] = {}
+
+    def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
+        payload = payloads[message.topic]
+        if message.channel not in channels:
+            several = publishers[message.channel_topic] > 1
+            channels[message.channel] = _viewer_channel(message.channel, payload, several)
+        yield channels[message.channel], payload.encode(plain(message))
+
+    return write_mcap(recording, target, selection, encode)
+
+
+def write_mcap(
+    recording: Recording, target: Path, selection: Callable[[RecordedChannel], bool], encode: Encodes, profile: str = ""
+) -> CopyResult:
+    """Write the chosen channels of a recording in the order of their sending, with what `encode` makes of each message.
+
+    Args:
+        recording: The recording.
+        target: The file to write.
+        selection: Which channels are written.
+        encode: Returns channels and payloads of a message; what it refuses is left out and named in the result.
+        profile: The profile of MCAP that the channels follow.
+
+    Raises:
+        RecordingError: The file cannot be written.
+    """
     skipped: list[Damage] = list(recording.structural_damage)
     refused: list[str] = []
     # viewers draw by log_time, and against the recorder's a ramp is a staircase
     select = partial(recording.select, report=skipped.append)
     sent = SenderOrder(recording, selection, SenderClock(recording), select=select, ends=True)
-    publishers = Counter(name for name, _ in {(channel.channel_topic, channel.src) for channel in recording.channels})
-    payloads = {channel.topic: payload_of(channel.topic) for channel in recording.channels if selection(channel)}
-    channels: dict[RecordedChannel, RawChannel] = {}
-    with CopyWriter(target, profile="") as writer:
+    with CopyWriter(target, profile=profile) as writer:
         writer.copy_attachments_and_metadata([recording])
         for sent_ns, _, message in sent:
-            payload = payloads[message.topic]
-            if message.channel not in channels:
-                several = publishers[message.channel_topic] > 1
-                channels[message.channel] = _viewer_channel(message.channel, payload, several)
             try:
-                data = payload.encode(plain(message))
-            except (TypeError, ValueError) as error:
+                made = list(encode(message))
+            except (TypeError, ValueError, KeyError) as error:
                 refused.append(f"{message.channel_topic}, seq {message.seq}: {error}")
                 continue
-            writer.add(RawMessage(channels[message.channel], sent_ns, message.publish_ns, message.seq, data))
+            for channel, data in made:
+                writer.add(RawMessage(channel, sent_ns, message.publish_ns, message.seq, data))
     return CopyResult(path=str(target), messages=writer.messages, skipped=(*describe_damage(skipped), *refused))
 
 
-def _viewer_channel(channel: RecordedChannel, payload: _Payload, several: bool) -> RawChannel:
+def _viewer_channel(channel: RecordedChannel, payload: Payload, several: bool) -> RawChannel:
     # viewers draw a channel as one line, whoever sent its messages
     name = f"{channel.channel_topic}/{channel.src}" if several else channel.channel_topic
     facts = {"topic": channel.topic, "site": channel.site, "via": channel.via, "src": channel.src}
     return RawChannel(name, payload.encoding, tuple(sorted(facts.items())), payload.schema)
 
 
-def _as_json(topic: str) -> _Payload:
-    model = _model_of(topic)
+def _as_json(topic: str) -> Payload:
+    model = model_of(topic)
     schema: dict[str, Any] = {"type": "object", "properties": {}} if model is None else viewer_schema(model)
     name = topic if model is None else f"telenano.{model.__name__}"
 
     def encode(fields: dict[str, Any]) -> bytes:
         return viewer_json(fields, schema)
 
-    return _Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
+    return Payload("json", (name, "jsonschema", json.dumps(schema).encode()), encode)
 
 
-def _as_protobuf(topic: str) -> _Payload:
-    model = _model_of(topic)
-    if model is None:
-        unknown = ProtobufMessage("Unknown", {"properties": {"json": {"type": "object"}}})
-        described = (unknown.name, "protobuf", unknown.descriptor_set)
-        return _Payload("protobuf", described, lambda fields: unknown.encode({"json": fields}))
-    message = ProtobufMessage(model.__name__, plain_schema(model.model_json_schema()))
-    return _Payload("protobuf", (message.name, "protobuf", message.descriptor_set), message.encode)
-
-
-def _model_of(topic: str) -> type[Record] | None:
+def model_of(topic: str) -> type[Record] | None:
+    """Return the model of the messages of a topic, None where this version does not know it."""
     return RECORDS.get(topic) or (TOPICS[topic].model if topic in TOPICS else None)
 
 

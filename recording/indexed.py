@@ -73,10 +73,11 @@ class IndexedRecording(Recording):
         start_ns: int | None = None,
         end_ns: int | None = None,
         report: DamageCallback | None = None,
+        blocks: Sequence[Block] | None = None,
     ) -> Iterator[RecordedMessage]:
         """Yield messages as those of any recording; with an index the heads of a chunk are read together."""
         if report is not None or self._in_order or not self._indexes:
-            yield from super().select(wanted, start_ns, end_ns, report)
+            yield from super().select(wanted, start_ns, end_ns, report, blocks)
             return
         first = 0 if start_ns is None else start_ns
         after = END_OF_TIME if end_ns is None else end_ns
@@ -84,7 +85,7 @@ class IndexedRecording(Recording):
         # The constructor of a named tuple is a function of Python.
         new = tuple.__new__
         with self._open() as data:
-            for block in each_block(data, self._layout.blocks):
+            for block in each_block(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first or block.first_ns >= after or not self._may_have(block, selected):
                     continue
                 try:
@@ -138,7 +139,8 @@ def _heads_of(
         ValueError: The index is wrong.
     """
     found = {number: place for number, place in channels_in(indexes).items() if number in selected}
-    each = [message_places(data, number, place).astype(np.int64) for number, place in found.items()]
+    most = len(content) // _HEAD.itemsize
+    each = [message_places(data, number, place, most).astype(np.int64) for number, place in found.items()]
     places = np.concatenate([np.empty(0, dtype=np.int64), *each])
     order = np.argsort(places, kind="stable")
     numbers = np.repeat(np.array(list(found), dtype=np.int64), [len(part) for part in each])[order]
@@ -154,12 +156,21 @@ def _heads_of(
         heads["length"] > (len(content) - starts).astype(np.uint64)
     ):
         raise ValueError("a message is not whole")
-    return heads, starts, starts + heads["length"].astype(np.int64)
+    ends = starts + heads["length"].astype(np.int64)
+    if np.any(starts[1:] - RECORD_HEAD.size < ends[:-1]):
+        raise ValueError("the index names a message twice, or messages that lie over one another")
+    return heads, starts, ends
 
 
-def message_places(data: mmap.mmap, number: int, start: int) -> npt.NDArray[np.uint64]:
-    """Return the places in their chunk of the messages of a channel, shape (n,); ValueError where there is no index."""
+def message_places(data: mmap.mmap, number: int, start: int, most: int) -> npt.NDArray[np.uint64]:
+    """Return the places in their chunk of the messages of a channel, shape (n,).
+
+    Raises:
+        ValueError: There is no index, or it has more messages than the most that the chunk has room for.
+    """
     opcode, length = RECORD_HEAD.unpack_from(data, start)
+    if length > INDEX_HEAD.size + 16 * most:
+        raise ValueError(f"the index at byte {start} has more messages than its chunk")
     body = data[start + RECORD_HEAD.size : start + RECORD_HEAD.size + length]
     channel, size = INDEX_HEAD.unpack_from(body)
     if (opcode, channel, size) != (Opcode.MESSAGE_INDEX, number, len(body) - INDEX_HEAD.size):

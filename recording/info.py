@@ -84,9 +84,11 @@ class RecordingInfo(_Info):
 
     `complete`: nothing that was sent to the recorder is missing; `missing` names what is, in sentences. `closed`: each
     file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link
-    has dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `recorder_lag`: None where it
-    is unknown. `basis`: every message was read for it, or the index of a closed file (`recording.summary`), which says
-    nothing of damaged messages. `path` is the first of several `parts`, which are empty where there is but one file.
+    has dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `odd`: sentences
+    on what is odd although nothing is missing, such as messages whose times are far from those of all others.
+    `recorder_lag`: None where it is unknown. `basis`: every message was read for it, or the index of a closed file
+    (`recording.summary`), which says nothing of damaged messages. `path` is the first of several `parts`, which are
+    empty where there is but one file.
     """
 
     path: str
@@ -103,6 +105,7 @@ class RecordingInfo(_Info):
     recorder_lag: LagInfo | None
     skipped_bytes: int
     damage: tuple[str, ...]
+    odd: tuple[str, ...]
     parts: tuple[PartInfo, ...]
     channels: tuple[ChannelInfo, ...]
     attachments: tuple[AttachmentInfo, ...]

@@ -24,6 +24,8 @@ RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
+# behind the two times of a chunk [bytes]
+_PLACE_IN_CHUNK_INDEX = 16
 _CRC = struct.Struct("<I")
 _LONGEST_COMPRESSION_NAME = 8
 # An unpacked chunk is in memory as a whole. Ours have at most 64 MiB and one message of 16 MiB.
@@ -81,6 +83,9 @@ class Layout:
     path: str = ""
     damage: list[Damage] = field(default_factory=list)
     finished: bool = False
+    # the places of the chunks that the index names, and how many of its entries name one again
+    indexed: set[int] = field(default_factory=set)
+    repeated: int = 0
 
 
 def describe_damage(damage: Iterable[Damage]) -> tuple[str, ...]:
@@ -245,7 +250,7 @@ def add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout)
 
 
 def add_record(opcode: int, body: bytes, layout: Layout) -> None:
-    """Add an attachment, metadata, a channel or a schema to the layout.
+    """Add an attachment, metadata, a channel, a schema or the place of a chunk to the layout.
 
     Raises:
         RecordingError: There are more channels and schemas than any recording has.
@@ -263,6 +268,10 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
     elif opcode == Opcode.SCHEMA:
         schema = Schema.read(stream)
         layout.summary_schemas[schema.id] = schema
+    elif opcode == Opcode.CHUNK_INDEX:
+        (place,) = _LENGTH.unpack_from(body, _PLACE_IN_CHUNK_INDEX)
+        layout.repeated += place in layout.indexed
+        layout.indexed.add(place)
     if len(layout.summary_channels) + len(layout.summary_schemas) > MOST_DEFINITIONS:
         raise too_many_definitions(layout.path)
 

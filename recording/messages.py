@@ -1,7 +1,7 @@
 """Messages and channels as a recording holds them."""
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgpack
 from mcap.records import Channel, Schema
@@ -14,6 +14,47 @@ from recording.record_topics import RECORD_TOPICS
 
 if TYPE_CHECKING:
     from proto.messages import Record
+
+_T = TypeVar("_T")
+
+
+class LeftOut:
+    """Counts by reason the messages that a reader of them cannot take, none of which ends it.
+
+    A message that is not what its model says has the reason of its error; `unreadable` is one that the reader itself
+    fails at. The attributes are those of a reader of the bus, whose counts are in node/health.
+    """
+
+    def __init__(self) -> None:
+        self.rejected: dict[str, int] = {}
+        self.last_error = ""
+
+    def guard(self, take: Callable[[_T], object], message: _T) -> bool:
+        """Hand a message to what takes it, and return whether it was taken."""
+        try:
+            take(message)
+        except Exception as error:  # noqa: BLE001
+            self.note(getattr(error.__cause__, "reason", "unreadable"), f"{type(error).__name__}: {error}")
+            return False
+        return True
+
+    def note(self, reason: str, text: str) -> None:
+        """Count a message that was left out."""
+        self.rejected[reason] = self.rejected.get(reason, 0) + 1
+        self.last_error = text[:400]
+
+    def add(self, other: "LeftOut") -> None:
+        """Count what another reader has left out."""
+        for reason, count in other.rejected.items():
+            self.rejected[reason] = self.rejected.get(reason, 0) + count
+        self.last_error = other.last_error or self.last_error
+
+    def sentences(self) -> list[str]:
+        """Return what was left out as a sentence, of which there is none where nothing was."""
+        if not self.rejected:
+            return []
+        counts = ", ".join(f"{count} {reason}" for reason, count in sorted(self.rejected.items()))
+        return [f"messages that are not valid were left out ({counts}), the last: {self.last_error}"]
 
 
 class RecordedChannel(NamedTuple):
@@ -91,8 +132,26 @@ class RecordedMessage(NamedTuple):
             raise RecordingError(f"{self.channel_topic}, seq {self.seq}: not a msgpack map")
         return found
 
+    def checked_fields(self) -> Mapping[str, Any]:
+        """Return the fields of a topic of the bus, each of them valid by its model; RecordingError as `decode`."""
+        message = self.decode()
+        return proto.fields_of(self.topic, message) if isinstance(message, proto.Message) else message.model_dump()
+
 
 ChannelFilter = Callable[[RecordedChannel], bool]
+
+
+def readable(
+    messages: Iterable[RecordedMessage], left_out: LeftOut
+) -> Iterator[tuple[RecordedMessage, Mapping[str, Any]]]:
+    """Yield messages with their checked fields; those that are not valid are counted and left out."""
+    for message in messages:
+        try:
+            fields = message.checked_fields()
+        except RecordingError as error:
+            left_out.note(getattr(error.__cause__, "reason", "schema"), str(error))
+        else:
+            yield message, fields
 
 
 class RawChannel(NamedTuple):
@@ -149,3 +208,13 @@ def _number(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
+
+
+def file_stem(channel_topic: str) -> str:
+    """Return a channel name in a form that is valid in a file name."""
+    return channel_topic.replace("/", "_")
+
+
+def topic_of(channel_topic: str) -> str:
+    """Return the topic of a channel, which may have the site of its reception after an `@`."""
+    return channel_topic.partition("@")[0]

@@ -6,8 +6,8 @@ from typing import Protocol
 
 from proto.errors import RecordingError
 from recording.info import RecordingInfo
-from recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
-from recording.reader import Recording, info_of
+from recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
+from recording.reader import Piece, Recording, info_of
 
 
 class RecordingSource(Protocol):
@@ -16,6 +16,10 @@ class RecordingSource(Protocol):
     @property
     def path(self) -> Path:
         """File, or the first of several."""
+
+    @property
+    def left_out(self) -> LeftOut:
+        """What its readers could not take."""
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
@@ -46,6 +50,9 @@ class RecordingSource(Protocol):
     ) -> Iterator[RecordedMessage]:
         """Yield messages of wanted channels within bounds [ns]."""
 
+    def pieces(self, length_ns: int, lead_ns: int) -> Iterator[Piece]:
+        """Yield pieces of about a length, each with what is so long before it [ns]."""
+
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None
     ) -> dict[RecordedChannel, RecordedMessage]:
@@ -56,6 +63,7 @@ class MultiFileRecording:
     """The files of a recording that was split, read as one."""
 
     def __init__(self, recordings: Sequence[Recording]) -> None:
+        self.left_out = LeftOut()
         filled = [recording for recording in recordings if recording.span_ns != (0, 0)] or list(recordings[:1])
         self.files = sorted(filled, key=lambda recording: recording.span_ns)
         self.path = self.files[0].path
@@ -94,6 +102,10 @@ class MultiFileRecording:
     ) -> Iterator[RecordedMessage]:
         for file in self.files:
             yield from file.select(wanted, start_ns, end_ns)
+
+    def pieces(self, length_ns: int, lead_ns: int) -> Iterator[Piece]:
+        for file in self.files:
+            yield from file.pieces(length_ns, lead_ns)
 
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None

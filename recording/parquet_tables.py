@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+from recording.messages import file_stem, topic_of
 from recording.quantities import quantity
 from recording.reader import Recording
 from recording.table_batches import Columns, Kinds, OpenTable, Write, kind_of
@@ -52,7 +53,7 @@ def parquet_tables(
 
     @contextmanager
     def tables(folder: Path) -> Iterator[OpenTable]:
-        # what was written before the types of all columns were known
+        # The files that were written before the types of all columns were known are written again.
         for path in folder.glob("*.parquet"):
             path.unlink()
         waiting: dict[str, _Table] = {}
@@ -61,8 +62,8 @@ def parquet_tables(
         arrow.set_memory_pool(arrow.system_memory_pool())
 
         def open_table(name: str, kinds: Kinds) -> Write:
-            topic, stem = name.partition("@")[0], folder / name.replace("/", "_")
-            table = waiting[name] = _Table(arrow, parquet, stem, schema_of(topic, kinds))
+            schema = schema_of(topic_of(name), kinds)
+            table = waiting[name] = _Table(arrow, parquet, folder / file_stem(name), schema)
 
             def write(columns: Columns) -> None:
                 table.add(columns)

@@ -5,8 +5,9 @@ import mmap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -37,18 +38,24 @@ from recording.mcap_scan import (
 )
 from recording.messages import (
     ChannelFilter,
+    LeftOut,
     RawMessage,
     RecordedChannel,
     RecordedMessage,
     raw_channel,
     recorded_channel,
 )
+from recording.odd_times import LONGEST_PAUSE_NS, Dates, odd_text
 from recording.overtaken import BlockOrder, OvertakenFinder, Place
 from recording.record_topics import RECORD_TOPICS
 
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once or with the next trigger.
 _PLANNED_ENDS = ("split", "snapshot")
+# A piece has one chunk, or no more than so much in several [bytes]; its lead may have so many where it has one.
+_LARGEST_PIECE, _LEAD = 16 << 20, 2
+# groups of messages with odd times that are named
+_MOST_NAMED = 5
 
 DamageCallback = Callable[[Damage], None]
 
@@ -61,7 +68,7 @@ class Recording:
 
     def __init__(self, path: str | Path) -> None:
         """Scan the structure of a file; RecordingError names the file and what is wrong with it."""
-        self.path = Path(path)
+        self.path, self.left_out = Path(path), LeftOut()
         try:
             self.size_bytes = self.path.stat().st_size
             with open_regular(self.path) as file:
@@ -113,13 +120,41 @@ class Recording:
 
     @cached_property
     def span_ns(self) -> tuple[int, int]:
-        """First and last time of reception [ns]; zeros in a recording without messages."""
-        blocks = [block for block in self._layout.blocks if block.first_ns or block.last_ns]
-        bounded = bool(blocks) and all(block.whole and block.last_ns != END_OF_TIME for block in blocks)
-        if self.closed and bounded:
-            return min(block.first_ns for block in blocks), max(block.last_ns for block in blocks)
-        times = [message.log_ns for message in self.select()]
-        return (min(times), max(times)) if times else (0, 0)
+        """First and last time of reception [ns], without those that are odd; zeros in a recording without messages."""
+        return self._dates.most()
+
+    @cached_property
+    def odd(self) -> tuple[str, ...]:
+        """Sentences on what is odd in the file although nothing is missing: times, and an index that repeats itself."""
+        first_ns, last_ns = span_ns = self.span_ns
+        dates, examples = Dates(), dict[int, str]()
+        outside = [block for block in self._layout.blocks if block.first_ns < first_ns or block.last_ns > last_ns]
+        table = self._recorded_channels(None, self._channels_by_number)
+        for message in self._walk(table, RecordedMessage, blocks=outside if len(self._dates.groups()) > 1 else ()):
+            if not first_ns <= message.log_ns <= last_ns:
+                dates.add(message.log_ns, message.log_ns, 1)
+                examples.setdefault(message.log_ns // LONGEST_PAUSE_NS, f"{message.channel_topic}, seq {message.seq}")
+        found = [
+            odd_text(group, examples[group.first_ns // LONGEST_PAUSE_NS], span_ns)
+            for group in islice(dates.groups(), _MOST_NAMED)
+        ]
+        if self._layout.repeated:
+            found.append(f"the index names chunks again, {self._layout.repeated} times: each is read once")
+        return tuple(found)
+
+    @cached_property
+    def _dates(self) -> Dates:
+        """How much is dated to each day: by the bounds of the chunks, and by the messages of those without any."""
+        dates, table = Dates(), self._recorded_channels()
+        for block in self._layout.blocks:
+            if self.closed and block.whole and block.last_ns - block.first_ns <= LONGEST_PAUSE_NS:
+                # a chunk without messages has no times
+                if block.last_ns:
+                    dates.add(block.first_ns, block.last_ns, block.size_bytes)
+                continue
+            for message in self._walk(table, RecordedMessage, blocks=(block,)):
+                dates.add(message.log_ns, message.log_ns, MESSAGE_HEAD.size + len(message.payload))
+        return dates
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -140,17 +175,35 @@ class Recording:
         start_ns: int | None = None,
         end_ns: int | None = None,
         report: DamageCallback | None = None,
+        blocks: Sequence[Block] | None = None,
     ) -> Iterator[RecordedMessage]:
         """Yield messages as `messages` does, of the channels for which `wanted` holds.
 
-        Chunks outside of the bounds are not read. `report` is called for each part that cannot be used.
+        Chunks outside of the bounds are not read, and only those of `blocks` where these are given. `report` is called
+        for each part that cannot be used.
         """
         first = 0 if start_ns is None else start_ns
         after = END_OF_TIME if end_ns is None else end_ns
-        table = self._recorded_channels(wanted, None if start_ns is None else self._channels_by_number)
-        for message in self._walk(table, RecordedMessage, report, first, after, order=self._order):
+        is_whole = start_ns is None and blocks is None
+        table = self._recorded_channels(wanted, None if is_whole else self._channels_by_number)
+        for message in self._walk(table, RecordedMessage, report, first, after, blocks, self._order):
             if first <= message.log_ns < after:
                 yield message
+
+    def pieces(self, length_ns: int, lead_ns: int) -> Iterator["Piece"]:
+        """Yield the file in pieces of about a length [ns], in its order; each chunk is in one of them.
+
+        The lead is of chunks before a piece: those of so long a time [ns], and hardly more than it has itself.
+        """
+        blocks, first, size = self._layout.blocks, 0, 0
+        for place, block in enumerate((*blocks, None)):
+            size += block.size_bytes if block else 0
+            begin_ns = blocks[first].first_ns if blocks else 0
+            if place > first and (block is None or block.last_ns - begin_ns > length_ns or size > _LARGEST_PIECE):
+                before = blocks[max(0, first - max(_LEAD, place - first)) : first]
+                lead = [each for each in before if each.last_ns >= begin_ns - lead_ns]
+                yield Piece(self, blocks[first:place], lead)
+                first, size = place, block.size_bytes if block else 0
 
     def newest_before(
         self, time_ns: int, wanted: ChannelFilter | None = None
@@ -328,6 +381,18 @@ class Recording:
         return (channel, seq, log_ns, publish_ns), content[place.at + MESSAGE_HEAD.size : place.at + length]
 
 
+class Piece(NamedTuple):
+    """Chunks of a recording that are read together, and those before them."""
+
+    recording: Recording
+    blocks: Sequence[Block]
+    lead: Sequence[Block]
+
+    def has(self, from_ns: int, to_ns: int) -> bool:
+        """Return whether the piece may have messages that were received from one time to another [ns]."""
+        return any(block.first_ns <= to_ns and block.last_ns >= from_ns for block in self.blocks)
+
+
 def each_block(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
     """Yield the blocks, and give back the memory of those that were read."""
     read = 0
@@ -381,6 +446,11 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
         recorder_lag=statistics.lag(),
         skipped_bytes=sum(part.size_bytes for part in damage),
         damage=describe_damage(damage),
+        odd=tuple(
+            f"{recording.path.name}: {text}" if len(recordings) > 1 else text
+            for recording in recordings
+            for text in recording.odd
+        ),
         parts=tuple(parts) if len(parts) > 1 else (),
         channels=tuple(channel.info() for channel in statistics.channels.values()),
         attachments=tuple(
@@ -401,6 +471,8 @@ def _count(
         statistics.add(message)
         messages += 1
         first_ns, last_ns = min(first_ns, message.log_ns), max(last_ns, message.log_ns)
+    if last_ns - first_ns > LONGEST_PAUSE_NS:
+        first_ns, last_ns = recording.span_ns
     if messages == 0:
         first_ns = last_ns = before.end_ns if before is not None else 0
     pause_ns = 0 if before is None else first_ns - before.end_ns

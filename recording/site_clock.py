@@ -11,7 +11,9 @@ there and 70 ms back, shows none of these.
 """
 
 import math
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,7 @@ from proto.nodes import LINK, name_of, site_of
 from recording.arrays import replay_shifts
 from recording.clock_course import Piece, knots, mean_drift, piece_of, stretches
 from recording.clock_line import Bound
-from recording.messages import RecordedChannel, RecordedMessage
+from recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage, readable
 from recording.multi_file import RecordingSource
 
 Ints = npt.NDArray[np.int64]
@@ -33,6 +35,8 @@ _STATUS, _NETWORK, _ANSWER = "link/status", "link/network", "clock/pong"
 _WHOLE_NS, _WINDOW_NS, _STEP_OF_WINDOWS_NS, _MOST_WINDOWS = 90 * _NS, 2 * _NS, 90 * _NS, 64
 # The tip's samples of so long a time are examined in so many windows.
 _CAUSALITY_NS, _MOST_EXAMINED = 2 * _NS, 8
+# messages on clocks that are kept, of some thousand in a recording, and parts that are read besides the windows
+_MOST_LOOKED, _MOST_SOUGHT = 100_000, 256
 # Of what is read one line is tried for so long at first.
 _PIECE_NS = 4 * _NS
 # A report belongs to the exchange that it agrees with to this [ns], because stamps are whole ns.
@@ -146,8 +150,8 @@ def is_of_slave(src: str) -> bool:
 
 def read_site_clock(recording: RecordingSource) -> SiteClock | None:
     """Return the slave's clock as the link measured it; None where it was not measured."""
-    windows = _windows(*recording.span_ns)
-    found = (_judged(recording, windows, topic) for topic in (_STATUS, _NETWORK))
+    looks = _Looks(recording, _windows(*recording.span_ns))
+    found = (_judged(looks, topic) for topic in (_STATUS, _NETWORK))
     return next((clock for clock in found if clock is not None), None)
 
 
@@ -161,6 +165,35 @@ def _windows(first_ns: int, last_ns: int) -> list[tuple[int, int]]:
     return [(first_ns + n * step_ns, first_ns + n * step_ns + _WINDOW_NS) for n in range(count)]
 
 
+class _Looks:
+    """What is on clocks in the windows of a recording, of which each chunk is read once, and elsewhere if asked for."""
+
+    def __init__(self, recording: RecordingSource, windows: list[tuple[int, int]]) -> None:
+        self.windows, self._recording = windows, recording
+        # whether times of reception are those of the master's clock
+        self.is_masters = site_of(recording.metadata.get("recording", {}).get("node", "")) == "master"
+        examined = windows[:: math.ceil(len(windows) / _MOST_EXAMINED)]
+        self.examined = [(first_ns, min(last_ns, first_ns + _CAUSALITY_NS)) for first_ns, last_ns in examined]
+        self._messages = sorted(islice(self._found(), _MOST_LOOKED), key=_received_ns)
+        self._more = _MOST_SOUGHT
+
+    def _found(self) -> Iterator[RecordedMessage]:
+        for piece in self._recording.pieces(_WINDOW_NS, 0):
+            if any(piece.has(*window) for window in self.windows):
+                for message in piece.recording.select(_is_on_clocks, blocks=piece.blocks):
+                    windows = self.examined if _is_tip(message.channel) else self.windows
+                    if any(first_ns <= message.log_ns < last_ns for first_ns, last_ns in windows):
+                        yield message
+
+    def select(self, wanted: ChannelFilter, first_ns: int, last_ns: int) -> Iterable[RecordedMessage]:
+        """Return the messages of wanted channels in a part [ns]; none any more where very many were asked for."""
+        if any(first <= first_ns and last_ns <= last for first, last in self.windows):
+            bounds = (bisect_left(self._messages, at_ns, key=_received_ns) for at_ns in (first_ns, last_ns))
+            return [message for message in self._messages[slice(*bounds)] if wanted(message.channel)]
+        self._more -= 1
+        return self._recording.select(wanted, first_ns, last_ns) if self._more >= 0 else ()
+
+
 class _Report(NamedTuple):
     """What a report says of the clocks; answer: when the newest answer was sent and received [ns], None if untold."""
 
@@ -170,31 +203,26 @@ class _Report(NamedTuple):
     answer: tuple[int, int] | None
 
 
-def _reports(recording: RecordingSource, topic: str, window: tuple[int, int]) -> Iterator[_Report]:
+def _reports(looks: _Looks, topic: str, window: tuple[int, int]) -> Iterator[_Report]:
     """Yield the valid reports of a window, those that the master's end made."""
-    for message in recording.select(lambda channel: channel.topic == topic and channel.via == "direct", *window):
-        try:
-            fields = message.fields()
-        except RecordingError:
-            continue
+    reports = looks.select(lambda channel: channel.topic == topic and channel.via == "direct", *window)
+    for message, fields in readable(reports, LeftOut()):
         clock = fields.get("clock")
         if topic == _NETWORK and fields.get("direction") != "backward":
             continue
-        if not isinstance(clock, dict) or clock.get("valid") is not True:
+        if clock is None or not clock["valid"]:
             continue
-        offset_s, uncertainty_s = clock.get("offset_s"), clock.get("uncertainty_s")
-        if not isinstance(offset_s, float) or not isinstance(uncertainty_s, float):
-            continue
+        offset_s, uncertainty_s = clock["offset_s"], clock["uncertainty_s"]
         if abs(offset_s) + abs(uncertainty_s) < _LONGEST_S:
             sent_ns, received_ns = fields.get("answer_sent_ns"), fields.get("answer_received_ns")
             answer = (sent_ns, received_ns) if isinstance(sent_ns, int) and isinstance(received_ns, int) else None
             yield _Report(message.publish_ns, offset_s, uncertainty_s, answer)
 
 
-def _piece(recording: RecordingSource, topic: str, window: tuple[int, int]) -> Piece | None:
+def _piece(looks: _Looks, topic: str, window: tuple[int, int]) -> Piece | None:
     """Return the bounds in a window: from above by the questions, or else by the reports, and from below by these."""
-    reports = list(_reports(recording, topic, window))
-    upper = _questions(recording, window)
+    reports = list(_reports(looks, topic, window))
+    upper = _questions(looks, window)
     if not upper:
         # Reports alone are as good as the best of them.
         reports = sorted(reports, key=lambda report: report.uncertainty_s)[:1]
@@ -214,25 +242,21 @@ def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
     return found
 
 
-def _questions(recording: RecordingSource, window: tuple[int, int]) -> list[tuple[int, int]]:
+def _questions(looks: _Looks, window: tuple[int, int]) -> list[tuple[int, int]]:
     """Return when questions were sent by the master's clock [ns], and how long they took by two clocks [ns]."""
     found = []
-    for message in recording.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window):
-        try:
-            fields = message.fields()
-            asked_ns, received_ns = int(fields["ping_t_ns"]), int(fields["received_ns"])
-        except (RecordingError, KeyError, TypeError, ValueError):
-            continue
-        found.append((asked_ns, received_ns - asked_ns))
+    answers = looks.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window)
+    for _, fields in readable(answers, LeftOut()):
+        found.append((fields["ping_t_ns"], fields["received_ns"] - fields["ping_t_ns"]))
     return found
 
 
-def _judged(recording: RecordingSource, windows: list[tuple[int, int]], topic: str) -> SiteClock | None:
-    pieces = _pieces(recording, topic, windows)
+def _judged(looks: _Looks, topic: str) -> SiteClock | None:
+    pieces = _pieces(looks, topic)
     if not pieces:
         return None
     parts = stretches(pieces)
-    course = knots(parts, lambda first_ns, last_ns: _piece(recording, topic, (first_ns, last_ns)))
+    course = knots(parts, lambda first_ns, last_ns: _piece(looks, topic, (first_ns, last_ns)))
     drift = mean_drift(parts)
     middle_ns = (course[0][0] + course[-1][0]) // 2
     clock = SiteClock(
@@ -246,7 +270,7 @@ def _judged(recording: RecordingSource, windows: list[tuple[int, int]], topic: s
     )
     clock = clock._replace(offset_s=clock.one_ahead_ns(middle_ns) / _NS)
     is_beyond = max(map(abs, clock.ahead_s)) > clock.uncertainty_s
-    early_s, early_without_s = _earliest_s(recording, windows[:: math.ceil(len(windows) / _MOST_EXAMINED)], clock)
+    early_s, early_without_s = _earliest_s(looks, clock)
     limit_s = _EARLY_NS / _NS
     if early_s < -limit_s <= early_without_s:
         words = f"{_spoken(clock.offset_s)} was measured, but then an answer would come {-early_s:.3g} s too early"
@@ -265,35 +289,33 @@ def _judged(recording: RecordingSource, windows: list[tuple[int, int]], topic: s
     return clock._replace(applied=True, reason=words)
 
 
-def _pieces(recording: RecordingSource, topic: str, windows: list[tuple[int, int]]) -> list[Piece]:
+def _pieces(looks: _Looks, topic: str) -> list[Piece]:
     """Return the bounds in windows, of a long one in parts; there is a report in one of them."""
     parts = [
         (first_ns, min(first_ns + _PIECE_NS, end_ns))
-        for begin_ns, end_ns in windows
+        for begin_ns, end_ns in looks.windows
         for first_ns in range(begin_ns, end_ns, _PIECE_NS)
     ]
-    return [piece for part in parts if (piece := _piece(recording, topic, part)) is not None]
+    return [piece for part in parts if (piece := _piece(looks, topic, part)) is not None]
 
 
 def _spoken(offset_s: float) -> str:
     return f"{abs(offset_s):.4g} s {'ahead' if offset_s >= 0.0 else 'behind'}"
 
 
-def _earliest_s(recording: RecordingSource, windows: list[tuple[int, int]], clock: SiteClock) -> tuple[float, float]:
+def _earliest_s(looks: _Looks, clock: SiteClock) -> tuple[float, float]:
     """Return by how much the earliest of what crossed the link came after it was sent [s], with the offset and without.
 
     Below zero it came before. There: from a sample of the hand to the state of the tip that obeys it; back: from the
     stamp of that state to its reception, where the recorder is at the master's site.
     """
-    received_here = _is_masters(recording)
     stamps, there, back = [], [], []
-    for first_ns, last_ns in windows:
-        until_ns = min(last_ns, first_ns + _CAUSALITY_NS)
-        for message in recording.select(_is_tip, first_ns, until_ns):
+    for window in looks.examined:
+        for message in looks.select(_is_tip, *window):
             hand_ns = _hand_ns(message)
             stamps.append(message.publish_ns)
             there.append(message.publish_ns - hand_ns if hand_ns else _LONG_NS)
-            back.append(message.log_ns - message.publish_ns if received_here else _LONG_NS)
+            back.append(message.log_ns - message.publish_ns if looks.is_masters else _LONG_NS)
     if not stamps:
         return math.inf, math.inf
     ahead_ns = clock.ahead_ns(np.array(stamps, dtype=np.int64))
@@ -302,9 +324,12 @@ def _earliest_s(recording: RecordingSource, windows: list[tuple[int, int]], cloc
     return shifted / _NS, min(int(ways[0].min()), int(ways[1].min())) / _NS
 
 
-def _is_masters(recording: RecordingSource) -> bool:
-    """Return whether times of reception are those of the master's clock."""
-    return site_of(recording.metadata.get("recording", {}).get("node", "")) == "master"
+def _is_on_clocks(channel: RecordedChannel) -> bool:
+    return channel.topic in (_STATUS, _NETWORK, _ANSWER) or _is_tip(channel)
+
+
+def _received_ns(message: RecordedMessage) -> int:
+    return message.log_ns
 
 
 def _is_tip(channel: RecordedChannel) -> bool:

@@ -1,8 +1,9 @@
 """The summary of a closed recording by its own index, without reading its messages.
 
 It is given only where the numbers agree: on each channel that was received at its publisher, the first and the last
-number, the count in the statistics and the gaps that the recorder has recorded. A file in which a process was started
-again, from which a part is missing, or whose index is damaged has to be read as a whole.
+number, the count in the statistics and the gaps that the recorder has recorded. Where a process was started again its
+numbers begin anew, and the place is sought by halves. A file from which a part is missing, with odd times, or whose
+index is damaged or names a part twice has to be read as a whole.
 """
 
 import mmap
@@ -10,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Collection, Iterable, Iterator
 from io import BytesIO
-from itertools import chain
+from itertools import accumulate, chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,6 +38,7 @@ from recording.mcap_scan import (
     unpack,
 )
 from recording.messages import RecordedChannel, recorded_channel
+from recording.odd_times import LONGEST_PAUSE_NS, Dates
 from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 
 _FOOTER = struct.Struct("<BQQQI")
@@ -49,15 +51,27 @@ INDEX_HEAD = struct.Struct("<HI")
 _NAME_LENGTH = struct.Struct("<I")
 _SIZES = struct.Struct("<QQ")
 _SEQUENCE_MASK = 0xFFFF_FFFF
+# So much of unpacked chunks is kept [bytes].
+_MOST_KEPT = 32 << 20
 
 
 class _DisagreementError(Exception):
     """The summary does not say it all."""
 
 
-class _Chunk(NamedTuple):
-    """A chunk: its place, and those of the message indexes of its channels, as the file has them."""
+class _Stamp(NamedTuple):
+    """Times of reception and of sending [ns] and number of a message."""
 
+    log_ns: int
+    publish_ns: int
+    seq: int
+
+
+class _Chunk(NamedTuple):
+    """A chunk: its times [ns], its place, and those of the message indexes of its channels, as the file has them."""
+
+    first_ns: int
+    last_ns: int
     offset: int
     length: int
     indexes: bytes
@@ -90,10 +104,15 @@ class _Summary:
         self._chunks: list[_Chunk] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: dict[str, dict[str, str]] = {}
-        # the chunk that was unpacked last
-        self._unpacked: tuple[int, bytes] = (-1, b"")
+        # The chunks that were unpacked lately are kept by their places.
+        self._unpacked: dict[int, bytes] = {}
+        metadata: list[MetadataIndex] = []
         for opcode, body in _summary_records(data):
-            self._add(opcode, body)
+            self._add(opcode, body, metadata)
+        places = [(chunk.offset, chunk.length) for chunk in self._chunks]
+        _demand_apart([*places, *((index.offset, index.length) for index in metadata)])
+        for index in metadata:
+            self._add_metadata(index)
 
     def info(self, path: Path) -> RecordingInfo:
         """Return what `Recording.info` returns; _DisagreementError where it may be more."""
@@ -113,7 +132,7 @@ class _Summary:
         # a sentence for each of many is for the other way
         _demand(len(missing) <= 5)
         missing += notes_of([self._metadata])
-        start_ns, end_ns = statistics.message_start_time, statistics.message_end_time
+        start_ns, end_ns = self._span(statistics)
         return RecordingInfo(
             path=str(path),
             size_bytes=len(self._data),
@@ -129,17 +148,31 @@ class _Summary:
             recorder_lag=None,
             skipped_bytes=0,
             damage=(),
+            odd=(),
             parts=(),
             channels=tuple(found),
             attachments=tuple(map(_attachment, self._attachments)),
             metadata=self._metadata,
         )
 
-    def _add(self, opcode: int, body: bytes) -> None:
+    def _span(self, statistics: Statistics) -> tuple[int, int]:
+        """Return the times of the first and the last message [ns]; _DisagreementError where some are odd."""
+        dates, span = Dates(), (statistics.message_start_time, statistics.message_end_time)
+        for chunk in self._chunks:
+            # a chunk without messages has no times
+            if chunk.last_ns:
+                _demand(chunk.last_ns - chunk.first_ns <= LONGEST_PAUSE_NS)
+                dates.add(chunk.first_ns, chunk.last_ns, 1)
+        _demand(len(dates.groups()) == 1 and dates.most() == span)
+        return span
+
+    def _add(self, opcode: int, body: bytes, metadata: list[MetadataIndex]) -> None:
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.CHUNK_INDEX:
-            _, _, offset, length, size = _CHUNK_INDEX.unpack_from(body)
-            self._chunks.append(_Chunk(offset, length, body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size]))
+            first_ns, last_ns, offset, length, size = _CHUNK_INDEX.unpack_from(body)
+            self._chunks.append(
+                _Chunk(first_ns, last_ns, offset, length, body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size])
+            )
         elif opcode == Opcode.CHANNEL:
             found = Channel.read(stream)
             self._channels[found.id] = recorded_channel(found)
@@ -149,7 +182,7 @@ class _Summary:
         elif opcode == Opcode.ATTACHMENT_INDEX:
             self._attachments.append(AttachmentIndex.read(stream))
         elif opcode == Opcode.METADATA_INDEX:
-            self._add_metadata(MetadataIndex.read(stream))
+            metadata.append(MetadataIndex.read(stream))
 
     def _add_metadata(self, index: MetadataIndex) -> None:
         start = index.offset + RECORD_HEAD.size
@@ -158,8 +191,8 @@ class _Summary:
         found = Metadata.read(ReadDataStream(BytesIO(self._data[start : start + length])))
         self._metadata[found.name] = found.metadata
 
-    def _ends(self, numbers: Collection[int], chunks: Iterable[_Chunk], place: int) -> dict[int, tuple[int, int]]:
-        """Return the time of reception [ns] and the number of the first (place 0) or last (-1) message of channels.
+    def _ends(self, numbers: Collection[int], chunks: Iterable[_Chunk], place: int) -> dict[int, _Stamp]:
+        """Return the stamps of the first (place 0) or last (-1) message of channels.
 
         The chunks come in the order in which they are searched, and each is unpacked once.
         """
@@ -173,31 +206,27 @@ class _Summary:
         _demand(not missing)
         return found
 
-    def _gaps(self) -> dict[tuple[str, str], list[int]]:
-        """Return the numbers of messages in the gaps that the recorder has recorded, by channel name and source."""
-        gaps: dict[tuple[str, str], list[int]] = {}
+    def _gaps(self) -> "_Gaps":
+        """Return the first number and how many there are of each gap that was recorded, by channel name and source."""
+        gaps: _Gaps = {}
         numbers = {number for number, channel in self._channels.items() if channel.topic == GAP_TOPIC}
         for chunk in self._chunks if numbers else ():
             for number in numbers.intersection(_numbers_in(chunk.indexes)):
                 content = self._content(chunk)
                 for _, offset in self._entries(chunk, number):
                     fields = msgpack.unpackb(self._payload(content, offset), use_list=False)
-                    gaps.setdefault((fields["channel_topic"], fields["src"]), []).append(fields["count"])
+                    gaps.setdefault((fields["channel_topic"], fields["src"]), []).append(
+                        (fields["first_missing"] & _SEQUENCE_MASK, fields["count"])
+                    )
         return gaps
 
-    def _row(
-        self,
-        number: int,
-        count: int,
-        begin: tuple[int, int],
-        end: tuple[int, int],
-        gaps: dict[tuple[str, str], list[int]],
-    ) -> ChannelInfo:
-        channel, (first_ns, first), (last_ns, last) = self._channels[number], begin, end
+    def _row(self, number: int, count: int, begin: _Stamp, end: _Stamp, gaps: "_Gaps") -> ChannelInfo:
+        channel, restarts = self._channels[number], None
         found = gaps.get((channel.channel_topic, channel.src), [])
-        if channel.via == "direct" and channel.topic not in RECORD_TOPICS:
-            _demand(((last - first) & _SEQUENCE_MASK) + 1 == count + sum(found))
-        span_ns = last_ns - first_ns
+        lost = sum(missing for _, missing in found)
+        if channel.via == "direct" and channel.topic not in RECORD_TOPICS and _grown(begin, end) != count + lost:
+            restarts = self._restarts(number, count, begin, end, found)
+        span_ns = end.log_ns - begin.log_ns
         return ChannelInfo(
             channel_topic=channel.channel_topic,
             topic=channel.topic,
@@ -208,37 +237,85 @@ class _Summary:
             messages=count,
             size_bytes=None,
             rate_hz=(count - 1) * 1e9 / span_ns if span_ns > 0 else 0.0,
-            first_ns=first_ns,
-            last_ns=last_ns,
+            first_ns=begin.log_ns,
+            last_ns=end.log_ns,
             gaps=len(found),
-            lost=sum(found),
+            lost=lost,
             repeated=None,
-            restarts=None,
+            restarts=restarts,
         )
 
-    def _message(self, chunk: _Chunk, number: int, place: int) -> tuple[int, int]:
-        """Return the time of reception [ns] and the number of the first or last message of a channel in a chunk."""
-        log_ns, offset = list(self._entries(chunk, number))[place]
-        channel, seq, stated_ns, _ = MESSAGE_HEAD.unpack_from(self._content(chunk), offset + RECORD_HEAD.size)
-        _demand((channel, stated_ns) == (number, log_ns))
-        return log_ns, seq
+    def _restarts(self, number: int, count: int, begin: _Stamp, end: _Stamp, gaps: Iterable[tuple[int, int]]) -> int:
+        """Return how often the numbers of a channel begin anew; _DisagreementError where a step is not accounted for.
 
-    def _entries(self, chunk: _Chunk, number: int) -> Iterator[tuple[int, int]]:
+        Chunks are unpacked only where the numbers grow by something else than the messages between them.
+        """
+        chunks = [chunk for chunk in self._chunks if number in _numbers_in(chunk.indexes)]
+        counts = [0, *accumulate(self._index(chunk, number)[1] // _ENTRY.size for chunk in chunks)]
+        _demand(counts[-1] == count)
+
+        left = dict(gaps)
+
+        def step(before: _Stamp, after: _Stamp) -> int:
+            # The last messages of a process that has ended may be missing as well.
+            missing = left.pop(before.seq + 1, 0)
+            if after.seq > before.seq:
+                _demand(_grown(before, after) == 2 + missing)
+                return 0
+            _demand(after.publish_ns > before.publish_ns)
+            return 1
+
+        def sought(first: int, last: int, begin: _Stamp, end: _Stamp) -> int:
+            if _grown(begin, end) == counts[last + 1] - counts[first]:
+                return 0
+            if first == last:
+                return sum(step(*pair) for pair in pairwise(self._messages(chunks[first], number)))
+            middle = (first + last) // 2
+            before, after = self._message(chunks[middle], number, -1), self._message(chunks[middle + 1], number, 0)
+            return sought(first, middle, begin, before) + step(before, after) + sought(middle + 1, last, after, end)
+
+        found = sought(0, len(chunks) - 1, begin, end)
+        left.pop(end.seq + 1, None)
+        _demand(not left)
+        return found
+
+    def _message(self, chunk: _Chunk, number: int, place: int) -> _Stamp:
+        """Return the stamps of the first or last message of a channel in a chunk."""
+        start, size = self._index(chunk, number)
+        start += place % max(1, size // _ENTRY.size) * _ENTRY.size
+        return self._stamp(chunk, number, *_ENTRY.unpack_from(self._data, start))
+
+    def _messages(self, chunk: _Chunk, number: int) -> Iterator[_Stamp]:
+        return (self._stamp(chunk, number, *entry) for entry in self._entries(chunk, number))
+
+    def _stamp(self, chunk: _Chunk, number: int, log_ns: int, offset: int) -> _Stamp:
+        """Return the stamps of a message by its entry in the index."""
+        channel, seq, stated_ns, publish_ns = MESSAGE_HEAD.unpack_from(self._content(chunk), offset + RECORD_HEAD.size)
+        _demand((channel, stated_ns) == (number, log_ns))
+        return _Stamp(log_ns, publish_ns, seq)
+
+    def _index(self, chunk: _Chunk, number: int) -> tuple[int, int]:
+        """Return place and size [bytes] of the entries of a channel in the index of a chunk."""
         start = channels_in(chunk.indexes)[number]
         opcode, length = RECORD_HEAD.unpack_from(self._data, start)
-        body = self._data[start + RECORD_HEAD.size : start + RECORD_HEAD.size + length]
-        channel, size = INDEX_HEAD.unpack_from(body)
-        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == len(body) - INDEX_HEAD.size)
-        found: Any = _ENTRY.iter_unpack(body[INDEX_HEAD.size :])
+        channel, size = INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
+        _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == length - INDEX_HEAD.size)
+        return start + RECORD_HEAD.size + INDEX_HEAD.size, size
+
+    def _entries(self, chunk: _Chunk, number: int) -> Iterator[tuple[int, int]]:
+        start, size = self._index(chunk, number)
+        found: Any = _ENTRY.iter_unpack(self._data[start : start + size])
         yield from found
 
     def _content(self, chunk: _Chunk) -> bytes:
-        if self._unpacked[0] != chunk.offset:
+        if chunk.offset not in self._unpacked:
             block = chunk_at(self._data, chunk.offset, chunk.offset + chunk.length)
             _demand(block is not None)
             assert block is not None
-            self._unpacked = chunk.offset, unpack(self._data, block)
-        return self._unpacked[1]
+            if sum(map(len, self._unpacked.values())) > _MOST_KEPT:
+                self._unpacked.clear()
+            self._unpacked[chunk.offset] = unpack(self._data, block)
+        return self._unpacked[chunk.offset]
 
     @staticmethod
     def _payload(content: bytes, offset: int) -> bytes:
@@ -247,6 +324,8 @@ class _Summary:
         return content[start + MESSAGE_HEAD.size : start + length]
 
 
+# The first number of each gap, and how many are missing in it, by channel name and source.
+_Gaps = dict[tuple[str, str], list[tuple[int, int]]]
 # by the place of a chunk, the channels in it and the places of their message indexes, as the file has them
 ChannelIndexes = dict[int, bytes]
 
@@ -265,6 +344,7 @@ def layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes]
 
 def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes]:
     layout, indexes, counts = Layout(path=path, finished=True), ChannelIndexes(), None
+    others: list[tuple[int, int, int]] = []
     _demand(len(data) >= 2 * len(MAGIC) + _FOOTER.size)
     for opcode, body in _summary_records(data):
         if opcode == Opcode.CHUNK_INDEX:
@@ -284,9 +364,14 @@ def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes
             place = int.from_bytes(body[:8], "little")
             kind, length = RECORD_HEAD.unpack_from(data, place)
             _demand(kind == (Opcode.ATTACHMENT if opcode == Opcode.ATTACHMENT_INDEX else Opcode.METADATA))
-            add_other(data, place, place + RECORD_HEAD.size + length, kind, layout)
+            others.append((place, RECORD_HEAD.size + length, kind))
         elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
             add_record(opcode, body, layout)
+    _demand_apart(
+        [*(part[:2] for part in others), *((block.offset, block.data_end - block.offset) for block in layout.blocks)]
+    )
+    for place, length, kind in others:
+        add_other(data, place, place + length, kind, layout)
     # Messages outside of chunks are in no index.
     _demand(counts is not None and counts.chunk_count == len(layout.blocks) > 0 and not layout.damage)
     assert counts is not None
@@ -318,6 +403,19 @@ def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
 
 def _attachment(index: AttachmentIndex) -> AttachmentInfo:
     return AttachmentInfo(name=index.name, media_type=index.media_type, size_bytes=index.data_size)
+
+
+def _grown(begin: _Stamp, end: _Stamp) -> int:
+    """Return how many numbers there are from one message to another, both included."""
+    return ((end.seq - begin.seq) & _SEQUENCE_MASK) + 1
+
+
+def _demand_apart(parts: Iterable[tuple[int, int]]) -> None:
+    """Demand that no part of the file, by place and length, is named twice or lies over another one."""
+    end = 0
+    for place, length in sorted(parts):
+        _demand(place >= end)
+        end = place + length
 
 
 def _demand(agreed: bool) -> None:

@@ -17,7 +17,7 @@ from recording.messages import RecordedChannel, RecordedMessage
 from recording.reader import Recording
 from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 
-Check = Literal["crc", "order", "gap", "schema", "end", "index"]
+Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
 Level = Literal["error", "warning", "info"]
 _SEQUENCE_MASK = 0xFFFF_FFFF
 # So many findings of each kind and channel are reported: a file that is wrong throughout needs no line a message.
@@ -128,6 +128,8 @@ class _Check:
             self._report("order", "info", "", text)
         for text in describe_damage(damage):
             self._report("crc", "error", "", text)
+        for text in self._recording.odd:
+            self._report("odd", "warning", "", text)
         for channel, newest in self._streams.items():
             gap = self._open_gaps.get((channel.channel_topic, channel.src))
             if gap is not None and newest.seq is not None and gap[0] == newest.seq + 1:

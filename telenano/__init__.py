@@ -3,7 +3,6 @@
 `open` a recording, `simulate` a session, connect to a `live` rig, take the transfer functions of a loop from `theory`.
 """
 
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -38,11 +37,6 @@ __all__ = [
     "simulate",
     "theory",
 ]
-
-
-if "gymnasium" in sys.modules:
-    # Gymnasium finds no environments of packages by itself: who has imported it may want these.
-    import_module("studies.learning.registration").register()
 
 
 def __getattr__(name: str) -> Any:

@@ -27,7 +27,7 @@ import numpy as np
 from proto.errors import RecordingError, known_names
 from proto.messages import Message
 from recording.column_table import Column, ColumnTable
-from recording.export import topic_of
+from recording.messages import topic_of
 from recording.multi_file import open_recordings
 from recording.quantities import quantity
 from recording.site_clock import Timeline

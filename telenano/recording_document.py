@@ -8,6 +8,7 @@ from analysis.phases import contacts_of, moments_of, phases_of
 from analysis.report import Session, read_session, read_traffic, summarise
 from analysis.swings import swings_of
 from proto.errors import RecordingError
+from recording.messages import readable
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 
@@ -68,8 +69,8 @@ def _session_facts(
 def _events(recording: RecordingSource, start_ns: int, timeline: Timeline) -> list[dict[str, Any]]:
     """Return marks and what nodes reported, the newest left out where there are too many."""
     found = []
-    for message in recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct"):
-        fields = message.fields()
+    events = recording.select(lambda channel: channel.topic == "session/event" and channel.via == "direct")
+    for message, fields in readable(events, recording.left_out):
         if fields.get("kind") in ("ack", "refused"):
             continue
         at_ns = int(timeline.times_ns(message.src, np.array([message.publish_ns], dtype=np.int64))[0])

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from case_durations import MARKS, CaseDurations, listed
 from hypothesis import HealthCheck, settings
 
 # derandomize: the same examples every run, and no database of them on disk
@@ -18,8 +19,23 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 settings.load_profile("telenano")
-# No session leaves a process that compiles behind, or runs plain where a test is about compiled code.
-os.environ.setdefault("TELENANO_COMPILE_FIRST", "1")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(CaseDurations(config))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave dear cases to `make check`, and those of a grid but for the one law that stands for it in `make test`."""
+    for item in items:
+        spent_s, marked = listed().get(item.nodeid), any(item.get_closest_marker(name) for name in MARKS)
+        if spent_s and not marked:
+            item.add_marker(pytest.mark.check(f"took {spent_s} s of processor time"))
+        if (grid := item.get_closest_marker("grid")) and item.get_closest_marker("endurance") is None:
+            values = item.callspec.params  # type: ignore[attr-defined]
+            if any(values[name] != chosen for name, chosen in grid.kwargs.items()):
+                item.add_marker(pytest.mark.check(f"{grid.kwargs} stand for the grid"))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -70,7 +86,7 @@ def recording_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pa
 @pytest.fixture
 def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the closed loop as plain Python: the same bits, and one session takes less time than compiling the loop."""
-    monkeypatch.setattr("studies.loops.lockstep.compiled_form", lambda step: step)
+    monkeypatch.setattr("studies.loops.lockstep.compiled_call", lambda step, given: step(*given))
 
 
 @pytest.fixture

@@ -125,8 +125,12 @@ class Simulation(Protocol):
     def particles(self) -> Particles | None:
         """Return where the particles really are, which no instrument knows; None without any."""
 
-    def take_spring(self, stiffness_n_per_m: float) -> bool:
-        """Take another stiffness of the environment [N/m]; return whether it is a spring."""
+    @property
+    def is_spring(self) -> bool:
+        """Return whether the environment is a spring."""
+
+    def take_spring(self, stiffness_n_per_m: float) -> None:
+        """Take another stiffness of the environment [N/m], which must be a spring."""
 
     def restore_sample(self) -> None:
         """Take a sample as it was in the beginning, with its particles where they lay."""

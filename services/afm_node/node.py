@@ -1,12 +1,13 @@
 """The AFM process: acts on each command as it comes, on its own clock when none does, and guards the tip."""
 
+import contextlib
 import math
 from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
 
-from proto.errors import RefusedError
+from proto.errors import RefusedError, cause
 from proto.instrument import MOST_TEXT
 from proto.messages import AfmCommand, Array, ClockPing, LinkDelay, SessionControl
 from services.afm_node import safety
@@ -230,28 +231,33 @@ class AfmNode(Node):
         return "the tip retracts and stays until armed"
 
     def _set(self, control: SessionControl) -> str:
-        """Begin or change a program, or move the tip over the sample."""
+        """Begin or change a program, or move the tip over the sample: all of a command, or nothing where it refuses."""
         changes = {key: value for key, value in control.parameters.items() if is_of_simulation(key)}
         request = requested({key: value for key, value in control.parameters.items() if key not in changes}, changes)
-        sentences = changed_simulation(self._driver, changes)
-        self._other_spring |= STIFFNESS in changes
-        lateral = request.lateral
+        simulated = changed_simulation(self._driver, changes)
+        sentences = [sentence for sentence, _ in simulated]
+        lateral, pointer = request.lateral, self._memory.pointer
         if lateral.x_m is not None or lateral.y_m is not None:
             if self._driver.stage is None:
                 raise RefusedError("lateral: this instrument has no lateral stage")
-            x_m = self._memory.pointer.x_m if lateral.x_m is None else lateral.x_m
-            y_m = self._memory.pointer.y_m if lateral.y_m is None else lateral.y_m
+            x_m = pointer.x_m if lateral.x_m is None else lateral.x_m
+            y_m = pointer.y_m if lateral.y_m is None else lateral.y_m
             reach_x_m, reach_y_m = self._places_m
             if abs(x_m) > reach_x_m or abs(y_m) > reach_y_m:
                 limit = f"lateral.reach_m = {reach_x_m:g} m"
                 if self._edge is not None:
                     limit = f"the recorded map, x ± {reach_x_m:g} m, y ± {reach_y_m:g} m"
                 raise RefusedError(f"lateral: {x_m:g}, {y_m:g} m is beyond {limit}")
-            self._memory.pointer = Place(x_m, y_m)
+            pointer = Place(x_m, y_m)
             sentences.append(f"the tip goes to x = {x_m:g} m, y = {y_m:g} m while it follows")
         if request.program is not None:
             sentences.append(self._request(request))
             self._memory.told_ns = 0
+        # Nothing refuses from here on.
+        self._memory.pointer = pointer
+        self._other_spring |= STIFFNESS in changes
+        for _, change in simulated:
+            change()
         return "; ".join(sentences)
 
     def _request(self, request: InstrumentRequest) -> str:
@@ -272,10 +278,17 @@ class AfmNode(Node):
 
     def make_safe(self) -> None:
         """Retract the tip, and say so if the device does not confirm it."""
-        if not self._driver.retract():
-            text = "the retraction of the tip was not confirmed: only the instrument's own watchdog can retract it now"
+        why = "it was not confirmed"
+        try:
+            confirmed = self._driver.retract()
+        except Exception as error:  # noqa: BLE001
+            # The driver of a package may raise anything, and nothing may keep the event and the end of the connection.
+            confirmed, why = False, cause(error)
+        if not confirmed:
+            text = f"no retraction of the tip ({why}): only the instrument's own watchdog can retract it now"
             self.event("fault", "error", text)
-        self._driver.close()
+        with contextlib.suppress(Exception):
+            self._driver.close()
 
     def _judge_stall(self, now_ns: int) -> None:
         """Let the guard judge the time that this process stood still as silence, before it looks at what waited."""

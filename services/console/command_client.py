@@ -10,7 +10,7 @@ from pathlib import Path
 import zmq
 
 from proto.errors import ConfigError, EndpointError, RigError
-from proto.messages import Scalar, SessionEvent
+from proto.messages import Message, NodeHealth, Scalar, SessionEvent
 from proto.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.ends import publish_end
@@ -24,6 +24,10 @@ from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_ma
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1
 _POLL_MS = 20
+# A node reports its health as often [s], and its first report may take as long as a connection [s].
+_HEALTH_S, _JOIN_S = 0.5, 1.0
+# A rig is late where a node reads a command later than this [s]: its loops come round a hundred times in it.
+_LATE_S = 0.1
 _SUBSCRIBED = b"\x01session/control"
 
 
@@ -136,15 +140,16 @@ def send_control(
         expected = () if is_pattern(command.target) else tuple(meant)
         wanted = [replace(command, expected=expected)]
         client = CommandClient(participant.clock, publisher.publish, wanted, retry_ns=retry_ns, issued_ns=issued_ns)
-        alive: set[str] = set()
+        attention = Attention(time.monotonic())
         while not (given_up := not is_wanted()) and not client.advance():
             if _new_subscriptions(publisher):
                 client.make_due()
+            attention.turn(time.monotonic())
             zmq.select([subscriber.socket for subscriber in subscribers], [], [], _POLL_MS * 1e-3)
             participant.network.process_events()
             for received in (message for subscriber in subscribers for message in subscriber.receive()):
                 message = received.message
-                alive.add(message.src)
+                attention.heard(message, time.monotonic())
                 if isinstance(message, SessionEvent) and client.on_event(message):
                     on_answer(message)
         # the next command comes from a process that counts anew
@@ -153,13 +158,58 @@ def send_control(
         raise RigError(client.failure)
     if given_up:
         raise RigError(f"{command.name} was given up before all had answered: a node may have carried it out")
-    if not alive:
+    if not attention.last_s:
         raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
     if not client.answers and not expected:
-        raise RigError(f"{client.failure}: {', '.join(sorted(alive))} do not know it")
+        raise RigError(f"{client.failure}: {attention.why(meant, time.monotonic())}")
     if not set(expected) <= set(client.answers):
         raise RigError(client.failure)
     return client.answers
+
+
+class Attention:
+    """What a console heard of the nodes while it waited for answers: whether they were late, or do not know a command.
+
+    `last_s` has by node when it was last heard [s].
+    """
+
+    def __init__(self, now_s: float) -> None:
+        """Begin to listen at a time of the monotonic clock [s]."""
+        self.last_s: dict[str, float] = {}
+        self._begun_s = self._turn_s = now_s
+        # How late each node was at most [s]; the console itself is one of them.
+        self._late_s: dict[str, float] = {}
+
+    def turn(self, now_s: float) -> None:
+        """Note that the console goes on to wait."""
+        self._note_late("this command", now_s - self._turn_s - 1e-3 * _POLL_MS)
+        self._turn_s = now_s
+
+    def heard(self, message: Message, now_s: float) -> None:
+        """Note a message of a node: with a report of its health comes how late it was itself."""
+        if isinstance(message, NodeHealth):
+            self._note_late(message.src, message.lateness_max_s)
+        self._note_silence(message.src, now_s)
+        self.last_s[message.src] = now_s
+
+    def why(self, meant: Sequence[str], now_s: float) -> str:
+        """Return in words why nobody answered: silence, a rig that is late, or that nobody knows the command."""
+        for node in self.last_s:
+            self._note_silence(node, now_s)
+        silent = sorted(set(meant) - set(self.last_s))
+        said = [f"nothing was heard of {', '.join(silent)}"] if silent else []
+        node, late_s = max(self._late_s.items(), key=lambda row: row[1], default=("", 0.0))
+        if late_s > _LATE_S:
+            said.append(f"the rig is late by {late_s:.2g} s ({node}), so that the command may not have been read yet")
+        else:
+            said.append(f"{', '.join(sorted(self.last_s))} do not know it")
+        return "; ".join(said)
+
+    def _note_silence(self, node: str, now_s: float) -> None:
+        self._note_late(node, now_s - self.last_s.get(node, self._begun_s + _JOIN_S) - _HEALTH_S)
+
+    def _note_late(self, node: str, late_s: float) -> None:
+        self._late_s[node] = max(self._late_s.get(node, 0.0), late_s)
 
 
 def _new_subscriptions(publisher: ZmqPublisher) -> int:

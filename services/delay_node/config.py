@@ -33,6 +33,9 @@ _MOST = 2**63 - 1
 # link/status has room for so much in each direction: keys that are set, and the bytes of these and of texts.
 _MOST_BYTES = MAX_MESSAGE_BYTES // 4
 
+# the name of a network that does nothing but delay every message alike
+CONSTANT_DELAY = "constant delay"
+
 
 class Jitter(Settings):
     """Random part of the delay: scale_s times a standardised random number."""
@@ -425,6 +428,19 @@ def changes_text(settings: LinkSettings) -> str:
     """Return in words what given keys replace in the profile, empty where they replace nothing."""
     changed_keys = [f"{key} is {given}, not {named}" for key, (named, given) in profile_changes(settings).items()]
     return f"the profile {settings.profile} is changed: {', '.join(changed_keys)}" if changed_keys else ""
+
+
+def network_name(settings: LinkSettings) -> str:
+    """Return the name of the network in force: that of the profile, or what given keys made of it.
+
+    `clean` with a constant delay and nothing else is `constant delay`, with other keys `custom`; of another profile the
+    name says that it is changed, as in `lte, changed`. The seed changes no network.
+    """
+    named = flattened(LinkSettings(profile=settings.profile, seed=settings.seed))
+    differing = {key for key, value in flattened(settings).items() if named.get(key) != value}
+    if not differing or settings.profile != "clean":
+        return f"{settings.profile}, changed" if differing else settings.profile
+    return CONSTANT_DELAY if differing <= {"forward.delay_s", "backward.delay_s"} else "custom"
 
 
 def flattened(settings: LinkSettings, *, only_set: bool = False) -> dict[str, Setting]:

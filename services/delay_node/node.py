@@ -11,7 +11,7 @@ from proto.messages import ClockPong, LinkClock, LinkDirection, Message, Session
 from proto.nodes import LINK
 from proto.ranges import limited
 from proto.topics import output_name
-from services.delay_node.config import LinkSettings, Setting, changed, flattened
+from services.delay_node.config import LinkSettings, Setting, changed, flattened, network_name
 from services.delay_node.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from services.delay_node.direction import DirectionEngine
 from services.delay_node.engine import LinkEngine, LinkState
@@ -116,6 +116,8 @@ class DelayNode(Node):
         """
         super().__init__(context)
         self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=True)
+        # The settings that were named last, and what they were named; a restored link has others than it began with.
+        self._named = settings, network_name(settings)
         self._forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)
         self._backward = DirectionPath("backward", self.engine.backward, f"{LINK}@master", to_master)
         self._ways = (self._forward, self._backward)
@@ -271,11 +273,13 @@ class DelayNode(Node):
             self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
 
     def _publish_status(self) -> None:
-        settings, profile = flattened(self.engine.settings, only_set=True), self.engine.settings.profile
+        if self._named[0] is not self.engine.settings:
+            self._named = self.engine.settings, network_name(self.engine.settings)
+        settings, network = flattened(self.engine.settings, only_set=True), self._named[1]
         self.publish(
             "link/status",
-            forward=_direction(self._forward, settings, profile),
-            backward=_direction(self._backward, settings, profile),
+            forward=_direction(self._forward, settings, network),
+            backward=_direction(self._backward, settings, network),
             clock=_clock(self._offset.estimate()),
             **({"answer_sent_ns": self._answer[0], "answer_received_ns": self._answer[1]} if self._answer[1] else {}),
         )
@@ -311,10 +315,10 @@ def _link_fate(fate: Fate) -> dict[str, str | int | bool]:
     }
 
 
-def _direction(way: DirectionPath, settings: dict[str, Setting], profile: str) -> LinkDirection:
+def _direction(way: DirectionPath, settings: dict[str, Setting], network: str) -> LinkDirection:
     stats, prefix = way.engine.stats(), way.name + "."
     figures = {
-        "profile": profile,
+        "profile": network,
         "settings": {key.removeprefix(prefix): value for key, value in settings.items() if key.startswith(prefix)},
         "messages_in": stats.messages_in,
         "messages_out": stats.messages_out,

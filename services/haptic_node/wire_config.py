@@ -37,7 +37,9 @@ class HaplyConfig(Settings):
 class DhdConfig(Settings):
     """Section `haptic_node.dhd`: omega, delta, sigma, lambda and Falcon, by Force Dimension's libdhd."""
 
-    library: str | None = Field(default=None, description="File of libdhd or libdrd; none: it is looked for")
+    library: str | None = Field(
+        default=None, description="File of libdhd or libdrd, with `--allow-code`; none: it is looked for"
+    )
     serial: int | None = Field(default=None, ge=0, le=65_535, description="Serial number; none: the first free device")
     rate_hz: float = Field(default=1000.0, ge=100.0, le=4000.0, description="Rate of the servo [Hz]; [100, 4000]")
     deadman_button: int | None = Field(
@@ -48,7 +50,7 @@ class DhdConfig(Settings):
 class HdConfig(Settings):
     """Section `haptic_node.hd`: 3D Systems Touch, by OpenHaptics' libHD."""
 
-    library: str | None = Field(default=None, description="File of libHD; none: it is looked for")
+    library: str | None = Field(default=None, description="File of libHD, with `--allow-code`; none: it is looked for")
     name: str | None = Field(default=None, description="Name of the device in its driver; none: the default one")
     rate_hz: Literal[500, 1000] = Field(default=1000, description="Rate of the scheduler [Hz]: 500 or 1000")
     deadman_button: int | None = Field(

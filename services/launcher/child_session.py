@@ -4,6 +4,7 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 
+from services.signals import children
 from services.signals.interrupts import kept_from_children
 
 _LOOK_S = 0.5
@@ -28,7 +29,7 @@ def run_session(
     begun_s = time.monotonic()
     pipe = subprocess.PIPE
     with kept_from_children():
-        session = subprocess.Popen(list(command), stdout=pipe, stderr=pipe, text=True)
+        session = children.start(command, stdout=pipe, stderr=pipe, text=True)
     with session:
         try:
             while True:

@@ -10,6 +10,7 @@ from proto.nodes import NODES
 from services.launcher.plan import Plan
 from services.runtime.bus.address_book import LONGEST_IPC_PATH
 from services.runtime.bus.local_endpoint import fan_out_endpoint
+from services.signals import children
 
 _STOP_S = 2.0
 _PARTS = ("rig", "endpoint", "launcher")
@@ -34,7 +35,7 @@ def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
         yield
         return
     # It ends when its standard input does, so also with a launcher that is killed.
-    process = subprocess.Popen(
+    process = children.start(
         [sys.executable, "-m", "services.runtime.bus.fan_out", *endpoints_of(plan)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,

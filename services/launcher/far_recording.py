@@ -5,7 +5,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -20,6 +20,7 @@ from recording.merge_sites import merge_sites
 from recording.reader import Recording
 from services.console.command_client import console_of
 from services.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, OFFSET, RATE, RECORDING_FILE, TOPIC
+from services.relay.__main__ import at_relay
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.commands import Command, CommandClient
@@ -202,7 +203,10 @@ class _Asking(NamedTuple):
 
 @contextmanager
 def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
-    """Open the sockets, and tell whether a rig runs here: its link then carries the commands, and else this process."""
+    """Open the sockets, and tell whether a rig runs here: its link then carries the commands, and else this process.
+
+    Likewise its end at the relay, if there is one, has ended with it, and this process is that end until it has asked.
+    """
     endpoint = f"{LINK}@slave"
     for key in (endpoint, None):
         with open_participant(key or console_of(book, "master"), book) as participant:
@@ -214,7 +218,8 @@ def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
                 continue
             publish = publisher.publish if key is None else _LinkEnd(participant, publisher).publish
             readers = participant.subscribers({SENDER: ["session/event", TOPIC]})
-            yield _Asking(participant, publish, readers), key is None
+            with nullcontext() if key is None else at_relay(book, "master"):
+                yield _Asking(participant, publish, readers), key is None
             return
 
 

@@ -1,5 +1,6 @@
 """The recording of this site, sent to the other one on request, in pieces and no faster than asked for (ADR 0075)."""
 
+import contextlib
 import hashlib
 import re
 from collections.abc import Callable, Mapping
@@ -45,13 +46,16 @@ class PieceSender:
             raise RefusedError(f"{OFFSET} and {BYTES} must be whole numbers from 0 and from 1 to {MOST_BYTES}")
         if not isinstance(rate, int | float) or not _RATES[0] <= rate <= _RATES[1]:
             raise RefusedError(f"{RATE} must be a number from {_RATES[0]:g} to {_RATES[1]:g}")
-        self.close()
         try:
-            self._file = (self._folder / name).open("rb")
-            self._head = hashlib.sha256(self._file.read(HEAD_BYTES)).hexdigest()
+            with contextlib.ExitStack() as half_open:
+                file = half_open.enter_context((self._folder / name).open("rb"))
+                head = hashlib.sha256(file.read(HEAD_BYTES)).hexdigest()
+                half_open.pop_all()
         except OSError as error:
-            self.close()
             raise RefusedError(f"{name} cannot be read: {error.strerror}") from error
+        # What is being sent goes on where a command is refused.
+        self.close()
+        self._file, self._head = file, head
         self._name, self._next, self._end = name, offset, offset + count
         self._bytes_per_ns, self._allowance, self._ns = rate * 1e3 / 8.0 * 1e-9, float(PIECE_BYTES), now_ns
         return f"sending {name} from {offset} on"

@@ -8,15 +8,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from proto.nodes import name_of
 from services.runtime.bus.publisher import LINGER_S
 from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE
-from services.runtime.loop.realtime import die_with_parent
 from services.runtime.settings.config import ENVIRONMENT_PREFIX
+from services.signals import children
 
 # a node is safe within milliseconds and then publishes how much it has sent
 GRACE_S = 8.0
@@ -111,7 +110,7 @@ class NodeProcesses:
     def start(self, node: str) -> int:
         inherited = self._inherited.get(node, Inherited())
         with self.log_path(node).open("ab") as log:
-            process = subprocess.Popen(
+            process = children.start(
                 self._commands[node],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -120,7 +119,7 @@ class NodeProcesses:
                 pass_fds=(*inherited.descriptors, *self._held),
                 # the terminal's Ctrl-C is for the supervisor alone, which then stops the nodes in order
                 start_new_session=True,
-                preexec_fn=partial(_die_with, os.getpid()),
+                dies_with_parent=True,
             )
         self._running[node] = process
         return process.pid
@@ -201,13 +200,6 @@ def node_command(node: str, site_file: Path, scenario_file: Path) -> list[str]:
     name, _, site = node.partition("@")
     files = ["--site-file", str(site_file), "--scenario", str(scenario_file)]
     return [sys.executable, "-m", f"services.{name}", *files, "--site", site, "--with-parent"]
-
-
-def _die_with(parent: int) -> None:
-    """Tie the new process to its parent from its first moment; its own --with-parent comes seconds later."""
-    die_with_parent(signal.SIGTERM)
-    if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _readable(line: str) -> str:

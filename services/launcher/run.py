@@ -268,9 +268,11 @@ def report_of(
         return None
     names = " ".join(map(str, recordings))
     show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
-    is_long = sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES
+    # Who has pressed Ctrl-C waits for the terminal.
+    is_long = outcome.interrupted or sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES
     if is_long:
-        show(f"that takes some time; Ctrl-C leaves it to `telenano report {names} --out {plan.out}`")
+        again = "another Ctrl-C" if outcome.interrupted else "Ctrl-C"
+        show(f"that takes some time; {again} leaves it to `telenano report {names} --out {plan.out}`")
     try:
         return make_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
     except RecordingError:

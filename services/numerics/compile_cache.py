@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from numba.core import config, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from presets.regular_files import is_own
 from services.numerics.compiled import kept_digest
 
 # Each file has a digest, because numba's own cache cannot notice that a file was cut off or changed.
@@ -51,9 +52,14 @@ class CheckedCacheFile(IndexDataCacheFile):
         if not key.digest:
             return None
         try:
-            if time.time() - path.stat().st_mtime > _USED_S:
+            with path.open("rb") as file:
+                found, content = os.fstat(file.fileno()), file.read()
+            if not is_own(found):
+                _warn(f"the compiled code in {self._folder} can be written by others, and is compiled again")
+                return None
+            if time.time() - found.st_mtime > _USED_S:
                 os.utime(path)
-            digest, version, compiled = _checked(path.read_bytes())
+            digest, version, compiled = _checked(content)
         except _DamagedError:
             _warn(f"the compiled code in {self._folder} was damaged, and is compiled again")
             return None
@@ -69,6 +75,8 @@ class CheckedCacheFile(IndexDataCacheFile):
         content = pickle.dumps((key.digest, self._version, self._dump(data)))
         try:
             with self._open_for_write(self._data_path(key.name)) as file:
+                if hasattr(os, "fchmod"):
+                    os.fchmod(file.fileno(), 0o600)
                 file.write(hashlib.sha256(content).digest() + content)
         except OSError as error:
             _warn(f"compiled code cannot be kept in {self._folder}: {error.strerror}")
@@ -81,6 +89,13 @@ class CheckedCache(FunctionCache):
         super().__init__(function)
         self._python_calls = python_calls
         self._cache_file = CheckedCacheFile(self._cache_path, function.__qualname__, "")
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what is compiled for a signature; where nothing is, say that compiling it takes its time."""
+        found = super().load_overload(sig, target_context)
+        if found is None and self._python_calls:
+            _warn("compiling models, which takes some ten seconds once; `telenano doctor --warm` does it beforehand")
+        return found
 
     def _index_key(self, signature: Any, codegen: Any) -> _Key:
         classes = list(dict.fromkeys(_classes(signature)))

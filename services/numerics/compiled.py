@@ -16,6 +16,7 @@ import contextlib
 import hashlib
 import importlib.util
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -27,6 +28,7 @@ from typing import Any, TypeVar, cast
 
 from presets.plugins import digest_of_all, package_files
 from presets.plugins import modules as package_modules
+from proto.errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., object])
 V = TypeVar("V")
@@ -190,6 +192,29 @@ def compiled_form(function: F) -> F:
     if importlib.util.find_spec("numba") is None:
         return function
     return _form_of(function)
+
+
+def compiled_call(function: Callable[..., Any], given: tuple[Any, ...]) -> Any:
+    """Call a marked step in its compiled form.
+
+    Raises:
+        ConfigError: It, or a step that it calls, cannot be compiled; nothing of it has run.
+    """
+    try:
+        return compiled_form(function)(*given)
+    # The errors of the compiler can be named only where it is installed.
+    except Exception as error:
+        if not type(error).__module__.startswith("numba."):
+            raise
+        # The compiler writes for a terminal, each level of calls above the one where it stopped.
+        lines = [" ".join(re.sub(r"\x1b\[\d*m", "", line).split()) for line in str(error).splitlines()]
+        place = next((line.rstrip(":") for line in reversed(lines) if line.startswith("File ")), "")
+        named = (line for line in lines if line and not line.startswith(("Failed in", "File ", "During", "-", "<")))
+        reason = next(named, type(error).__name__)
+        raise ConfigError(
+            f"a model of this session cannot be compiled: {reason} ({place}): write the step in what numba knows, or "
+            "set NUMBA_DISABLE_JIT=1 to run all models as plain Python"
+        ) from error
 
 
 def always_compiled(function: F) -> F:

@@ -230,16 +230,12 @@ class PlayerNode(Node):
 
     def set_rate(self, rate: float) -> None:
         """Set the rate: 1 as recorded, 0 as fast as readers keep up; RefusedError when negative or hardly more."""
-        if rate != 0.0 and not rate >= _LEAST_RATE:
-            raise RefusedError(f"player.rate is {rate}, it must be 0 (as fast as possible), or {_LEAST_RATE:g} or more")
+        self._check_rate(rate)
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, rate=rate)
 
     def step(self, count: int = 1, topic: str = "") -> None:
         """Send the next `count` messages at once, or all up to the next one on a topic, and pause."""
-        if count < 1:
-            raise RefusedError(f"player.step is {count}, it must be 1 or more")
-        if topic and topic not in {channel.channel_topic for channel in self._plan.topics}:
-            raise RefusedError(f"player.step_topic: {topic} is not played")
+        self._check_step(count, topic)
         self.pause(True)
         self._steps, self._step_topic = count, topic
 
@@ -249,10 +245,7 @@ class PlayerNode(Node):
 
     def seek_event(self) -> None:
         """Move to the next session/event; RefusedError when there is none."""
-        found = self.playback.next_event_ns()
-        if found is None:
-            raise RefusedError(f"there is no event after {self.playback.time_s:.3f} s")
-        self._jump(self.playback.seek(found))
+        self._jump(self.playback.seek(self._next_event_ns()))
 
     def end(self) -> None:
         if not self.finished:
@@ -265,17 +258,38 @@ class PlayerNode(Node):
         if unknown or not parameters:
             problem = f"{', '.join(unknown)} is unknown" if unknown else "set needs parameters"
             raise RefusedError(f"{problem}: known are {', '.join(SETTERS)}")
-        for name, setter in SETTERS.items():
+        for name, value in parameters.items():
+            kinds = SETTERS[name][0]
+            if type(value) not in kinds:
+                raise RefusedError(f"{name} is {value!r}, a {kinds[0].__name__} is needed")
+        # All that can refuse comes first, so that a command is carried out as a whole or not at all.
+        self._check_rate(float(parameters.get("player.rate", 1.0)))
+        self._check_step(int(parameters.get("player.step", 1)), str(parameters.get("player.step_topic", "")))
+        if parameters.get("player.next_event"):
+            if parameters.keys() & {"player.seek_s", "player.skip_s"}:
+                raise RefusedError("player.next_event and another place: give one of them")
+            self._next_event_ns()
+        ends = (parameters.get(name) for name in ("player.a_s", "player.b_s"))
+        self.playback.limit(*(None if end is None else self.playback.at(float(end)) for end in ends))
+        for name, (_, change) in SETTERS.items():
             if name in parameters:
-                kinds, change = setter
-                value = parameters[name]
-                if type(value) not in kinds:
-                    raise RefusedError(f"{name} is {value!r}, a {kinds[0].__name__} is needed")
-                change(self, value)
+                change(self, parameters[name])
 
-    def _set_bounds(self, start_s: float | None = None, end_s: float | None = None) -> None:
-        start, end = (None if value is None else self.playback.at(value) for value in (start_s, end_s))
-        self.playback.limit(start, end)
+    def _check_rate(self, rate: float) -> None:
+        if rate != 0.0 and not rate >= _LEAST_RATE:
+            raise RefusedError(f"player.rate is {rate}, it must be 0 (as fast as possible), or {_LEAST_RATE:g} or more")
+
+    def _check_step(self, count: int, topic: str) -> None:
+        if count < 1:
+            raise RefusedError(f"player.step is {count}, it must be 1 or more")
+        if topic and topic not in {channel.channel_topic for channel in self._plan.topics}:
+            raise RefusedError(f"player.step_topic: {topic} is not played")
+
+    def _next_event_ns(self) -> int:
+        found = self.playback.next_event_ns()
+        if found is None:
+            raise RefusedError(f"there is no event after {self.playback.time_s:.3f} s")
+        return found
 
     def _set_loop(self, loop: bool) -> None:
         self.playback.loop = loop
@@ -469,8 +483,9 @@ _NUMBER = (float, int)
 SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None]]] = {
     "player.rate": (_NUMBER, lambda player, value: player.set_rate(float(value))),
     "player.loop": ((bool,), lambda player, value: player._set_loop(value)),
-    "player.a_s": (_NUMBER, lambda player, value: player._set_bounds(start_s=value)),
-    "player.b_s": (_NUMBER, lambda player, value: player._set_bounds(end_s=value)),
+    # Both ends are set together, before all others.
+    "player.a_s": (_NUMBER, lambda player, value: None),
+    "player.b_s": (_NUMBER, lambda player, value: None),
     "player.seek_s": (_NUMBER, lambda player, value: player.seek(value)),
     "player.skip_s": (_NUMBER, lambda player, value: player.seek(player.playback.time_s + value)),
     "player.next_event": ((bool,), lambda player, value: player.seek_event() if value else None),

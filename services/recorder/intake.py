@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, decode_header, read_header
+from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, fields_of, read_header
 from proto.batch import BATCH_TOPIC, read_batch
 from proto.codec import HEADER_ERRORS, decode_header_alone, largest_bytes
 from proto.ends import END_TOPIC, read_end
@@ -157,11 +157,7 @@ class Intake:
             topic, payload = _TOPIC_NAMES.get(frames[0]), frames[-1]
             if topic is None or len(frames) != 2:
                 topic, payload = self._unusual(frames)
-            fields: Mapping[str, Any] | None = None
-            if topic in self._decoded:
-                (seq, t_ns, src), fields = decode_header(topic, payload)
-            else:
-                seq, t_ns, src = read_header(topic, payload)
+            seq, t_ns, src = read_header(topic, payload)
             permit = listener.subscriber.permit
             if permit is not None:
                 permit(topic, src)
@@ -178,10 +174,12 @@ class Intake:
             if self._ended and stream.direct:
                 # one that is received again was started again
                 self._ended.discard(src)
-            if fields is not None:
-                self._interpret(listener, stream, fields, received_ns)
+            if topic in self._decoded:
+                # What is not valid is recorded as it came, and means nothing.
+                message = decode(topic, payload)
+                self._interpret(listener, stream, fields_of(topic, message), received_ns)
                 if topic == "session/control" and (stream.direct or self.obeys_link):
-                    return Received(topic, decode(topic, payload), payload, received_ns, arrival)
+                    return Received(topic, message, payload, received_ns, arrival)
         except WireError as error:
             self._reject(listener, frames, received_ns, error)
         except RecordingError as error:

@@ -7,7 +7,7 @@ from typing import Self
 
 import zmq
 
-from proto import TOPICS, WireError, read_header
+from proto import TOPICS
 from proto.nodes import site_of
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
@@ -15,7 +15,6 @@ from services.recorder.config import RecorderConfig
 from services.recorder.listener import Listener
 from services.recorder.node import HELD_S
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import split_frames
 from services.runtime.loop.participant import OBSERVER, SITES, Participant, open_participant
 
 _WAIT_MS = 100
@@ -71,7 +70,7 @@ class LiveRecording:
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self._book = book
+        self.book = book
         # The time of a reception is so far ahead of the monotonic clock [ns].
         self.epoch_offset_ns = participant.clock.epoch_offset_ns
         self._listeners = connect(participant, shared=True)
@@ -90,7 +89,7 @@ class LiveRecording:
     def messages(
         self, topics: Iterable[str] | None = None, duration_s: float | None = None
     ) -> Iterator[RecordedMessage]:
-        """Return messages as they come, without end when `duration_s` is None; frames that are no message are left out.
+        """Return messages as they come, without end when `duration_s` is None; what is not valid is left out.
 
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None.
         """
@@ -110,22 +109,18 @@ class LiveRecording:
 
     def is_here(self, node: str) -> bool:
         """Return whether a node of the rig is on this machine, so that both have one monotonic clock."""
-        known = node in self._book.nodes
-        return known and self._book.endpoint(node, self._network.machine).startswith("ipc://")
+        known = node in self.book.nodes
+        return known and self.book.endpoint(node, self._network.machine).startswith("ipc://")
 
     def close(self) -> None:
         self._open.close()
 
     def _message(self, listener: Listener, frames: list[bytes], received_ns: int) -> RecordedMessage | None:
-        publisher, permit = listener.publisher, listener.subscriber.permit
-        try:
-            topic, payload = split_frames(frames)
-            row = TOPICS[topic]
-            seq, t_ns, src = read_header(topic, payload)
-            if permit is not None:
-                permit(topic, src)
-        except (WireError, KeyError):
+        publisher, accepted = listener.publisher, listener.subscriber.accepted(frames)
+        if accepted is None:
             return None
+        topic, message, payload, _ = accepted
+        row, src = TOPICS[topic], message.src
         channel = self._channels.get((publisher, topic, src))
         if channel is None:
             site = site_of(publisher)
@@ -133,4 +128,4 @@ class LiveRecording:
             name = channel_topic(topic, src, site)
             channel = RecordedChannel(name, topic, site, via, src, row.rate_hz, row.delivery)
             self._channels[publisher, topic, src] = channel
-        return RecordedMessage(channel, received_ns, t_ns, seq, payload)
+        return RecordedMessage(channel, received_ns, message.t_ns, message.seq, payload)

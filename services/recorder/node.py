@@ -229,6 +229,8 @@ class RecorderNode(Node):
         wrong = [name for name, value in control.parameters.items() if value is not True]
         if wrong:
             raise RefusedError(f"{', '.join(wrong)} must be true")
+        if control.parameters.keys() >= {"record.split", "record.snapshot"}:
+            raise RefusedError("record.split and record.snapshot: give them one after the other")
         if "record.split" in control.parameters:
             self.split()
         if "record.snapshot" in control.parameters:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import zmq
 
-from presets.plugins import all_installed
+from presets.plugins import in_scenarios
 from presets.regular_files import read_regular
 from proto import TOPICS
 from proto.errors import RecordingError
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.untrusted.yaml_text import LARGEST_BYTES
+from services.signals import children
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("telenano", "mcap", "msgpack", "numpy", "pydantic", "pyzmq", "zstandard")
@@ -30,8 +31,8 @@ def versions() -> dict[str, str]:
 
 
 def plugin_facts() -> dict[str, str]:
-    """Return package, version and digest of what installed packages add, by `kind.name`."""
-    return {f"{row.kind}.{row.name}": " ".join(row.facts().values()) for row in all_installed()}
+    """Return package, version and digest of what a scenario can name of installed packages, by `kind.name`."""
+    return {f"{row.kind}.{row.name}": " ".join(row.facts().values()) for row in in_scenarios()}
 
 
 def write_provenance(
@@ -71,7 +72,7 @@ def _commit() -> str:
     if not (_ROOT / ".git").exists():
         return "unknown"
     try:
-        done = subprocess.run(
+        done = children.run(
             ["git", "-C", str(_ROOT), "describe", "--always", "--dirty=+", "--exclude=*"],
             capture_output=True, text=True, timeout=5.0, check=True,
         )  # fmt: skip

@@ -1,20 +1,23 @@
-"""The end of one site that reaches the other one through the relay of the site file: `python -m services.relay`."""
+"""The end of one site that reaches the other one through the relay of the site file: `python -P -m services.relay`."""
 
 import asyncio
 import contextlib
 import signal
 import sys
-from collections.abc import Coroutine, Sequence
+from collections.abc import Coroutine, Iterator, Sequence
+from concurrent.futures import Future
+from threading import Thread
 from typing import Any
 
-from proto.errors import ConfigError, TelenanoError
+from proto.errors import ConfigError, EndpointError, TelenanoError
 from services.relay.site_end import SiteEnd
-from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.address_book import RELAY, AddressBook
 from services.runtime.loop.log import StructuredLog, configure_logging
 from services.runtime.loop.main import EXIT_BAD_START, load_site, parse_arguments
-from services.runtime.loop.realtime import ahead_of_others, die_with_parent, raise_file_limit
+from services.runtime.loop.realtime import ahead_of_others, raise_file_limit
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
+from services.signals.children import die_with_parent
 
 
 async def until_stopped(work: Coroutine[Any, Any, None]) -> None:
@@ -28,10 +31,45 @@ async def until_stopped(work: Coroutine[Any, Any, None]) -> None:
 
 async def run_site_end(book: AddressBook, site: str, log: StructuredLog) -> None:
     """Run the end of a site; ConfigError where the site file has no relay, or a key is missing."""
+    await _site_end(book, site, log).run()
+
+
+def _site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
     if book.relay is None:
         raise ConfigError("the site file has no `relay: host:port`")
-    access = AccessControl(site, Keyring(), requires_keys=True)
-    await SiteEnd(book, site, access, log).run()
+    return SiteEnd(book, site, AccessControl(site, Keyring(), requires_keys=True), log)
+
+
+@contextlib.contextmanager
+def at_relay(book: AddressBook, site: str) -> Iterator[None]:
+    """Be the end of a site at the relay of the site file, if it has one, in a thread while a block runs.
+
+    Where another process of this machine is that end, this one leaves it to that.
+
+    Raises:
+        ConfigError: A key is missing.
+    """
+    if book.relay is None:
+        yield
+        return
+    end = _site_end(book, site, StructuredLog(f"{RELAY}@{site}"))
+    running: Future[tuple[asyncio.AbstractEventLoop, asyncio.Task[None] | None]] = Future()
+
+    async def run() -> None:
+        running.set_result((asyncio.get_running_loop(), asyncio.current_task()))
+        with contextlib.suppress(EndpointError, asyncio.CancelledError):
+            await end.run()
+
+    thread = Thread(target=lambda: asyncio.run(run()), name=f"{RELAY}@{site}", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        loop, task = running.result()
+        # A loop that has ended by itself can be told nothing.
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(lambda: task is not None and task.cancel())
+        thread.join()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

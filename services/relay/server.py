@@ -22,10 +22,13 @@ from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import KeyPair, key_text
 
 DEFAULT_PORT = 5750
-# Strangers: connections that have not shown a key yet, in all and from one address.
-_MOST_STRANGERS, _MOST_FROM_ADDRESS = 256, 64
-# New connections of one address: a burst and so many a second. A site that begins makes some fifty.
-_BURST, _PER_S = 120.0, 20.0
+# Strangers: connections that have not shown a key yet, in all and from one address. A class of ten rigs behind one
+# address makes some 500 connections when it begins.
+_MOST_STRANGERS, _MOST_FROM_ADDRESS = 1024, 512
+# Connections of one address that show no listed key: a burst and so many a second. A listed key gives its one back.
+_BURST, _PER_S = 600.0, 20.0
+# What is refused to one address or key for one reason is logged so often at the most [s].
+_REMIND_S = 60.0
 _MOST_ADDRESSES = 4096
 # Connections that a site may have joined at once, and that may wait for the other site.
 _MOST_STREAMS, _MOST_WAITING = 128, 64
@@ -78,7 +81,8 @@ class Relay:
         self._waiting: dict[str, tuple[str, asyncio.Future[Channel]]] = {}
         self._open: dict[Channel, str] = {}
         self._server: asyncio.Server | None = None
-        self._reported: set[str] = set()
+        # When a refusal was logged last, by its reason and who was refused.
+        self._told: dict[tuple[str, str], float] = {}
         self.forwarder: Forwarder
 
     async def start(self, host: str, port: int) -> None:
@@ -125,7 +129,9 @@ class Relay:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address = str((writer.get_extra_info("peername") or ("gone",))[0])
         if not self._admit(address):
+            text = f"connections from {address} are refused: too many of them have shown no key that is listed here"
             self.refused["flood"] += 1
+            self._tell("flood", address, text)
             abort(writer)
             return
         tend(writer)
@@ -158,6 +164,15 @@ class Relay:
         few = self._strangers[address] < _MOST_FROM_ADDRESS and self._strangers.total() < _MOST_STRANGERS
         return few and arrivals.take(1.0, now_s)
 
+    def _tell(self, reason: str, who: str, text: str) -> None:
+        """Log a refusal, with how many there were for that reason so far, unless it was logged lately."""
+        now_s = asyncio.get_running_loop().time()
+        if now_s - self._told.get((reason, who), -_REMIND_S) >= _REMIND_S:
+            if len(self._told) >= _MOST_ADDRESSES:
+                self._told.clear()
+            self._told[reason, who] = now_s
+            self._log.warning(f"{text} ({reason}, {self.refused[reason]} in all)")
+
     async def _identify(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
     ) -> tuple[str, str, Channel, dict[str, Any]]:
@@ -165,14 +180,13 @@ class Relay:
         request = await channel.receive()
         name, reason = self._authorize(key_text(public))
         if reason:
-            if key_text(public) not in self._reported:
-                self._reported = {*list(self._reported)[-100:], key_text(public)}
-                text = (
-                    f"{name or 'an unknown machine'} ({address}) with the key {key_text(public)} is refused: {reason}"
-                )
-                self._log.warning(text)
+            who = f"{name or 'an unknown machine'} ({address}) with the key {key_text(public)}"
+            self._tell(reason, key_text(public), f"{who} is refused")
             await channel.send(refused=reason, text=_REFUSALS[reason])
             raise RejectedError(reason)
+        # A key that is listed gives its place among the strangers of its address back.
+        if (arrivals := self._arrivals.get(address)) is not None:
+            arrivals.take(-1.0, asyncio.get_running_loop().time())
         return public.hex(), name, channel, request
 
     def _authorize(self, key: str) -> tuple[str, str]:
@@ -211,6 +225,8 @@ class Relay:
         site.meets = frozenset(map(str, request["meets"][:_MOST_SITES]))
         before = self.sites.get(site.key)
         if before is None and len(self.sites) >= _MOST_SITES:
+            self.refused["full"] += 1
+            self._tell("full", site.key, f"{site.name} is refused: there are {_MOST_SITES} sites already")
             await site.channel.send(refused="full", text=f"the relay has {_MOST_SITES} sites already")
             return
         if before is not None:
@@ -257,7 +273,9 @@ class Relay:
             return
         if self.streams[site.key] >= _MOST_STREAMS or len(self._waiting) >= _MOST_WAITING * len(self.sites):
             self.refused["streams"] += 1
-            await site.channel.send(refused="streams", text=f"a site may have {_MOST_STREAMS} connections here")
+            text = f"a site may have {_MOST_STREAMS} connections here, {_MOST_WAITING} of them waiting"
+            self._tell("streams", site.key, f"a connection of {site.name} is refused: {text}")
+            await site.channel.send(refused="streams", text=text)
             return
         number = secrets.token_hex(8)
         handed: asyncio.Future[Channel] = asyncio.get_running_loop().create_future()

@@ -51,7 +51,8 @@ class SiteEnd:
         self._present: frozenset[str] = frozenset()
         self._servers: dict[tuple[str, int], asyncio.Server] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._told = ("", 0.0)
+        # What was logged last of the relay and of single connections, and when [s].
+        self._told: dict[str, tuple[str, float]] = {}
 
     async def run(self) -> None:
         """Listen, and keep the connection to the relay, until cancelled; EndpointError for a port that is taken."""
@@ -176,12 +177,15 @@ class SiteEnd:
                 channel = None
                 try:
                     channel = await self._dial(want="open", to=self._key(machine), port=port)
-                    if "ok" in await channel.receive():
+                    said = await channel.receive()
+                    if "ok" in said:
                         joined, channel = channel, None
                         return joined
-                except Gone:
+                    if "text" in said:
+                        self._tell("warning", f"the relay {self._relay} refuses: {said['text']}", "connection")
+                except Gone as error:
                     # The time of all attempts is limited outside.
-                    pass
+                    self._tell_of_end(error)
                 finally:
                     if channel is not None:
                         channel.close()
@@ -203,9 +207,15 @@ class SiteEnd:
                 return
             channel = None
             try:
-                channel = await self._dial(want="accept", number=number)
-                async with asyncio.timeout(_JOIN_S):
-                    joined = "ok" in await channel.receive()
+                try:
+                    channel = await self._dial(want="accept", number=number)
+                    async with asyncio.timeout(_JOIN_S):
+                        joined = "ok" in await channel.receive()
+                except Gone as error:
+                    # Whoever waits there tries again at once, and not after its time.
+                    self._tell_of_end(error)
+                    await control.send(refused=number)
+                    return
                 if joined:
                     await splice(node, (channel.reader, channel.writer))
             finally:
@@ -225,6 +235,12 @@ class SiteEnd:
     async def _dial(self, **request: Any) -> Channel:
         return await dial(self._host, self._port, self._own, self._relay_key, request)
 
+    def _tell_of_end(self, error: Exception) -> None:
+        """Tell that the relay has ended a connection in the place of an answer, as it does where there are too many."""
+        if isinstance(error, EOFError | ConnectionError) and self._present:
+            text = "has ended a connection without an answer; its own log says whether it refuses this address"
+            self._tell("warning", f"the relay {self._relay} {text}", "connection")
+
     def _start(self, work: Any) -> "asyncio.Task[None]":
         task = asyncio.get_running_loop().create_task(work)
         # The loop itself keeps weak references only.
@@ -232,9 +248,10 @@ class SiteEnd:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    def _tell(self, level: str, text: str) -> None:
-        """Log a change, and what stays the same once a minute."""
+    def _tell(self, level: str, text: str, about: str = "relay") -> None:
+        """Log a change of one matter, and what stays the same once a minute."""
         now_s = time.monotonic()
-        if text != self._told[0] or now_s - self._told[1] >= _REMIND_S:
-            self._told = (text, now_s)
+        told, told_s = self._told.get(about, ("", 0.0))
+        if text != told or now_s - told_s >= _REMIND_S:
+            self._told[about] = (text, now_s)
             self._log.write(level, text)

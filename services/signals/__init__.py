@@ -1,1 +1,1 @@
-"""How SIGINT and SIGTERM reach a process that computes."""
+"""How SIGINT and SIGTERM reach a process that computes, and how every other process is started."""

@@ -1,17 +1,18 @@
 """A recording as a document: its curves as a whole and in part, and what happened in it, for a page to read in."""
 
-import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
 
 from proto.errors import RefusedError, TelenanoError
 from recording.multi_file import RecordingSource
+from recording.reader import Piece
 from recording.site_clock import Timeline
-from services.viz_node.levels import Floats, Levels, packed, read_samples
+from services.viz_node.levels import Floats, Levels, is_curve, is_link, packed, read_samples
 from services.viz_node.streams import STREAMS
 
 # A part that is shorter than this is read from the file, sample by sample [s]; of a longer one a pixel has several.
@@ -19,12 +20,13 @@ _RAW_S = 3.0
 # the longest part that is given sample by sample, for a file of its own [s]
 _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
-# Of a longer recording an outline is read first [s]: so many looks into it, each so long [s].
-_LONG_S, _LOOKS, _LOOK_S = 120.0, 240, 0.02
+# Of a longer recording an outline is read first [s]: so many looks into it, each of so many messages.
+_LONG_S, _LOOKS, _LOOK = 120.0, 240, 200
 # It is read in pieces [s]; so many of them are read at once for a page that waits for them.
 _PIECE_S, _AT_ONCE = 2.0, 16
-# A message is received a little after it was sent [s].
-_MARGIN_S = 0.1
+# A message is received a little after it was sent [s]. The losses of the link are counted from one of its reports to
+# the next, of which there are ten a second [ns].
+_MARGIN_S, _BEFORE_NS = 0.1, 300_000_000
 # A part that has fewer spans than this is given sample by sample.
 _LEAST_SPANS = 300
 # the reader gives way to what plays, after each piece [s]
@@ -82,15 +84,16 @@ class RecordingDocument:
         self._timing = threading.Lock()
         self._lock = threading.Lock()
         self._thread: threading.Thread | None = None
-        # the pieces that have not been read, and what was asked for last [s]
-        self._pieces = max(1, math.ceil(self._length_s / _PIECE_S))
-        self._left = set(range(self._pieces))
-        self._asked = (0.0, 0.0)
+        # The pieces, those that have not been read, and what was asked for last [s]. There are no more than chunks,
+        # however long the file says that it is.
+        self._pieces = list(recording.pieces(round(_PIECE_S * 1e9), _BEFORE_NS))
+        self._left = set(range(len(self._pieces)))
+        self._asked: tuple[float, float] | None = None
         self._reading = threading.Lock()
 
     def about(self) -> Facts:
         self._begin()
-        share = 1.0 - len(self._left) / self._pieces
+        share = 1.0 - len(self._left) / max(1, len(self._pieces))
         return {
             "start_ns": self._start_ns,
             "length_s": self._length_s,
@@ -107,7 +110,7 @@ class RecordingDocument:
             raise RefusedError(f"every sample is given of at most {_MOST_RAW_S:g} s at once: choose a shorter part")
         if spans <= 0 or to_s - from_s <= max(_RAW_S, _LEAST_SPANS * self._levels.width_s):
             return {"from_s": from_s, "to_s": to_s, "width_s": 0.0, "streams": self._raw(from_s, to_s)}
-        missing = sorted(self._left.intersection(self._pieces_in(from_s, to_s)))
+        missing = self._left_in(from_s, to_s)
         if len(missing) <= _AT_ONCE:
             for piece in missing:
                 self._read_piece(piece)
@@ -157,42 +160,54 @@ class RecordingDocument:
     def _fill(self) -> None:
         if self._length_s > _LONG_S:
             self._outline()
-        while left := self._left:
-            wanted = left.intersection(self._pieces_in(*self._asked))
-            self._read_piece(min(wanted or left), with_rests=True)
+        for piece in range(len(self._pieces)):
+            while (asked := self._asked) is not None:
+                for wanted in self._left_in(*asked):
+                    if self._asked is not asked:
+                        break
+                    self._read_piece(wanted, with_rests=True)
+                else:
+                    self._asked = None if self._asked is asked else self._asked
+            self._read_piece(piece, with_rests=True)
 
-    def _pieces_in(self, from_s: float, to_s: float) -> range:
-        first, last = (math.floor(at_s / _PIECE_S) for at_s in (from_s - _MARGIN_S, to_s + _MARGIN_S))
-        return range(max(0, first), min(self._pieces, last + 1))
+    def _left_in(self, from_s: float, to_s: float) -> list[int]:
+        """Return the pieces that have not been read and may have a part, in order."""
+        bounds = self._bounds_ns(from_s, to_s)
+        return [piece for piece in sorted(self._left.copy()) if self._pieces[piece].has(*bounds)]
+
+    def _bounds_ns(self, from_s: float, to_s: float) -> tuple[int, int]:
+        first_ns, last_ns = (self._start_ns + round(at_s * 1e9) for at_s in (from_s - _MARGIN_S, to_s + _MARGIN_S))
+        return first_ns, last_ns
 
     def _read_piece(self, piece: int, *, with_rests: bool = False) -> None:
         """Read a piece into the levels, unless it has been read by now; two threads may ask for it."""
         with self._reading:
             if piece not in self._left:
                 return
-            first_ns, next_ns = (self._start_ns + round(at * _PIECE_S * 1e9) for at in (piece, piece + 1))
-            # what was received after the times that the index states belongs to the last
-            bounds = first_ns, None if piece == self._pieces - 1 else next_ns
-            for name, times, values in read_samples(self._recording, self._known_timeline(), *bounds):
-                self._levels.add(name, times, values)
+            self._add(self._pieces[piece])
             self._left.discard(piece)
         if with_rests:
             time.sleep(_REST_S)
 
+    def _add(self, piece: Piece, most: int | None = None) -> None:
+        """Read a piece, or some messages of it, into the levels."""
+        messages = islice(piece.recording.select(is_curve, blocks=piece.blocks), most)
+        before = piece.recording.select(is_link, blocks=piece.lead)
+        for name, times, values in read_samples(messages, before, self._known_timeline(), self._start_ns):
+            self._levels.add(name, times, values)
+
     def _outline(self) -> None:
         """Look into the recording at even distances, so that the whole of hours has a shape within seconds."""
-        step_ns = round(self._length_s * 1e9 / _LOOKS)
-        for look in range(_LOOKS):
-            from_ns = self._start_ns + look * step_ns
-            looked = read_samples(self._recording, self._known_timeline(), from_ns, from_ns + round(_LOOK_S * 1e9))
-            for name, times, values in looked:
-                self._levels.add(name, times, values)
+        for piece in self._pieces[:: max(1, len(self._pieces) // _LOOKS)]:
+            self._add(piece, _LOOK)
             time.sleep(_REST_S)
 
     def _raw(self, from_s: float, to_s: float) -> dict[str, Facts]:
-        bounds = (self._start_ns + round(at_s * 1e9) for at_s in (from_s - _MARGIN_S, to_s + _MARGIN_S))
+        first_ns, last_ns = self._bounds_ns(from_s, to_s)
         pieces: dict[str, list[tuple[Floats, Floats]]] = {stream.name: [] for stream in STREAMS}
-        for name, times, values in read_samples(self._recording, self._known_timeline(), *bounds):
+        messages = self._recording.select(is_curve, first_ns, last_ns)
+        before = self._recording.select(is_link, first_ns - _BEFORE_NS, first_ns)
+        for name, times, values in read_samples(messages, before, self._known_timeline(), self._start_ns):
             inside = (times >= from_s) & (times <= to_s)
             pieces[name].append((times[inside], values[:, inside]))
         found = {}

@@ -1,13 +1,15 @@
 """What is sent to the pages: all that changed since the last time, and a snapshot for a page that comes later."""
 
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import msgpack
 
+from proto import Message, fields_of
 from proto.ends import read_end
 from proto.nodes import site_of
+from recording.messages import LeftOut
 from services.viz_node.participant import CUE, CUE_KEYS, TRIAL, TRIAL_KEYS
 from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, Batch, LinkLoss
 
@@ -19,10 +21,6 @@ _MOST_NODES = 64
 _MOST_STATES = 64
 # Of what is kept of one message [bytes]; a line of an image has a bound of its own, as have all lines that are kept.
 _MOST_BYTES, _MOST_LINE_BYTES, _MOST_IMAGE_BYTES = 1 << 16, 1 << 20, 1 << 26
-# What a page is sent wraps what is kept in so many maps, and a frame may be nested no deeper than msgpack goes.
-_WRAPPED = 8
-# What a message that nobody has validated can cause: fields that are absent, of another kind, too large or too deep.
-UNREADABLE = (KeyError, TypeError, IndexError, ValueError, AttributeError, ArithmeticError, RecursionError)
 HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
@@ -40,7 +38,7 @@ _WAY_KEYS = ("profile", "settings", "queue_depth", "delay_mean_s", "delay_max_s"
 
 
 class Seen(NamedTuple):
-    """A message as it came: topic, publisher, when it was sent [ns], and its fields, which nobody has checked."""
+    """A message: topic, publisher, when it was sent [ns], and its fields, which its model has bounded."""
 
     topic: str
     src: str
@@ -48,15 +46,20 @@ class Seen(NamedTuple):
     fields: Mapping[str, Any]
 
 
+def seen(topic: str, src: str, t_ns: int, message: Message) -> Seen:
+    """Return a valid message for a feed."""
+    return Seen(topic, src, t_ns, fields_of(topic, message))
+
+
 class Feed:
     """Collects messages and gives what changed.
 
-    A message whose fields are not those of its topic is counted in `unreadable` and left out.
+    What cannot be shown is counted in `left_out`, such as a time that no page can draw.
     """
 
     def __init__(self) -> None:
         self.origin_ns = 0
-        self.unreadable = 0
+        self.left_out = LeftOut()
         self._batches = {stream.name: Batch(stream, _MOST_SAMPLES) for stream in STREAMS}
         self._nodes: dict[str, dict[str, Any]] = {}
         self._state: dict[str, dict[str, Any]] = {}
@@ -70,14 +73,7 @@ class Feed:
 
     def record(self, seen: Seen) -> None:
         """Take a message."""
-        try:
-            if not 0 <= seen.t_ns < LATEST_NS:
-                raise ValueError(f"t_ns {seen.t_ns}: is no time")
-            self._record(seen)
-        except UNREADABLE:
-            self.unreadable += 1
-            return
-        if not self.origin_ns:
+        if self.left_out.guard(self._record, seen) and not self.origin_ns:
             self.origin_ns = self._changes["origin_ns"] = seen.t_ns
 
     def take(self) -> dict[str, Any]:
@@ -97,10 +93,9 @@ class Feed:
         }
 
     @property
-    def answered(self) -> Collection[str]:
-        """Return the ids of the answers that the experiment has taken, the newest ones."""
-        found: Collection[str] = self._state.get(CUE, {}).get("answered", ())
-        return found
+    def cue(self) -> Mapping[str, Any]:
+        """Return the cue of an experiment that stands, with the ids of the answers taken last; empty without one."""
+        return self._state.get(CUE, {})
 
     @property
     def skipped(self) -> int:
@@ -108,13 +103,15 @@ class Feed:
         return sum(batch.skipped for batch in self._batches.values())
 
     def _record(self, seen: Seen) -> None:
+        if not 0 <= seen.t_ns < LATEST_NS:
+            raise ValueError(f"t_ns {seen.t_ns}: is no time")
         stream = BY_SOURCE.get((seen.topic, site_of(seen.src)))
         if stream is not None:
             ahead_ns = self._slave_ahead_ns if stream.site == "slave" else 0
             fields = self._loss.added(seen.fields) if stream.name == "link" else seen.fields
             self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
         if keys := _STATE_KEYS.get(seen.topic):
-            felt = tuple(key for key in _FELT_KEYS if key in seen.fields)
+            felt = tuple(key for key in _FELT_KEYS if seen.fields.get(key) is not None)
             self._set_state(f"{seen.topic}/{site_of(seen.src)}", _facts(seen.fields, keys + felt))
         elif seen.topic == "link/status":
             ways = {way: _facts(seen.fields[way], _WAY_KEYS) for way in ("forward", "backward")}
@@ -125,6 +122,8 @@ class Feed:
         elif seen.topic == "link/network":
             queue_s, carries = seen.fields.get("queue_s"), seen.fields.get("capacity_bit_per_s")
             facts = {"queue_s": None if queue_s is None else round(queue_s, 3), "capacity_bit_per_s": carries}
+            # Of the other direction, which this end sends.
+            facts["sends"] = seen.fields.get("line")
             self._set_state(f"line/{seen.fields['direction']}", facts)
         elif seen.topic == "node/health":
             self._record_health(seen)
@@ -189,11 +188,8 @@ class Feed:
 
 
 def _check(facts: Mapping[str, Any], most: int) -> int:
-    """Return the size of what a page is to be sent [bytes]; raises ValueError or OverflowError for what cannot be."""
-    nested: Any = facts
-    for _ in range(_WRAPPED):
-        nested = [nested]
-    size = len(msgpack.packb(nested))
+    """Return the size of what a page is to be sent [bytes]; ValueError for what is too long."""
+    size = len(msgpack.packb(facts))
     if size > most:
         raise ValueError(f"a message has {size} bytes for the page, {most} may be")
     return size

@@ -12,6 +12,7 @@ import msgpack
 
 from proto.errors import RefusedError, TelenanoError
 from proto.messages import Scalar
+from recording.messages import LeftOut
 from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
@@ -53,8 +54,11 @@ _MOST_READS = 8
 # An answer is sent again until the experiment has taken it, and given up after this time.
 _ANSWER_EVERY_S = 0.2
 _ANSWER_DEADLINE_S = 5.0
+# Of the values of one answer: sixteen choices of 128 letters and their names.
+_MOST_ANSWER_BYTES = 4096
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
+_METRICS_NS = 1_000_000_000
 
 Answers = Mapping[str, tuple[str, str]]
 T = TypeVar("T")
@@ -169,6 +173,8 @@ class Hub:
         self._looked_s = self._silent_s = 0.0
         self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
         self._picture = ParticipantPicture()
+        # the text of the newest reports, and when it was made [ns]
+        self._metrics, self._metrics_ns = "", -_METRICS_NS
 
     async def run(self) -> None:
         """Tell the pages what changed, until cancelled."""
@@ -259,9 +265,19 @@ class Hub:
         if session is self._holder:
             self._release()
 
+    @property
+    def left_out(self) -> LeftOut:
+        """What the pages could not be shown."""
+        return self._feed.left_out
+
     def metrics(self, now_ns: int) -> str:
-        """Return the newest reports of all nodes as a monitoring system reads them; now_ns, the rig's clock [ns]."""
-        return metrics_text(self._feed.snapshot()["nodes"], now_ns)
+        """Return the newest reports of all nodes as a monitoring system reads them; now_ns, the rig's clock [ns].
+
+        The text is made at most once a second, however many ask: what it takes is time of the pages.
+        """
+        if not 0 <= now_ns - self._metrics_ns < _METRICS_NS:
+            self._metrics, self._metrics_ns = metrics_text(self._feed.snapshot()["nodes"], now_ns), now_ns
+        return self._metrics
 
     def snapshot(self, session: Session) -> bytes:
         """Return everything that a page needs to begin, and to a participant no more than that may know."""
@@ -352,23 +368,36 @@ class Hub:
         return self._hand
 
     async def _answer(self, session: Session, request: AnswerRequest) -> Answers:
-        """Publish an answer until the experiment says in a cue that it has taken it."""
-        outlet = self._outlet()
+        """Publish an answer until the experiment says in a cue that it has taken it.
+
+        A page has one under way, because each is sent many times, and a participant answers the cue that stands.
+        """
+        outlet, is_own = self._outlet(), session.role is Role.PARTICIPANT
+        if session.answering:
+            raise RefusedError("the answer before this one has not been taken yet: wait for it")
+        if (size := len(_packed(request.values))) > _MOST_ANSWER_BYTES:
+            raise RefusedError(f"an answer has {size} bytes, {_MOST_ANSWER_BYTES} are allowed")
         given_ns = outlet.now_ns()
         end_s = time.monotonic() + _ANSWER_DEADLINE_S
-        while time.monotonic() < end_s:
-            outlet.answer(
-                id=request.id,
-                cue=request.cue,
-                role="participant" if session.role is Role.PARTICIPANT else "experimenter",
-                values=request.values,
-                given_ns=given_ns,
-                shown_s=request.shown_s,
-            )
-            for _ in range(round(_ANSWER_EVERY_S / TICK_S)):
-                await asyncio.sleep(TICK_S)
-                if request.id in self._feed.answered:
-                    return {"experiment": ("ack", "taken")}
+        session.answering = True
+        try:
+            while time.monotonic() < end_s:
+                if is_own and request.cue != self._feed.cue.get("id"):
+                    raise RefusedError(f"cue {request.cue} does not stand: answer the one that is shown")
+                outlet.answer(
+                    id=request.id,
+                    cue=request.cue,
+                    role="participant" if is_own else "experimenter",
+                    values=request.values,
+                    given_ns=given_ns,
+                    shown_s=request.shown_s,
+                )
+                for _ in range(round(_ANSWER_EVERY_S / TICK_S)):
+                    await asyncio.sleep(TICK_S)
+                    if request.id in self._feed.cue.get("answered", ()):
+                        return {"experiment": ("ack", "taken")}
+        finally:
+            session.answering = False
         raise RefusedError("no experiment takes the answer: does one run?")
 
     async def _stop(self, commander: Commander) -> Answers:

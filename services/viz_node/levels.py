@@ -4,20 +4,16 @@ A page that shows an hour has a thousand columns of pixels for 3.6 million sampl
 greatest value behind each column, so that no spike disappears, and those are found once, while the file is read.
 """
 
-import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RecordingError
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.multi_file import RecordingSource
+from recording.messages import LeftOut, RecordedChannel, RecordedMessage
 from recording.site_clock import Timeline
-from services.viz_node.feed import UNREADABLE
-from services.viz_node.streams import BY_SOURCE, STREAMS, LinkLoss, Stream
+from services.viz_node.streams import BY_SOURCE, LATEST_NS, STREAMS, LinkLoss, Stream
 
 Floats = npt.NDArray[np.float64]
 
@@ -25,8 +21,6 @@ Floats = npt.NDArray[np.float64]
 _LEAST_WIDTH_S, _MOST_SPANS = 0.005, 200_000
 # so many messages of a stream are put into numbers at once
 _AT_ONCE = 4000
-# The losses of the link are counted from one of its reports to the next, of which there are ten a second [ns].
-_BEFORE_NS = 300_000_000
 _NS = 1_000_000_000
 
 
@@ -35,7 +29,7 @@ class Samples:
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
-        self._loss = LinkLoss()
+        self._loss, self._left_out = LinkLoss(), LeftOut()
         self._stamps: list[int] = []
         self._rows: list[list[float]] = []
         self.src = ""
@@ -44,26 +38,26 @@ class Samples:
         return len(self._rows)
 
     def add(self, message: RecordedMessage) -> None:
-        """Take a message; what has not the fields of its topic is left out, as a page that shows it live does."""
-        try:
-            fields = message.fields()
-            known = self._loss.added(fields) if self.stream.name == "link" else fields
-            row = [column.value(known) for column in self.stream.columns]
-        except (RecordingError, *UNREADABLE):
-            return
+        """Take a message; what is not valid, or has no time of a clock, is left out, as live."""
+        if message.publish_ns <= LATEST_NS:
+            self._left_out.guard(self._add, message)
+
+    def _add(self, message: RecordedMessage) -> None:
+        fields = message.checked_fields()
+        known = self._loss.added(fields) if self.stream.name == "link" else fields
+        row = [column.value(known) for column in self.stream.columns]
         self.src = message.src
         self._stamps.append(message.publish_ns)
         self._rows.append(row)
 
     def note(self, message: RecordedMessage) -> None:
         """Take what comes before the first sample: losses are counted from there."""
-        with contextlib.suppress(RecordingError, *UNREADABLE):
-            self._loss.added(message.fields())
+        self._left_out.guard(lambda found: self._loss.added(found.checked_fields()), message)
 
     def take(self, timeline: Timeline, start_ns: int) -> tuple[Floats, Floats]:
         """Return and remove the samples: times since the start [s], of shape (n,), and values of shape (columns, n)."""
         stamps = np.array(self._stamps, dtype=np.int64)
-        times = (timeline.times_ns(self.src, stamps) - start_ns) * 1e-9
+        times = (timeline.times_ns(self.src, stamps) - min(start_ns, LATEST_NS)) * 1e-9
         values = np.array(self._rows, dtype=np.float64).reshape(len(stamps), len(self.stream.columns)).T
         self._stamps, self._rows = [], []
         return np.asarray(times, dtype=np.float64), values
@@ -129,7 +123,8 @@ def is_curve(channel: RecordedChannel) -> bool:
     return channel.via == "direct" and stream_of(channel) is not None
 
 
-def _is_link(channel: RecordedChannel) -> bool:
+def is_link(channel: RecordedChannel) -> bool:
+    """Return whether a channel of a recording has the reports of the link."""
     stream = stream_of(channel)
     return channel.via == "direct" and stream is not None and stream.name == "link"
 
@@ -140,15 +135,20 @@ def stream_of(channel: RecordedChannel) -> Stream | None:
 
 
 def read_samples(
-    recording: RecordingSource, timeline: Timeline, from_ns: int | None = None, to_ns: int | None = None
+    messages: Iterable[RecordedMessage], before: Iterable[RecordedMessage], timeline: Timeline, start_ns: int
 ) -> Iterator[tuple[str, Floats, Floats]]:
-    """Yield some thousand samples at a time: name, times since the start [s], values."""
-    start_ns = recording.span_ns[0]
+    """Yield some thousand samples at a time: name, times since the start [s], values.
+
+    Args:
+        messages: Those of channels that are drawn as curves.
+        before: Reports of the link before them, from which its losses are counted.
+        timeline: The clocks of the recording.
+        start_ns: The start of the recording [ns].
+    """
     waiting = {stream.name: Samples(stream) for stream in STREAMS}
-    if from_ns is not None and from_ns > start_ns:
-        for message in recording.select(_is_link, from_ns - _BEFORE_NS, from_ns):
-            waiting["link"].note(message)
-    for message in recording.select(is_curve, from_ns, to_ns):
+    for message in before:
+        waiting["link"].note(message)
+    for message in messages:
         stream = stream_of(message.channel)
         if stream is None:
             continue

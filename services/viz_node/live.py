@@ -1,17 +1,13 @@
-"""A running rig as the source of a page: an observer of its bus that takes what it shows, and validates nothing."""
+"""A running rig as the source of a page: an observer of its bus that takes what it shows."""
 
 import contextlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import msgpack
-
-from proto import WireError
 from proto.nodes import site_of
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Subscriber, split_frames
 from services.runtime.loop.participant import OBSERVER, open_participant
-from services.viz_node.feed import UNREADABLE, Seen
+from services.viz_node.feed import Seen, seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN, NoTransport
 
 # So many batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
@@ -31,7 +27,7 @@ class LiveSource(NoTransport):
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self._subscribers = participant.observe(lambda topic, node: topic in TOPICS_SHOWN)
+        self.subscribers = participant.observe(lambda topic, node: topic in TOPICS_SHOWN)
         self._watched = True
         self._watch(False)
 
@@ -39,12 +35,13 @@ class LiveSource(NoTransport):
         if watched != self._watched:
             self._watch(watched)
         self._network.process_events()
-        for node, subscriber in self._subscribers.items():
+        for node, subscriber in self.subscribers.items():
             for _ in range(_MOST_BATCHES):
-                for frames, _received_ns in subscriber.receive_raw():
-                    seen = self._seen(node, subscriber, frames)
-                    if seen is not None:
-                        yield seen
+                for received in subscriber.receive():
+                    # A message that comes from its publisher as well is taken there.
+                    src = received.message.src
+                    if site_of(src) == site_of(node) or src not in self.subscribers:
+                        yield seen(received.topic, src, received.message.t_ns, received.message)
                 if subscriber.drained:
                     break
 
@@ -56,23 +53,9 @@ class LiveSource(NoTransport):
 
     def _watch(self, watched: bool) -> None:
         self._watched = watched
-        for subscriber in self._subscribers.values():
+        for subscriber in self.subscribers.values():
             for topic in set(subscriber.topics) & set(LOOP_TOPICS):
                 if watched:
                     subscriber.socket.subscribe(topic.encode())
                 else:
                     subscriber.socket.unsubscribe(topic.encode())
-
-    def _seen(self, node: str, subscriber: Subscriber, frames: list[bytes]) -> Seen | None:
-        """Return a message; None for one that is none, or that comes from its publisher as well."""
-        try:
-            topic, payload = split_frames(frames)
-            fields = msgpack.unpackb(payload)
-            src, t_ns = fields["src"], fields["t_ns"]
-            if subscriber.permit is not None:
-                subscriber.permit(topic, src)
-            if site_of(src) != site_of(node) and src in self._subscribers:
-                return None
-            return Seen(topic, src, int(t_ns), fields)
-        except (WireError, *UNREADABLE, msgpack.exceptions.UnpackException):
-            return None

@@ -1,12 +1,14 @@
 """The page's server as a node: what it waits for is the web server, and its health is published as that of any node."""
 
 import contextlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
 
 from proto.errors import EndpointError
 from services.runtime.bus.bus import Received, ZmqBus
 from services.runtime.bus.publisher import NullPublisher, Publisher
+from services.runtime.bus.reader import Refusals
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.participant import Participant
 from services.viz_node.access import Access
@@ -20,9 +22,14 @@ from services.viz_node.serve import PageServer, Tls
 class PageBus(ZmqBus):
     """A bus that serves the page while it waits, so that a server which hangs sends no health."""
 
-    def __init__(self, participant: Participant, publisher: Publisher, server: PageServer) -> None:
+    def __init__(
+        self, participant: Participant, publisher: Publisher, server: PageServer, left_out: Iterable[Refusals]
+    ) -> None:
         super().__init__(publisher, (), participant.clock, participant.wake_descriptor, participant.network)
         self._server = server
+        # What the page does not take is in node/health by its reason, and in the log.
+        for counter in left_out:
+            self.count(counter)
 
     def wait(self, deadline_ns: int) -> None:
         """Serve until the monotonic clock has reached `deadline_ns` or a signal has come."""
@@ -41,7 +48,7 @@ class PageNode(Node):
         hub.on_tick = self._count
 
     def on_message(self, received: Received) -> None:
-        """Ignore a message: the hub has connections of its own, past the checks that a page does not need."""
+        """Ignore a message: the hub has connections of its own."""
 
     def on_deadline(self, now_ns: int) -> None:
         """Do nothing: the hub has its own times."""
@@ -60,9 +67,10 @@ def page_of_rig(
 ) -> tuple[PageNode, PageBus]:
     """Return the node that serves the page of a rig at a bound address, and its bus."""
     commander = participant.resources.enter_context(contextlib.closing(RigCommander(site_file)))
-    hub = Hub(LiveSource(participant.book, str(site_file)), commander, forms, lambda: RigHand(site_file))
+    source = LiveSource(participant.book, str(site_file))
+    hub = Hub(source, commander, forms, lambda: RigHand(site_file))
     server = PageServer(hub, access, bound, tls, participant.wake_descriptor)
-    bus = PageBus(participant, _publisher_of(participant), server)
+    bus = PageBus(participant, _publisher_of(participant), server, [*source.subscribers.values(), hub.left_out])
     return PageNode(participant.context(bus), hub, server), bus
 
 

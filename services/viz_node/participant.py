@@ -52,6 +52,8 @@ _PICTURE = {"tip": ("base", "deflection", "force", "force_x", "force_y", "x", "y
 _AFM, _AFM_KEYS = "afm/state/slave", ("in_contact", "meniscus")
 # Of a picture that is held back the oldest go: ten seconds at thirty a second.
 _MOST_HELD = 300
+# A picture that is later than it can be held would never be shown.
+_LONGEST_DELAY_S = 9.0
 _SAID = {True: "done", False: "not carried out: tell the experimenter"}
 
 Changes = Mapping[str, Any]
@@ -75,7 +77,7 @@ class ParticipantPicture:
         """
         state = changes.get("state", {})
         if TRIAL in state:
-            self.delay_s = float(state[TRIAL]["picture_delay_s"])
+            self.delay_s = min(float(state[TRIAL]["picture_delay_s"]), _LONGEST_DELAY_S)
         found: list[dict[str, Any]] = []
         now: dict[str, Any] = {key: changes[key] for key in ("origin_ns",) if key in changes}
         if CUE in state:

@@ -132,19 +132,22 @@ class RecordingPlayback:
     def _image_before(self, place_ns: int) -> list[RecordedMessage]:
         """Return the lines of the newest image that had begun before a place [ns], as many as it had by then.
 
-        They are looked for from the newest line back, in spans that grow, because an hour may have one image.
+        They are looked for a minute before the newest line, and then in all that was recorded before it.
         """
         newest = self._recording.newest_before(place_ns, _is_image)
         if not newest:
             return []
         last_ns = max(line.log_ns for line in newest.values())
-        span_ns = _LOOK_BACK_NS
-        while True:
-            lines = list(self._recording.select(_is_image, max(last_ns - span_ns, self._start_ns), last_ns + 1))
-            begins = [at for at, line in enumerate(lines) if _begins_image(line)]
-            if begins or span_ns > last_ns - self._start_ns:
-                return lines[begins[-1] if begins else 0 :]
-            span_ns *= 2
+        lines: list[RecordedMessage] = []
+        for first_ns in (max(last_ns - _LOOK_BACK_NS, self._start_ns), self._start_ns):
+            lines, has_begun = [], False
+            for line in self._recording.select(_is_image, first_ns, last_ns + 1):
+                if _begins_image(line):
+                    lines, has_begun = [], True
+                lines.append(line)
+            if has_begun:
+                break
+        return lines
 
 
 def _is_image(channel: RecordedChannel) -> bool:
@@ -162,7 +165,7 @@ def _is_shown(channel: RecordedChannel) -> bool:
 
 def _seen(message: RecordedMessage) -> Seen:
     try:
-        return Seen(message.topic, message.src, message.publish_ns, message.fields())
+        return Seen(message.topic, message.src, message.publish_ns, message.checked_fields())
     except RecordingError:
         # a feed counts a message without fields as one that cannot be read
         return Seen(message.topic, message.src, message.publish_ns, {})

@@ -51,17 +51,10 @@ def page_folder() -> Path | None:
     return folder if (folder / "index.html").is_file() else None
 
 
-def missing_packages(extra: str) -> str:
-    """Return in words what this installation lacks to serve anything, and the extra that has it."""
-    absent = [name for name in _PACKAGES if importlib.util.find_spec(name) is None]
-    verb = "are" if len(absent) > 1 else "is"
-    return f"{', '.join(absent)} {verb} not installed: {how_to_install(extra)}" if absent else ""
-
-
 def missing_for_view() -> str:
     """Return in words what this installation lacks to serve the page; empty when it lacks nothing."""
-    if reason := missing_packages("view"):
-        return reason
+    if absent := [name for name in _PACKAGES if importlib.util.find_spec(name) is None]:
+        return f"{', '.join(absent)} {'are' if len(absent) > 1 else 'is'} not installed: {how_to_install('view')}"
     if page_folder() is None:
         return "its page has not been built: `make page` in the repository builds it"
     return ""

@@ -9,13 +9,14 @@ from typing import Any
 
 import msgpack
 from starlette.applications import Starlette
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.runtime.loop.clock import SystemClock
-from services.viz_node.access import Access, Role
+from services.viz_node.access import Access, Role, is_loopback
 from services.viz_node.connections import SILENCE_S, Connections
 from services.viz_node.hub import Hub
 from services.viz_node.metrics import MEDIA_TYPE
@@ -241,13 +242,21 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
             # what ended them has been noted
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    async def health(request: Any) -> PlainTextResponse:
+    async def health(request: Request) -> PlainTextResponse:
         return PlainTextResponse("ok\n")
 
-    async def metrics(request: Any) -> PlainTextResponse:
+    async def metrics(request: Request) -> PlainTextResponse:
+        host = request.client.host if request.client else ""
+        # A monitoring system of this machine is asked for no token, and one of another machine sends it in a header.
+        if not is_loopback(host):
+            token = request.headers.get("authorization", "").removeprefix("Bearer ")
+            if access.role_of(token) not in (Role.OBSERVER, Role.OPERATOR):
+                await asyncio.sleep(_WRONG_TOKEN_S)
+                text = "from another machine /metrics needs the token of an observer: Authorization: Bearer TOKEN"
+                return PlainTextResponse(f"telenano: {text}\n", 401, {"www-authenticate": "Bearer"})
         return PlainTextResponse(hub.metrics(clock.now_ns()), media_type=MEDIA_TYPE)
 
-    async def missing(request: Any) -> PlainTextResponse:
+    async def missing(request: Request) -> PlainTextResponse:
         return PlainTextResponse("telenano: the page has not been built: make page\n", 503)
 
     routes: list[BaseRoute] = [

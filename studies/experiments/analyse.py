@@ -119,20 +119,12 @@ def analyse(
     require_packages()
     import pandas as pd
 
-    if choice.correction not in CORRECTIONS:
-        raise ConfigError(f"correction {choice.correction}: {known_names(choice.correction, CORRECTIONS)}")
+    check_choice(tables, choice)
     rows = [row for row in tables.trials if row["phase"] == "main" and row["status"] == "done" and not row["excluded"]]
     if not rows:
         raise ConfigError("no trial counts: none of the main phase was done by a participant who is not excluded")
     frame = pd.DataFrame(rows)
     known = measures_of(tables)
-    for name in choice.measures:
-        if name not in known:
-            raise ConfigError(f"measure {name}: {known_names(name, known)}")
-    columns = [name.removeprefix(CONDITION) for name in frame.columns if name.startswith(CONDITION)]
-    for name in (*choice.categories, *([choice.within] if choice.within else ())):
-        if name not in columns:
-            raise ConfigError(f"factor {name}: {known_names(name, columns)}")
     fitted = dict(adaptive or {})
     factors, measures, cells, tested = {}, {}, [], {}
     for task, of_task in frame.groupby("task", sort=True):
@@ -160,6 +152,19 @@ def analyse(
     return Analysis(
         _counts(tables, rows), factors, measures, cells, _terms_corrected(tested, choice.correction), thresholds, choice
     )
+
+
+def check_choice(tables: Tables, choice: Choice) -> None:
+    """Raise ConfigError where a measure, factor or correction that is chosen is not known."""
+    if choice.correction not in CORRECTIONS:
+        raise ConfigError(f"correction {choice.correction}: {known_names(choice.correction, CORRECTIONS)}")
+    known = measures_of(tables)
+    factors = [row.name.removeprefix(CONDITION) for row in tables.dictionary if row.name.startswith(CONDITION)]
+    within = (choice.within,) if choice.within else ()
+    for kind, names, there in (("measure", choice.measures, known), ("factor", (*choice.categories, *within), factors)):
+        for name in names:
+            if name not in there:
+                raise ConfigError(f"{kind} {name}: {known_names(name, there)}")
 
 
 def measures_of(tables: Tables) -> dict[str, str]:

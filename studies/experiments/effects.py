@@ -127,21 +127,57 @@ def effects(
     Args:
         frame: A pandas DataFrame with a row a trial: `participant`, the measure, the columns of the factors.
         measure: The column of the measure; booleans are 0 and 1.
-        factors: The factors, each with two levels or more.
+        factors: The factors; one at a single level of which the measure has values is left out, with a remark.
         test: The test to begin with.
         correction: The correction of the comparisons of levels, one of CORRECTIONS.
         confidence: The confidence of all intervals.
         within: The factor within whose levels those of the others are compared; empty compares over all of them.
+
+    Returns:
+        The effects; where nothing can be fitted, the remarks alone, which say why.
     """
     data = frame[["participant", measure, *(factor.column for factor in factors)]].dropna()
+    remarks: list[str] = []
+    try:
+        return _tested(
+            data, measure, _with_values(data, factors, remarks), test, correction, confidence, within, remarks
+        )
+    except (ArithmeticError, ValueError) as error:
+        # numpy, scipy and statsmodels raise these of data from which nothing follows
+        return Effects("none", (*remarks, f"the values cannot be fitted ({error}): nothing is tested"))
+
+
+def _with_values(data: Any, factors: Sequence[Factor], remarks: list[str]) -> list[Factor]:
+    """Return the factors as they are in the rows that have a value of the measure."""
+    found = []
+    for factor in factors:
+        there = set(data[factor.column].tolist())
+        levels = tuple(level for level in factor.levels if level in there)
+        if len(levels) == 1:
+            remarks.append(f"{factor.name} is not tested: there are values at {levels[0]} only")
+        elif levels:
+            is_within = bool((data.groupby("participant")[factor.column].nunique() > 1).any())
+            found.append(factor._replace(levels=levels, is_within=is_within))
+    return found
+
+
+def _tested(
+    data: Any,
+    measure: str,
+    factors: Sequence[Factor],
+    test: Test,
+    correction: str,
+    confidence: float,
+    within: str,
+    remarks: list[str],
+) -> Effects:
     people = data["participant"].nunique()
     if people < 2 or not factors:
-        why = "one participant: nothing is tested" if people < 2 else "no factor with two levels: nothing is tested"
-        return Effects("none", (why,))
+        why = "one participant" if people < 2 else "no factor with two levels"
+        return Effects("none", (*remarks, f"{why}: nothing is tested"))
     values = data[measure].to_numpy(float)
     if float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max(initial=0.0)):
-        return Effects("none", ("every trial has the same value: nothing is tested",))
-    remarks: list[str] = []
+        return Effects("none", (*remarks, "every trial has the same value: nothing is tested"))
     fitted = _mixed(data, values, factors, remarks) if test == "mixed" else None
     if fitted is not None:
         terms, slopes = _terms_of(fitted, confidence), _slopes_of(fitted, confidence)
@@ -224,7 +260,7 @@ def _fit_mixed(values: Matrix, design: Matrix, groups: Any, own: Sequence[_Colum
                 model = MixedLM(values, design, groups, exog_re=intercept, exog_vc=spec)
                 result = model.fit(reml=True, method=search)
                 errors = np.asarray(result.bse_fe, dtype=float)
-            except (np.linalg.LinAlgError, ValueError) as error:
+            except (ArithmeticError, ValueError) as error:
                 why = str(error)
                 continue
         if not result.converged:
@@ -356,6 +392,8 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
         means = data.assign(_y=data[measure].astype(float)).pivot_table(
             index="participant", columns=factor.column, values="_y", aggfunc="mean"
         )
+        # a level of this factor may have no value at the one level of `within`
+        means = means.reindex(columns=factor.levels)
         for against, level in itertools.combinations(factor.levels, 2):
             left, right = means[level].dropna().to_numpy(float), means[against].dropna().to_numpy(float)
             both = means[[level, against]].dropna()

@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.sample.map_libraries import blocks_of, refuse_large_archive, ways_of
+from services.afm_node.physics.sample.map_libraries import (
+    blocks_of,
+    refuse_large_archive,
+    require_force_curve,
+    ways_of,
+)
 
 # A curve has so many points at most; at a megahertz that is a quarter of a minute.
 _MOST_POINTS = 1 << 24
@@ -27,6 +32,7 @@ def load_hdf5(path: str) -> Found:
 
     with h5py.File(path, "r") as file:
         group = _part(file, "0", h5py.Group)
+        require_force_curve(group.attrs)
         if "spring constant" not in group.attrs:
             raise ValueError("its metadata lack the spring constant")
         facts = {"k": _number(group, "spring constant"), "speed": 1.0}
@@ -77,6 +83,7 @@ def load_afmformats(path: str, number: str = "0") -> Found:
 
 
 def _columns_of(found: Any) -> Found:
+    require_force_curve(found.metadata)
     if "spring constant" not in found.metadata:
         raise ValueError("its metadata lack the spring constant")
     facts = {"k": float(found.metadata["spring constant"]), "speed": float(found.metadata.get("speed approach", 1))}
@@ -103,6 +110,7 @@ def load_deflections(path: str) -> Found:
         # With constants of 1 the force of a file of JPK is the voltage itself.
         given = {"spring constant": 1.0, "sensitivity": 1.0} if is_raw else {}
         for curve in afmformats.load_data(block, meta_override=given):
+            require_force_curve(curve.metadata)
             if lacks := [key for key in ("spring constant", "sensitivity") if key not in curve.metadata]:
                 raise ValueError(f"its metadata lack {', '.join(lacks)}: the voltage that was read cannot be told")
             height, force = ways_of(curve)[0]

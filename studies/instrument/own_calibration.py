@@ -14,6 +14,7 @@ Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 """
 
 import math
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +37,12 @@ BY_ANGLE = 0.971 / 1.09**2
 # air at 20 degrees Celsius and 1013 hPa
 AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
 _LARGEST_BYTES = 256_000_000
+# Units of a density, as columns are named: of a power or of its root, in volts or in metres.
+DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
+_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15}
+_DENSITY = re.compile(
+    r"(?<![\w/])([munpfµμ]?)([Vm])(\^2|²|\*\*2|2)?\s?/\s?(√|sqrt|rt)?\s?\(?Hz\)?(\^\(?(?:0?\.5|1/2)\)?)?(?!\w)"
+)
 _DEFLECTIONS = "studies.instrument.curve_files:load_deflections"
 # what is read as curves, and not as text
 CURVES = (".jpk-force", *CURVE_MAPS, ".ibw", ".h5", ".tab")
@@ -54,6 +61,8 @@ _REYNOLDS = (1e-6, 1e4)
 _STIFFNESS = (1e-5, 1e7)  # [N/m]
 # Two values agree where they are no more standard errors apart: 95 in 100 of those that are the same.
 _WITHIN = 1.96
+# Sizes that a maker states make a stiffness wrong by less than this factor, so that more is another unit.
+_FARTHEST = 4.0
 
 
 class Stiffness(NamedTuple):
@@ -142,6 +151,31 @@ def columns_of(path: Path, count: int) -> Array:
     return np.array(rows).T
 
 
+def spectrum_of(path: Path, unit: str = "") -> tuple[Array, Array, bool]:
+    """Return the lines of a thermal spectrum [Hz], its density per Hz, and whether that is of metres and not of volts.
+
+    Args:
+        path: A text file of two columns, whose head may name the unit of the density, such as V/sqrt(Hz).
+        unit: The unit of the density, of any power of ten; empty takes that of the head.
+
+    Raises:
+        ConfigError: The file cannot be read, or its unit is not known; the message says how to give it.
+    """
+    frequency_hz, density = columns_of(path, 2)
+    text = read_regular(path, _LARGEST_BYTES).decode("utf-8", errors="replace")
+    head = "\n".join(line for line in text.splitlines()[:200] if not line[:1].isdigit())
+    found = [match for match in _DENSITY.finditer(unit or head) if bool(match[3]) is not bool(match[4] or match[5])]
+    if len({match[0] for match in found}) != 1:
+        known = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
+        if unit:
+            raise ConfigError(f"--unit {unit}: must be {known}")
+        several = f"names several units ({', '.join(match[0] for match in found)})" if found else "names no unit"
+        raise ConfigError(f"{path}: its head {several} for the density: give --unit, {known}")
+    prefix, base, is_power, *_ = found[0].groups()
+    root = density * _PREFIXES[prefix] ** 2 if is_power else (density * _PREFIXES[prefix]) ** 2
+    return frequency_hz, root, base == "m"
+
+
 def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: Thermal) -> Stiffness:
     """Return the stiffness by a thermal spectrum: lines [Hz] and one-sided density [V^2/Hz], shape (n,) each.
 
@@ -182,8 +216,8 @@ def _stiffness(known: Thermal, fit: Any) -> Stiffness:
     k = known.factor * BOLTZMANN_J_PER_K * known.temperature_k / found.mean_square_m2
     if not _STIFFNESS[0] <= k <= _STIFFNESS[1]:
         raise ConfigError(
-            f"a stiffness of {k:.3g} N/m is that of no cantilever: a spectrum is needed in V^2/Hz and a record in V, "
-            "beside the way for a volt in nm/V; a file in m^2/Hz or V/sqrt(Hz) is converted first"
+            f"a stiffness of {k:.3g} N/m is that of no cantilever: look at the unit of the density (--unit), or of a "
+            "record, which is V, and at the way for a volt in nm/V"
         )
     deviation = k * math.hypot(found.share, known.sensitivity_share)
     thermal = Stiffness(k, deviation, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor)
@@ -219,6 +253,8 @@ def _agreement(ratio: float, share: float, known: Thermal) -> str:
     said = f"Sader's method gives {ratio:.3g} ± {ratio * share:.2g} times the thermal stiffness: "
     if apart <= _WITHIN:
         said += "they agree within their errors"
+    elif max(ratio, 1.0 / ratio) > _FARTHEST:
+        said += "a lever of this size cannot have it: the unit of the density, the sensitivity or the size is wrong"
     else:
         said += f"they differ by {apart:.1f} standard errors, so look at sensitivity, factor, width and length"
     unknown = [
@@ -264,18 +300,11 @@ def hydrodynamic(reynolds: float) -> complex:
     return complex(circular * complex(ratio(_REAL), ratio(_IMAGINARY)))
 
 
-def sader_n_per_m(
-    width_m: float,
-    length_m: float,
-    resonance_hz: float,
-    quality: float,
-    density_kg_per_m3: float = AIR_DENSITY_KG_PER_M3,
-    viscosity_pa_s: float = AIR_VISCOSITY_PA_S,
-) -> float:
+def sader_n_per_m(width_m: float, length_m: float, resonance_hz: float, quality: float) -> float:
     """Return the stiffness [N/m] of a rectangular lever by its size [m], its resonance [Hz] and its Q in a fluid."""
     omega = 2.0 * math.pi * resonance_hz
-    reynolds = density_kg_per_m3 * omega * width_m**2 / (4.0 * viscosity_pa_s)
-    return 0.1906 * density_kg_per_m3 * width_m**2 * length_m * quality * hydrodynamic(reynolds).imag * omega**2
+    reynolds = AIR_DENSITY_KG_PER_M3 * omega * width_m**2 / (4.0 * AIR_VISCOSITY_PA_S)
+    return 0.1906 * AIR_DENSITY_KG_PER_M3 * width_m**2 * length_m * quality * hydrodynamic(reynolds).imag * omega**2
 
 
 def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: float = 0.95) -> Sensitivity:

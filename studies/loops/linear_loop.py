@@ -45,6 +45,8 @@ from studies.loops.theory import (
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
 # Newton's method begins on a grid of the region, and ends after so many steps at the latest.
 _STARTS, _STEPS = (16, 96), 40
+# The greatest growth rate [1/s] and the highest frequency [Hz] of the roots that are looked for.
+_MOST_PER_S, _HIGHEST_HZ = 40.0, 16.0
 
 
 @dataclass(frozen=True)
@@ -159,20 +161,18 @@ class LinearLoop:
         first, last = np.eye(count, 1), np.eye(1, count, count - 1)
         return control.ss(np.eye(count, k=-1), first, last, 0.0, self.period_s) * loop
 
-    def roots(self, least_per_s: float = -100.0, most_per_s: float = 40.0, highest_hz: float = 16.0) -> Complex:
+    def roots(self, least_per_s: float = -100.0) -> Complex:
         """Return the roots of 1 + L(s) = 0 in a region, the least damped first; those below 0 Hz are their mirror.
 
         Args:
             least_per_s: The least growth rate [1/s].
-            most_per_s: The greatest growth rate [1/s].
-            highest_hz: The highest frequency [Hz].
 
         Returns:
             The roots [1/s], of frequencies >= 0.
         """
-        top = 2.0 * math.pi * highest_hz
+        top = 2.0 * math.pi * _HIGHEST_HZ
         real, imaginary = np.meshgrid(
-            np.linspace(least_per_s, most_per_s, _STARTS[0]), np.linspace(0.0, top, _STARTS[1])
+            np.linspace(least_per_s, _MOST_PER_S, _STARTS[0]), np.linspace(0.0, top, _STARTS[1])
         )
         s = (real + 1j * imaginary).ravel() + 1e-3
         with np.errstate(all="ignore"):
@@ -182,7 +182,7 @@ class LinearLoop:
                 slope = (1.0 / self.at(s + step) - 1.0 / self.at(s - step)) / (2.0 * step)
                 s -= value / slope
             there = np.abs(1.0 + self.at(s)) < 1e-8
-        s = s[there & (s.real >= least_per_s) & (s.real <= most_per_s) & (s.imag >= -1e-9) & (s.imag <= top)]
+        s = s[there & (s.real >= least_per_s) & (s.real <= _MOST_PER_S) & (s.imag >= -1e-9) & (s.imag <= top)]
         found: list[complex] = []
         for one in sorted(s.tolist(), key=lambda each: -each.real):
             if all(abs(one - other) > 1e-4 for other in found):

@@ -33,8 +33,7 @@ from services.controller.law import NO_SIGNAL, TipMeasurement
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.step import HapticParams
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
-from services.numerics.compiled import borrowed, compiled, compiled_form, inlined
-from services.numerics.compiled_beside import soonest
+from services.numerics.compiled import borrowed, compiled, compiled_call, inlined
 from studies.loops.across import (
     PARTICLE_X,
     PARTICLE_Y,
@@ -160,8 +159,6 @@ def simulate(
     session_tick: int,
     hand: Hand | None = None,
     path: AcrossPath | None = None,
-    *,
-    single: bool = False,
 ) -> Trajectory:
     """Run the rig over a link.
 
@@ -172,23 +169,17 @@ def simulate(
             reference before it.
         hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
         path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
-        single: Whether few others of its kind follow: it does not wait for the compiler (`soonest`), and the bits are
-            the same.
 
     Raises:
         ValueError: No tick is left for the session.
+        ConfigError: A model cannot be compiled; no tick has run.
     """
     if not 0 <= session_tick < schedule.ticks:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((len(COLUMNS), schedule.ticks))
     start = rig.haptic_start, rig.instrument_start
-    constants = rig.halves, rig.haptic, rig.instrument, *start
-    given = (*constants, schedule, session_tick, rows, hand, path)
-    if single:
-        few = (*constants, schedule._replace(ticks=1), 0, rows[:, :1].copy(), hand, path)
-        done = soonest(_run, given, few, schedule.ticks)
-    else:
-        done = compiled_form(_run)(*given)
+    given = (rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, path)
+    done = compiled_call(_run, given)
     columns: dict[str, Any] = dict(zip(COLUMNS, rows[:, session_tick:done], strict=True))
     for name in ("in_contact", "hand_following"):
         columns[name] = columns[name].astype(bool)

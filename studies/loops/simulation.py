@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from analysis.holds import Guard, Hold, Instrument, Limits, Programme, guard_of, judge_holds, verdict_of
+from analysis.interruptions import Interruption, Told, in_words, interruptions_of
 from presets import find_scenario
 from proto.errors import ConfigError
 from recording.column_table import ColumnTable
@@ -23,12 +24,12 @@ from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
 from services.controller.config import ControllerConfig
-from services.delay_node.config import LinkSettings
+from services.delay_node.config import CONSTANT_DELAY, LinkSettings, network_name
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops import across
-from studies.loops.link import schedule_of
+from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Trajectory, build_rig, simulate
 from studies.loops.push_hand import Hand as PushHand
 
@@ -104,7 +105,7 @@ class Conditions:
 
     def title(self) -> str:
         """Return the words of a title."""
-        link = "" if self.link_profile == "clean" else f", link {self.link_profile}"
+        link = "" if self.link_profile in ("clean", CONSTANT_DELAY) else f", link {self.link_profile}"
         return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link} (simulated in lockstep)"
 
 
@@ -180,7 +181,8 @@ class SimulatedSession(ColumnTable):
     @cached_property
     def _verdict(self) -> tuple[str, str]:
         guard = guard_of(self["time_s"], self._tip, self._programme)
-        return verdict_of(self.holds, guard, float(np.abs(self["operator_force_n"]).max(initial=0.0)))
+        greatest_n = float(np.abs(self["operator_force_n"]).max(initial=0.0))
+        return verdict_of(self.holds, guard, greatest_n, in_words(self._programme.interruptions))
 
     @property
     def verdict(self) -> str:
@@ -207,7 +209,17 @@ class SimulatedSession(ColumnTable):
         if self._safety is not None:
             silence_s = self._safety.command_deadline_s + self._safety.hold_time_s
             limits = Limits(self._safety.force_limit_n, silence_s)
-        return Programme(guards=guards, limits=limits)
+        return Programme(guards=guards, limits=limits, interruptions=self._interruptions())
+
+    def _interruptions(self) -> list[Interruption]:
+        """Return when the link left a device without commands."""
+        course, time_s = self._course, self["time_s"]
+        held = course.instrument_mode == MODE_HOLD
+        begins = np.flatnonzero(np.diff(held, prepend=False) & held)
+        told = [Told(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
+        found = interruptions_of("tip_held", time_s, held, told)
+        found += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
+        return sorted(found, key=lambda one: one.start_s)
 
 
 def simulate_scenario(
@@ -250,19 +262,16 @@ def simulate_scenario(
     if operator is not None:
         # in the place of that of the scenario, and not key by key: it may be of another kind
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
-    return simulate_document(document, str(path), single=True)
+    return simulate_document(document, str(path))
 
 
-def simulate_document(
-    document: Mapping[str, Any], origin: str, steers: Steers | None = None, *, single: bool = False
-) -> SimulatedSession:
+def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers | None = None) -> SimulatedSession:
     """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
 
     Args:
         document: The scenario.
         origin: What an error names.
         steers: Makes a hand that steers the tip across the sample to a particle, in mode rate.
-        single: Whether few others of its kind follow, as in `lockstep.simulate`.
     """
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
     controller = loaded.section("controller", ControllerConfig)
@@ -294,19 +303,26 @@ def simulate_document(
         text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
         raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
     hand = None if steers is None else steers(schedule.window, period_s)
-    course = simulate(rig, schedule, settle, hand, path, single=single)
+    course = simulate(rig, schedule, settle, hand, path)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,
         law=controller.law,
         parameters=section.model_dump(mode="json"),
         environment=afm.environment,
-        round_trip_ms=round(1e3 * trip_s, 6),
-        link_profile=link.profile,
+        round_trip_ms=_median_round_trip_ms(schedule, period_s, trip_s),
+        link_profile=network_name(link),
         link_seed=link.seed,
     )
     safety = rig.instrument.safety
     return SimulatedSession(conditions, course, section.force_scale, safety, steered=hand is not None)
+
+
+def _median_round_trip_ms(schedule: Schedule, period_s: float, least_s: float) -> float:
+    """Return the median age of the hand's sample that an answer descends from [ms]; the least one where none comes."""
+    sent_ns = schedule.forward_of[schedule.backward_of] * round(period_s * 1e9)
+    ages_ns = schedule.backward_ns - sent_ns
+    return round(1e-6 * float(np.median(ages_ns)) if ages_ns.size else 1e3 * least_s, 3)
 
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:

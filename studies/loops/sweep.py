@@ -16,12 +16,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
+from services.signals import children
 from services.signals.interrupts import kept_from_children
 from studies.loops.cells import Cell, CellResult, run_cell
 
 JOURNAL_NAME = "journal.jsonl"
 # cells handed over together: one takes about 20 ms, a message to a process or a machine a good part of that
 _BATCH = 8
+# a cluster without a worker for so long [s] is said to have none
+_WORKER_S = 5.0
 
 Progress = Callable[[int, int], None]
 
@@ -142,7 +145,7 @@ class Sweep:
             kind.check(cell)
         batches = [cells[i : i + kind.batch] for i in range(0, len(cells), kind.batch)]
         if self.scheduler is not None:
-            yield from _on_cluster(self.scheduler, batches, kind)
+            yield from _on_cluster(self.scheduler, batches, kind, self.warn)
         elif self.workers == 1 or len(batches) < 2:
             yield from (run_batch(batch, kind.run) for batch in batches)
         else:
@@ -155,7 +158,7 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
     others = set(active_children())
     pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
-        with kept_from_children():
+        with kept_from_children(), children.safe_path():
             futures = [pool.submit(run_batch, batch, kind.run) for batch in batches]
         for future in as_completed(futures):
             yield future.result()
@@ -169,8 +172,11 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
         pool.shutdown()
 
 
-def _on_cluster(address: str, batches: list[list[Any]], kind: Kind) -> Iterator[list[Any]]:
-    """Run on a cluster whose workers have this project installed; ConfigError when it does not answer."""
+def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callable[[str], None]) -> Iterator[list[Any]]:
+    """Run on a cluster whose workers have this project installed; ConfigError when it does not answer.
+
+    `warn` gets a sentence where the cluster has no worker yet: the work waits for the first one.
+    """
     # dask has types for a part of itself only
     cluster: Any = import_module("dask.distributed")
     try:
@@ -178,6 +184,12 @@ def _on_cluster(address: str, batches: list[list[Any]], kind: Kind) -> Iterator[
     except (OSError, ValueError) as error:
         raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there: {error}") from error
     with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKER_S)
+        except TimeoutError:
+            warn(
+                f"--scheduler {address}: it has no worker; the study begins when one is started: dask worker {address}"
+            )
         futures: list[Any] = client.map(run_batch, batches, run=kind.run, pure=False)
         for _, results in cluster.as_completed(futures, with_results=True):
             yield results

@@ -4,12 +4,15 @@ import contextlib
 import gc
 import importlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from presets import plugins
+from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import probably_meant
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
@@ -125,9 +128,37 @@ GROUPS = {
 }
 
 
+@cache
+def package_commands() -> dict[tuple[str, ...], LazyCommand]:
+    """Return the commands of installed packages by their words, without importing the modules that define them.
+
+    The entry of a package is a dictionary such as `{"bridge lsl": ("telenano_lsl.command:lsl", "One sentence.")}`.
+    """
+    found: dict[tuple[str, ...], LazyCommand] = {}
+
+    def checked(_: str, rows: Any) -> Any:
+        new = {}
+        for words, (target, about) in rows.items():
+            path, (module, _, attribute) = tuple(words.split()), target.partition(":")
+            if not path or not attribute:
+                raise ValueError(f"{words!r}: {target!r} is not words and module:function")
+            if path in found or (path[0] in LAZY_COMMANDS and len(path) == 1):
+                raise ValueError(f"there is a command {words!r} already")
+            new[path] = LazyCommand(module, attribute, about)
+        found.update(new)
+        return rows
+
+    plugins.load("commands", checked)
+    return found
+
+
 def load(name: str) -> Any:
-    """Import a command of the table."""
-    row = LAZY_COMMANDS[name]
+    """Import a command of the table, or one of a package."""
+    return load_row(name, LAZY_COMMANDS.get(name) or package_commands()[(name,)], (name,))
+
+
+def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
+    """Import the command of a row; a group takes in those that packages have for it."""
     # What an import makes stays: looking through it for garbage, again and again, takes a sixth of its time.
     collects = gc.isenabled()
     gc.disable()
@@ -137,9 +168,9 @@ def load(name: str) -> Any:
         if collects:
             gc.enable()
     if isinstance(found, typer.Typer):
-        command = typer.main.get_command(found)
+        command: Any = typer.main.get_command(found)
         command.help = command.help or row.about
-        return _plain(command)
+        return _plain(command, path)
     alone = typer.Typer(
         add_completion=False,
         pretty_exceptions_enable=False,
@@ -147,10 +178,10 @@ def load(name: str) -> Any:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     alone.command(name)(found)
-    return _plain(typer.main.get_command(alone))
+    return _plain(typer.main.get_command(alone), path)
 
 
-def _plain(command: Any) -> Any:
+def _plain(command: Any, path: tuple[str, ...]) -> Any:
     """Name arguments and bounded numbers by their metavars alone, and list commands with their whole sentences."""
     for parameter in command.params:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
@@ -158,10 +189,12 @@ def _plain(command: Any) -> Any:
     if any(parameter.name == "site_file" for parameter in command.params):
         # What names the address book of a rig names the rig.
         command.params.append(_rig_option())
-    for child in getattr(command, "commands", {}).values():
+    if isinstance(command, OpenGroup):
+        command.path = path
+    for name, child in getattr(command, "commands", {}).items():
         # The help is the whole sentence, which would be cut off after 45 letters.
         child.short_help = child.short_help or " ".join((child.help or "").partition("\n\n")[0].split())
-        _plain(child)
+        _plain(child, (*path, name))
     return command
 
 
@@ -183,8 +216,46 @@ def _rig_option() -> Any:
     return next(parameter for parameter in typer.main.get_command(alone).params if parameter.name == "rig")
 
 
-class LazyRoot(TyperGroup):
+class OpenGroup(TyperGroup):
+    """A group whose commands, beside those of its module, are imported when they run; packages add to it."""
+
+    path: tuple[str, ...] = ()
+    own_rows: Mapping[str, LazyCommand] = {}
+
+    def rows(self) -> Mapping[str, LazyCommand]:
+        """Return the commands that are imported when they run, with those of packages."""
+        added = {path[-1]: row for path, row in package_commands().items() if path[:-1] == self.path}
+        return {**added, **self.own_rows}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(dict.fromkeys([*super().list_commands(ctx), *self.own_rows, *self.rows()]))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return what the list of commands needs of one; None if it is unknown."""
+        row = None if cmd_name in self.commands else self.rows().get(cmd_name)
+        if row is None:
+            return super().get_command(ctx, cmd_name)
+        return TyperCommand(name=cmd_name, help=row.about, short_help=row.about)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command to run, imported now; an unknown name is a usage error, which names a known package."""
+        name = args[0] if args else ""
+        if not name or name.startswith("-") or name in self.commands:
+            return super().resolve_command(ctx, args)
+        path = (*self.path, name)
+        if row := self.own_rows.get(name) or self.rows().get(name):
+            return name, load_row(name, row, path), args[1:]
+        if package := KNOWN_PACKAGES.get(" ".join(path)):
+            from proto.extras import how_to_add_package
+
+            ctx.fail(f"the command {name!r} is in the package {package}: {how_to_add_package(package)}")
+        return ctx.fail(f"no such command {name!r}{probably_meant(name, self.list_commands(ctx))}")
+
+
+class LazyRoot(OpenGroup):
     """The group of all commands, which lists them without importing them, and reports what none of them did."""
+
+    own_rows = LAZY_COMMANDS
 
     def main(
         self,
@@ -216,27 +287,14 @@ class LazyRoot(TyperGroup):
         with _unknown_to_typer():
             return super().invoke(ctx)
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        return list(LAZY_COMMANDS)
-
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands under the headings of GROUPS, each with its whole line."""
-        for heading, names in GROUPS.items():
-            with formatter.section(heading):
-                formatter.write_dl([(name, LAZY_COMMANDS[name].about) for name in names])
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return what the list of commands needs of one; None if it is unknown."""
-        row = LAZY_COMMANDS.get(cmd_name)
-        return None if row is None else TyperCommand(name=cmd_name, help=row.about)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command to run, imported now; an unknown name is a usage error."""
-        if args and args[0] in LAZY_COMMANDS:
-            return args[0], load(args[0]), args[1:]
-        if args and not args[0].startswith("-"):
-            ctx.fail(f"no such command {args[0]!r}{probably_meant(args[0], LAZY_COMMANDS)}")
-        return super().resolve_command(ctx, args)
+        rows = self.rows()
+        others = tuple(name for name in rows if name not in LAZY_COMMANDS)
+        for heading, names in {**GROUPS, "Packages": others}.items():
+            if names:
+                with formatter.section(heading):
+                    formatter.write_dl([(name, rows[name].about) for name in names])
 
 
 @contextlib.contextmanager

@@ -86,6 +86,10 @@ class LiveView(AbstractContextManager["LiveView"]):
             self._update(self._last)
 
     def show(self, text: str) -> None:
+        """Show a line below the table, or print it once the table is gone, as while the report is made."""
+        if not self._live.is_started:
+            LineView(self._live.console).show(text)
+            return
         self._update(Group(*([self._last] if self._last else []), Text(text)))
 
     def _update(self, picture: Group) -> None:

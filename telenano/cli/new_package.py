@@ -1,6 +1,7 @@
 """A package that extends telenano, written from the templates: `telenano new`."""
 
 from collections.abc import Collection
+from importlib.metadata import version
 from importlib.resources import files
 from keyword import iskeyword
 from pathlib import Path
@@ -18,10 +19,14 @@ _TRY_IT = {
     "task": "telenano experiment new\n# and in its YAML, under tasks: {name: $name}",
     "device": "telenano up --scenario fig12 --set haptic_node.driver=$name",
     "instrument": "telenano up --scenario fig12 --set afm_node.driver=$name",
+    "command": "telenano up --scenario fig12 --headless &\ntelenano $dashed --duration 2",
+    "check": "telenano doctor",
 }
 # An instrument is a device of the AFM's node.
 _GROUPS = {"instrument": "devices"}
 KINDS = tuple(_TRY_IT)
+# A command is listed by a module of its own, which imports nothing.
+_MORE_FILES = {"command": {"command_body.py.txt": "command.py"}}
 
 
 def _taken(kind: str) -> Collection[str]:
@@ -34,6 +39,12 @@ def _taken(kind: str) -> Collection[str]:
         from studies.experiments.tasks import OWN_TASKS
 
         return [task.name for task in OWN_TASKS]
+    if kind == "command":
+        from telenano.cli.lazy_commands import LAZY_COMMANDS
+
+        return LAZY_COMMANDS
+    if kind == "check":
+        return ()
     from services.afm_node.config import TAKEN as TAKEN_AFM
 
     if kind == "sample":
@@ -64,6 +75,7 @@ def new_package(kind: str, name: str, folder: Path) -> list[Path]:
         "name": name,
         "dashed": name.replace("_", "-"),
         "constant": name.upper(),
+        "release": ".".join(version("telenano").split(".")[:2]),
     }
     words["try_it"] = Template(_TRY_IT[kind]).substitute(words)
     targets = {
@@ -72,6 +84,8 @@ def new_package(kind: str, name: str, folder: Path) -> list[Path]:
         f"{kind}.py.txt": Path(f"telenano_{name}") / "__init__.py",
         f"test_{kind}.py.txt": Path("tests") / f"test_{name}.py",
     }
+    for template, file in _MORE_FILES.get(kind, {}).items():
+        targets[template] = Path(f"telenano_{name}") / file
     templates = files("telenano") / "templates"
     with whole_folder(folder) as made:
         for template, path in targets.items():

@@ -8,6 +8,7 @@ import typer
 
 from presets import site_file_named
 from telenano.cli.completion import node_names, scenario_keys, topic_names
+from telenano.cli.lazy_commands import OpenGroup
 
 # ros2 and docker have the same names.
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
@@ -114,6 +115,7 @@ ListenOption = Annotated[float, typer.Option("--duration", min=0.0, metavar="S",
 def command_group() -> typer.Typer:
     """Return an empty group of commands; its help text is in the table of `lazy_commands`."""
     return typer.Typer(
+        cls=OpenGroup,
         no_args_is_help=True,
         context_settings=HELP_NAMES,
         add_completion=False,

@@ -164,6 +164,8 @@ def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, a
             typer.echo(line)
     if text := clock_warning(summary):
         typer.echo(f"telenano: warning: {text}", err=True)
+    for text in summary["recording"].get("odd", ()):
+        typer.echo(f"telenano: warning: {text}", err=True)
     if missing := summary["recording"]["missing"]:
         fail_incomplete(missing)
 

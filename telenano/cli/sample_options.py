@@ -1,6 +1,7 @@
 """Options of the commands that put a sample under the tip."""
 
 import contextlib
+import os
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +12,7 @@ import typer
 from proto.errors import ConfigError, TelenanoError
 from proto.extras import how_to_install
 from recording.whole_files import whole_results
-from services.runtime.settings.config import flag_overrides, validate
+from services.runtime.settings.config import ALLOW_CODE_VARIABLE, flag_overrides, validate
 
 if TYPE_CHECKING:
     from services.afm_node.physics.sample.made_samples import SampleConfig
@@ -48,6 +49,9 @@ def sample_config(
     """Return the sample that the options describe; ConfigError names the option or key."""
     from services.afm_node.physics.sample.made_samples import SampleConfig
 
+    if ":" in name:
+        # a person has named this function here, and no file of somebody else
+        os.environ[ALLOW_CODE_VARIABLE] = "1"
     given: dict[str, Any] = {"name": name, **flag_overrides(settings or ())}
     if size_nm is not None:
         given["size_m"] = size_nm * 1e-9

@@ -7,7 +7,6 @@ import os
 import re
 import socket
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from proto.errors import ConfigError
 from proto.extras import extra_in
 from services.launcher.processors import FOR_A_RIG, fits_text
+from services.signals import children
 
 if TYPE_CHECKING:
     from services.runtime.security.keyring import Keyring
@@ -220,10 +220,10 @@ def attempt_memory_lock() -> str:
 
 
 def _attempt(code: str) -> str:
-    done = subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
+    done = children.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
     if done.returncode == 0:
         return ""
-    lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+    lines: list[str] = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
     return lines[-1].rpartition("] ")[2]
 
 

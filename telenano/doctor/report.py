@@ -8,6 +8,7 @@ import os
 import resource
 import shutil
 import sys
+import time
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
@@ -18,8 +19,9 @@ from rich.table import Table
 from rich.text import Text
 
 from presets import DEFAULT_SITE_FILE
-from presets.plugins import all_installed, known_problems, scenario_files
+from presets.plugins import all_installed, known_problems, load, scenario_files
 from proto.errors import ConfigError, EndpointError
+from proto.extras import extra_of, how_to_install
 from services.launcher.processors import held, shared_folder
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_json, report_errors
@@ -33,6 +35,7 @@ from telenano.shared_names import explanation, shared_with
 if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
 
+_ROOT = Path(__file__).resolve().parents[2]
 _SYSTEM = Path("/sys/devices/system")
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 _TIMER_SAMPLES = 200
@@ -44,19 +47,45 @@ def doctor(
     stage: Annotated[
         Path | None, typer.Option("--stage", metavar="FILE", help="stage.yaml of an instrument that is to be reached.")
     ] = None,
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Check nothing, and compile the models of every law in Fig. 12 beforehand.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check whether this machine can run a rig, and advise what to change; exit code 1 if there is a problem."""
     with report_errors(as_json):
+        if warm:
+            compile_models(as_json=as_json)
+            return
         findings = examine(site_file)
         if stage is not None:
             findings.append(check_instrument(stage))
         print_findings(findings, as_json=as_json)
 
 
+def compile_models(*, as_json: bool) -> None:
+    """Simulate two ticks of each law, so that what later sessions run lies compiled in the user's cache."""
+    from services.controller.config import KNOWN_LAWS
+    from studies.loops.simulation import simulate_scenario
+
+    if importlib.util.find_spec("numba") is None:
+        raise ConfigError(f"numba is not installed, and nothing can be compiled: {how_to_install(extra_of('numba'))}")
+    taken_s = {}
+    for law in KNOWN_LAWS:
+        begun_s = time.monotonic()
+        simulate_scenario("fig12", law=law, duration_s=0.002)
+        taken_s[law] = round(time.monotonic() - begun_s, 2)
+        if not as_json:
+            typer.echo(f"{law}: compiled, or found compiled, in {taken_s[law]:.1f} s")
+    if as_json:
+        print_json({"warmed_s": taken_s})
+
+
 def examine(site_file: Path) -> list[Finding]:
     """Run every check that this machine allows."""
-    findings = [checks.check_python(sys.version_info[:3]), *packages(), *extensions()]
+    findings = [checks.check_python(sys.version_info[:3]), *packages(), *stale(Path(sys.prefix), _ROOT)]
+    # those of packages come first, so that what cannot be loaded of them is known to the next one
+    findings += [*checks_of_packages(), *extensions()]
     findings += machine(container=checks.in_container())
     try:
         return [*findings, *rig(site_file)]
@@ -129,6 +158,20 @@ def packages() -> list[Finding]:
         return [Finding("packages", "problem", "telenano is run without being installed", advice)]
 
 
+def stale(environment: Path, checkout: Path) -> list[Finding]:
+    """Say which settings of a checkout are newer than the environment that `make setup` made of them."""
+    made = environment / ".complete"
+    settings = [
+        checkout / "pyproject.toml",
+        checkout / "requirements.lock",
+        *checkout.glob("packages/*/pyproject.toml"),
+    ]
+    if not made.is_file():
+        return []
+    newer = [str(file.relative_to(checkout)) for file in settings if file.stat().st_mtime > made.stat().st_mtime]
+    return [Finding("environment", "warning", f"stale: older than {', '.join(newer)}", "make setup")] if newer else []
+
+
 def extensions() -> list[Finding]:
     """Load what installed packages add, where there are any, and report what cannot be used."""
     rows = all_installed()
@@ -146,6 +189,17 @@ def extensions() -> list[Finding]:
         return [Finding(name, "ok", f"{len(rows)} of installed packages can be used")]
     advice = "nothing that does not name them is affected; update or uninstall their packages"
     return [Finding(name, "warning", "; ".join(texts), advice)]
+
+
+def checks_of_packages() -> list[Finding]:
+    """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
+    found: list[Finding] = []
+    for name, check in load("checks", lambda name, check: check if callable(check) else None).found.items():
+        try:
+            found += [Finding(*finding) for finding in check()]
+        except Exception as error:  # noqa: BLE001 - the code of a package may raise anything
+            found.append(Finding(name, "warning", f"its check failed: {type(error).__name__}: {error}"))
+    return found
 
 
 def _installed(name: str) -> str | None:

@@ -1,13 +1,10 @@
 """What outsiders run on their own copy: each command of the workflow is one that stands in the Makefile."""
 
 import re
-import shutil
-import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 
 ROOT = Path(__file__).parents[2]
@@ -27,36 +24,10 @@ def test_every_command_of_the_workflow_is_one_of_the_makefile() -> None:
             assert command.replace(".venv/bin/", "$(BIN)/") in MAKEFILE, command
 
 
-@pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
-def test_make_alone_lists_every_target_with_a_sentence() -> None:
-    said = subprocess.run(["make", "-C", str(ROOT)], capture_output=True, text=True, check=True).stdout
-    listed = dict(re.findall(r"^make ([a-z-]+) +(.+)$", said, re.MULTILINE))
-    (declared,) = re.findall(r"^\.PHONY: ((?:.*\\\n)*.*)$", MAKEFILE, re.MULTILINE)
-    assert set(listed) == set(declared.replace("\\", "").split())
-    assert set(listed) == set(re.findall(r"^([a-z-]+):(?!=)", MAKEFILE, re.MULTILINE))
-    assert [target for target, sentence in listed.items() if not re.fullmatch(r"[A-Z].* .*\.", sentence)] == []
-
-
 def test_the_workflow_tries_every_python_that_the_project_names() -> None:
     classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
     named = {match[1] for line in classifiers if (match := re.search(r"Python :: (3\.\d+)$", line))}
     assert set(WORKFLOW["jobs"]["unit"]["strategy"]["matrix"]["python"]) == named
-
-
-def test_nothing_states_a_licence_of_the_project_which_is_not_decided() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert not {"license", "license-files"} & project.keys()
-    assert not [line for line in project["classifiers"] if line.startswith("License")]
-    assert not [*ROOT.glob("LICEN*"), *ROOT.glob("COPYING*")]
-    assert "license" not in (ROOT / "CITATION.cff").read_text(encoding="utf-8").lower()
-    said = (ROOT / "docs" / "release.md").read_text(encoding="utf-8")
-    assert re.search(r"licence of telenano itself is not\s+decided yet", said)
-
-
-def test_a_weakness_can_be_reported_and_has_times() -> None:
-    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
-    assert "in private" in text
-    assert re.findall(r"\b(\d+) days", text) == ["7", "30", "90"]
 
 
 # a module of a package that its makers call internal: the package, and how it is written
@@ -88,7 +59,7 @@ def sources() -> str:
     """Return all code of the project."""
     return "\n".join(
         path.read_text(encoding="utf-8")
-        for folder in ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+        for folder in ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "packages")
         for path in (ROOT / folder).rglob("*.py")
     )
 
@@ -112,6 +83,8 @@ def test_a_package_of_which_private_parts_are_used_has_an_upper_bound() -> None:
         *project["dependencies"],
         *(text for extra in project["optional-dependencies"].values() for text in extra),
     ]
+    for settings in ROOT.glob("packages/*/pyproject.toml"):
+        required += tomllib.loads(settings.read_text(encoding="utf-8"))["project"]["dependencies"]
     names = {re.split(r"[\[<>=]", text)[0] for text in required} - {"telenano"}
     bounded = {re.split(r"[\[<>=]", text)[0] for text in required if "<" in text}
     code = sources()

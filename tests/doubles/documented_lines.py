@@ -79,7 +79,15 @@ class Picture(NamedTuple):
 @cache
 def lines() -> tuple[Line, ...]:
     """Return every command line of every document of the project."""
-    places = ("*.md", "docs/**/*.md", "*/README.md", "services/*/README.md", "firmware/*/README.md", "proto/*.md")
+    places = (
+        "*.md",
+        "docs/**/*.md",
+        "*/README.md",
+        "services/*/README.md",
+        "firmware/*/README.md",
+        "packages/*/README.md",
+        "proto/*.md",
+    )
     pages = sorted({path for place in places for path in ROOT.glob(place)})
     return tuple(line for page in pages for line in _lines_of(page))
 

@@ -35,7 +35,12 @@ def demo(seed: int, participants: int = 4, repetitions: int = 3) -> list[dict[st
             condition = {"law": law, "delay_ms": delay}
             records.append(
                 trial(
-                    f"P{number + 1:02d}", index, condition, time_s=time_s, force_error_n=error_n, success=time_s < 4.5
+                    f"P{number + 1:02d}",
+                    index,
+                    condition,
+                    completion_time_s=time_s,
+                    force_error_n=error_n,
+                    success=time_s < 4.5,
                 )
             )
     return records

@@ -34,6 +34,7 @@ class InMemory(Recording):
         start_ns: int | None = None,
         end_ns: int | None = None,
         report: DamageCallback | None = None,
+        blocks: object = None,
     ) -> Iterator[RecordedMessage]:
         chosen = {channel for channel in self.channels if wanted is None or wanted(channel)}
         first, after = start_ns or 0, 2**64 if end_ns is None else end_ns

@@ -19,7 +19,6 @@ MAY_ASK = {
     "services/runtime/security/keyring.py": "the day on which a key expires",
     "services/numerics/compiled.py": "the age of files in the cache of compiled code",
     "services/numerics/compile_cache.py": "the age of files in the cache of compiled code",
-    "services/numerics/compiled_beside.py": "the age of files in the cache of compiled code",
 }
 
 

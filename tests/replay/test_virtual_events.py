@@ -172,6 +172,7 @@ def worst(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
 
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("seed", range(2))
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree_in_any_weather(tmp_path: Path, law: str, seed: int) -> None:
     cell, arrivals = cell_of(law, "spring", 4.0), drawn(seed)

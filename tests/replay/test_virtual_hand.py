@@ -43,7 +43,7 @@ def test_a_hand_pushes_a_particle_and_feels_it(pushed_on_nodes: Pushed) -> None:
 
 
 def test_in_lockstep_it_goes_as_on_the_nodes(pushed_on_nodes: Pushed, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     found = simulated(SHORT)
     tip = found.table("afm/state")
     assert tip["base_position_m.0"][-1] == pytest.approx(pushed_on_nodes.tip_m[0], abs=5e-9)
@@ -75,13 +75,14 @@ def test_a_tip_that_pushes_stands_soon_after_it_was_let_go(delay: tuple[str, ...
 
 
 @pytest.mark.endurance
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("delay", [(), DELAYED], ids=["no delay", "200 ms"])
 def test_in_lockstep_no_port_gives_out_more_than_the_law_and_the_store_promise(
     law: str, delay: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # plain, because to compile six laws takes longer; the compiled path gives its bits, see below
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     found = simulated((1.5, 2.2, 1.0), f"controller.law={law}", *delay, *FIXTURES)
     assert found["tip_x_m"][-1] > 2.5e-7
     assert found["across_j"].min() >= -GRANTED_J
@@ -101,12 +102,13 @@ def net_j(session: SimulatedSession, law: str) -> np.ndarray:
 @pytest.mark.endurance
 def test_the_compiled_path_across_gives_the_bits_of_the_plain_one(monkeypatch: pytest.MonkeyPatch) -> None:
     fast = simulated((0.3, 0.5, 3.0), *FIXTURES)
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     plain = simulated((0.3, 0.5, 3.0), *FIXTURES)
     assert {name: fast[name].tobytes() for name in fast} == {name: plain[name].tobytes() for name in plain}
 
 
 @pytest.mark.endurance
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("delay", [(), DELAYED], ids=["no delay", "200 ms"])
 def test_under_each_law_and_delay_with_fixtures_no_port_gives_out_more_than_was_promised(

@@ -186,6 +186,7 @@ def differences(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
 
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("contact", 4.0)])
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree(
     undisturbed: Callable[[Cell], Trajectory], law: str, environment: str, round_trip_ms: float
@@ -202,6 +203,7 @@ def test_the_nodes_and_lockstep_agree(
 
 
 @pytest.mark.usefixtures("loop")
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
     """Through the first pause the instrument steps by itself, and in the second one it holds."""
@@ -218,6 +220,7 @@ def test_they_agree_about_a_silent_link(tmp_path: Path, law: str) -> None:
 
 
 @pytest.mark.usefixtures("loop")
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_a_changed_gain_is_seen(undisturbed: Callable[[Cell], Trajectory], law: str) -> None:
     """One per cent of a law's force gain, or where it has none of its force scale, is no rounding."""

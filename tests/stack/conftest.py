@@ -1,18 +1,28 @@
-"""Tests on real processes: every rig is taken down, whatever became of the test."""
+"""Tests on real processes: every rig is taken down, whatever became of the test.
+
+`make test` has the tests of the one rig that they share, `shared_rig`; all others start rigs of their own, and are in
+`make check` or `make endurance`.
+"""
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import machine
 import pytest
 from commands import COMMANDS
-from stack_rig import Rig
+from stack_rig import CONSTANT_PUSH, FIGURE_AND_PUSH, FIGURE_S, Rig
+from two_sites import TwoSites
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.stack)
+            if "shared_rig" not in getattr(item, "fixturenames", ()) and item.get_closest_marker("endurance") is None:
+                item.add_marker(pytest.mark.check)
+    # the tests that end the shared rig judge what all others left
+    items.sort(key=lambda item: item.get_closest_marker("ends_shared_rig") is not None)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -31,6 +41,30 @@ def our_turn() -> Iterator[None]:
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Iterator[Rig]:
-    rig = Rig(tmp_path)
-    yield rig
-    rig.close()
+    with closing(Rig(tmp_path)) as rig:
+        yield rig
+
+
+@pytest.fixture
+def sites(tmp_path: Path) -> Iterator[TwoSites]:
+    with closing(TwoSites(tmp_path)) as sites:
+        yield sites
+
+
+@pytest.fixture(scope="module")
+def pressing_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """Run a rig of the module's own, whose hand stays pressed onto the sample."""
+    with closing(Rig(tmp_path_factory.mktemp("pressing"))) as rig:
+        rig.start("--duration", "600", "--set", CONSTANT_PUSH)
+        rig.wait_until(rig.running, "a running session")
+        yield rig
+
+
+@pytest.fixture(scope="session")
+def shared_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """Run the programme of Fig. 12 once, and then press: one rig for all tests that leave it as they found it."""
+    with closing(Rig(tmp_path_factory.mktemp("shared"))) as rig:
+        rig.start("--duration", "900", "--set", FIGURE_AND_PUSH)
+        rig.wait_until(rig.running, "a running session")
+        rig.wait_until(lambda: rig.session_s() > FIGURE_S, "the end of the programme of Fig. 12")
+        yield rig

@@ -14,6 +14,7 @@ import pytest
 from documented_lines import Line, lines, makes
 from experiment_tables import demo
 
+from studies.experiments.folder_tables import describe
 from studies.experiments.table import tidy, write_tables
 
 ROOT = Path(__file__).parents[2]
@@ -38,7 +39,7 @@ def place(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPath
     for name in ("killed", "session_1"):
         (folder / f"{name}.mcap").write_bytes(session[: len(session) // 2])
     (folder / "out" / "experiment" / "analysis").mkdir(parents=True)
-    write_tables(tidy(demo(1)), folder / "out" / "experiment" / "analysis")
+    write_tables(tidy(demo(1), describe), folder / "out" / "experiment" / "analysis")
     return folder
 
 

@@ -88,12 +88,6 @@ def table(entries: dict[str, str]) -> str:
     return "\n".join(["| fault | promised | happened |", "|---|---|---|", *rows])
 
 
-def faults_of(page: str) -> list[str]:
-    """Give the faults in the table of a page."""
-    lines = page.partition(BEGIN)[2].partition(END)[0].strip().splitlines()[2:]
-    return [line.split("|")[1].strip() for line in lines]
-
-
 def main(entered: Path, page: Path) -> None:
     """Put the newest entry of each fault into the table of the page; what was not entered stays as it is."""
     text = page.read_text(encoding="utf-8")

@@ -19,6 +19,11 @@ from following import Following, Recorded
 PATIENCE_S = 150.0
 # a hand that takes up the sample and stays pressed onto it
 CONSTANT_PUSH = "haptic_node.operator.points=[{time_s: 0.2, force_n: 0.0}, {time_s: 0.6, force_n: 1.0}]"
+# the hand of the scenario fig12, which is over after 8 s, and then that push
+FIGURE_S = 8.0
+FIGURE_AND_PUSH = "haptic_node.operator.points=[{time_s: 0.8, force_n: 0.0}, {time_s: 1.2, force_n: 1.0}, \
+{time_s: 2.6, force_n: 1.0}, {time_s: 2.9, force_n: 2.0}, {time_s: 4.5, force_n: 2.0}, {time_s: 4.6, force_n: 0.0}, \
+{time_s: 8.2, force_n: 0.0}, {time_s: 8.6, force_n: 1.0}]"
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -97,6 +102,11 @@ class Rig:
     def recording(self) -> Following:
         """Give what the recorder of the rig has written, up to now."""
         return self._recorded.newest(self.out)
+
+    def session_s(self) -> float:
+        """Give how long the operator's programme has run, by the newest state of the hand in the recording."""
+        states = self.recording().messages("haptic/state")
+        return float(states[-1].fields()["session_s"]) if states else -1.0
 
     def logs(self) -> str:
         tails = [f"== {p.name}\n" + p.read_text()[-1500:] for p in sorted((self.out / "logs").glob("*.log"))]

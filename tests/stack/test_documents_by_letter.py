@@ -198,6 +198,7 @@ def test_two_sites_of_the_readme_run_on_one_machine_as_the_page_of_deployment_sa
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["completeness"]["teleop/backward@master"] > 0.5
+    assert summary["verdict"] != "no_data", summary["reason"]
     # each side has a recording of its own
     for site in ("master", "slave"):
         assert (tmp_path / "out" / site / "session.mcap").stat().st_size > 0

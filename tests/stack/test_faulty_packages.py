@@ -2,7 +2,6 @@
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +45,6 @@ PLACES = {
     "device": ("faulty_handle", "velocity = (self._position_m - before) / dt_s",
                "haptic_node.driver=faulty_handle"),
 }  # fmt: skip
-
-
-@pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
-    running = Rig(tmp_path)
-    yield running
-    running.close()
 
 
 def install(folder: Path, kind: str, what: str) -> str:

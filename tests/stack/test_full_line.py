@@ -79,6 +79,9 @@ def test_a_line_that_becomes_narrow_is_named_and_its_queue_goes(rig: tuple[TwoSi
     shown = sites.master.telenano("link", "show")
     assert shown.returncode == 0, shown.stderr
     assert "network: queue" in shown.stdout
+    # What follows, such as the fetch of a recording, is no part of what is tried here.
+    cable.change(rate_bit_per_s=0.0)
+    sites.end_session()
     record(
         "the line becomes 1 Mbit/s in a session",
         f"one-way delay {max(medians_ms):.0f} ms over 20 ms, {sent / 5:.0f} samples a second",
@@ -135,3 +138,4 @@ def test_falling_back_to_tcp_stands_still_for_no_more_than_a_tenth_of_a_second(
         machine.note(f"the tip stood still for {longest_ms:.0f} ms: {distorted(late)}")
     else:
         assert longest_ms <= 100.0
+    sites.end_session()

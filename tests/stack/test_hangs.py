@@ -3,7 +3,6 @@
 import os
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,13 +17,9 @@ SPUN, STOPPED = "controller@slave", "afm_node@slave"
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
-    made = Rig(tmp_path)
-    made.environment["PYTHONPATH"] = str(HANGS)
-    try:
-        yield made
-    finally:
-        made.close()
+def rig(rig: Rig) -> Rig:
+    rig.environment["PYTHONPATH"] = str(HANGS)
+    return rig
 
 
 def processes(rig: Rig) -> dict[str, int | None]:

@@ -3,7 +3,6 @@
 import os
 import sys
 import time
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,32 +17,25 @@ HOSTILE = Path(__file__).parents[1] / "fuzz" / "hostile_site"
 DURATION_S = float(os.environ.get("TELENANO_FUZZ_S", 120.0))
 
 
-@pytest.fixture
-def rig(tmp_path: Path) -> Iterator[TwoSites]:
-    made = TwoSites(tmp_path)
-    try:
-        yield made
-    finally:
-        made.close()
-
-
-def test_a_site_with_a_key_that_lies_ends_no_node_of_the_other(rig: TwoSites) -> None:
-    rig.slave.environment["PYTHONPATH"] = os.pathsep.join(map(str, (HOSTILE, HOSTILE.parent)))
-    rig.slave.start()
-    rig.master.start("--duration", "600")
-    rig.wait_until(rig.running, "a running session")
+def test_a_site_with_a_key_that_lies_ends_no_node_of_the_other(sites: TwoSites) -> None:
+    sites.slave.environment["PYTHONPATH"] = os.pathsep.join(map(str, (HOSTILE, HOSTILE.parent)))
+    sites.slave.start()
+    sites.master.start("--duration", "600")
+    sites.wait_until(sites.running, "a running session")
     time.sleep(DURATION_S)
-    status = rig.master.telenano("status", "--json")
-    assert not rig.master.has_log("launcher@master", "was started again"), rig.master.logs()
-    assert not rig.master.has_log("launcher@master", "it hangs and is killed"), rig.master.logs()
+    status = sites.master.telenano("status", "--json")
+    assert not sites.master.has_log("launcher@master", "was started again"), sites.master.logs()
+    assert not sites.master.has_log("launcher@master", "it hangs and is killed"), sites.master.logs()
     assert "delay_node@master" in status.stdout
-    rig.master.stop()
-    rig.slave.stop()
-    assert "Traceback" not in rig.master.logs()
-    network = [message.decode() for message in Recording(rig.master.out / "session.mcap").messages(["link/network"])]
+    sites.master.stop()
+    sites.slave.stop()
+    assert "Traceback" not in sites.master.logs()
+    network = [message.decode() for message in Recording(sites.master.out / "session.mcap").messages(["link/network"])]
     backward = [report for report in network if report.direction == "backward" and report.src == "delay_node@master"]
     refused = backward[-1].refused
-    sys.stdout.write(f"{backward[-1].arrived} datagrams taken, refused {refused}\n")
+    # Whatever the other site said, the session has a summary.
+    verdict = sites.master.summary()["verdict"]
+    sys.stdout.write(f"{backward[-1].arrived} datagrams taken, refused {refused}; verdict {verdict}\n")
     assert {"time", "count", "ahead", "malformed"} <= set(refused)
     assert min(refused[cause] for cause in ("time", "count", "ahead", "malformed")) > 0.02 * DURATION_S
     # Reports come twice a second, up to the end: the link never stood still.

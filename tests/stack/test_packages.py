@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +32,9 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 
 @pytest.fixture
-def rig(environment: dict[str, str], tmp_path: Path) -> Iterator[Rig]:
-    running = Rig(tmp_path)
-    running.environment = {**environment, "TELENANO_RUNTIME_DIR": str(running.sockets)}
-    yield running
-    running.close()
+def rig(environment: dict[str, str], rig: Rig) -> Rig:
+    rig.environment = {**environment, "TELENANO_RUNTIME_DIR": str(rig.sockets)}
+    return rig
 
 
 def telenano(environment: dict[str, str], *arguments: str) -> tuple[int, str, str]:

@@ -82,6 +82,25 @@ def test_both_sites_dial_out_and_find_the_way_past_the_relay(rig: RelayedSites, 
     rig.wait_until(lambda: both(rig, "the link's datagrams go on"), "both sites in touch again")
     rig.rearm()
     rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows again", 30.0)
+    rig.end_session()
+
+
+@pytest.mark.parametrize("rig", [False, True], indirect=True, ids=["direct", "through the relay"])
+def test_a_session_over_a_relay_is_whole_and_can_be_fetched_again(rig: RelayedSites) -> None:
+    rig.start_relay()
+    rig.start("--duration", "5")
+    assert rig.master.process is not None
+    assert rig.master.process.wait(timeout=120) == 0, rig.master.logs()
+    summary = rig.master.summary()
+    # The first contact may come too late in its hold to be at rest at its end, by what the relay adds.
+    assert summary["verdict"] in ("stable", "settling"), summary["holds"]
+    assert summary["recording"]["complete"] is True, summary["recording"]
+    # The command that an interrupted fetch advises needs nothing that runs beside it.
+    (fetched,) = (rig.master.out / "far").iterdir()
+    fetched.unlink()
+    again = rig.master.telenano("bag", "fetch", str(rig.master.out), "--json")
+    assert again.returncode == 0, again.stderr
+    assert json.loads(again.stdout)["messages"] == summary["recording"]["messages"]
 
 
 @pytest.mark.parametrize("rig", [True], indirect=True)
@@ -119,6 +138,7 @@ def test_a_relay_that_is_killed_leaves_both_sides_safe_and_is_taken_up_again(rig
         lambda: any(m.fields()["mode"] == "follow" for m in rig.slave.recording().messages("afm/state", armed_ns)),
         "a tip that follows again",
     )
+    rig.end_session()
     record(
         "the relay is killed and started again",
         f"tip held after {held_s * 1e3:.0f} ms, withdrawn after {withdrawn_s * 1e3:.0f} ms, hand off after "
@@ -151,6 +171,7 @@ def test_a_hostile_relay_reaches_no_node_and_is_counted(rig: RelayedSites) -> No
     assert set(followed) <= hands
     assert all(before <= after for before, after in pairwise(followed))
     counted = [", ".join(f"{cause} {count}" for cause, count in report["refused"].items()) for report in reports]
+    rig.end_session()
     record(
         "a relay that drops, repeats, holds back, forges and floods",
         f"the tip followed samples of the hand alone, none older than the one before; counted in some 6 s: "

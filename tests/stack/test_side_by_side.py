@@ -14,6 +14,9 @@ from services.launcher.processors import FOR_A_RIG, held, shared_folder
 from services.runtime.loop.realtime import may_use_fifo
 
 pytestmark = pytest.mark.stack
+# What `up` advises where no processors are free for a second rig: at full rate both would run into the kernel's bound
+# of real-time processes, which then stand still for 50 ms of each second.
+SLOWER = ("--set", "realtime.rate_hz=250")
 
 
 @pytest.fixture
@@ -44,7 +47,7 @@ def has_room() -> bool:
 def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> None:
     room = has_room()
     for rig in rigs:
-        rig.start("--duration", "300")
+        rig.start("--duration", "300", *(() if room else SLOWER))
     for rig in rigs:
         rig.wait_until(rig.running, "the session")
     found = listed(rigs[0])
@@ -53,11 +56,17 @@ def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> Non
     if room:
         own = [number for row in found.values() for number in row["processors"]]
         assert len(own) == len(set(own)) == 2 * FOR_A_RIG
+    unanswered = set()
     for name, row in found.items():
         state = json.loads(rigs[0].telenano("status", "--rig", name, "--json").stdout)
         assert "rig" in state, state
         assert state["rig"]["process"] == row["process"]
         marked = rigs[0].telenano("session", "mark", f"label={name}", "--rig", name)
+        if marked.returncode != 0 and not room and "the rig is late by" in marked.stderr:
+            # two rigs on the processors of one: it is said that the mark may be missing, and by how much it was late
+            machine.note(f"the mark of one of two rigs was not judged: {marked.stderr.strip()}")
+            unanswered.add(name)
+            continue
         assert marked.returncode == 0, marked.stderr
     for rig in rigs:
         code, summary, err = rig.stop()
@@ -68,7 +77,8 @@ def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> Non
         cat = rigs[0].telenano("bag", "cat", f"{row['out']}/session.mcap", "--topics", "session/control")
         marks = [json.loads(line)["message"] for line in cat.stdout.splitlines()]
         # A command is repeated until it is answered.
-        assert {str(m["parameters"]["label"]) for m in marks if m["command"] == "mark"} == {row["rig"]}
+        labels = {str(m["parameters"]["label"]) for m in marks if m["command"] == "mark"}
+        assert labels <= {row["rig"]} and (labels or row["rig"] in unanswered)
     assert listed(rigs[0]) == {}
     assert not (rigs[0].sockets / "rig-2").exists()
 
@@ -85,8 +95,9 @@ def test_a_rig_that_is_killed_leaves_its_name_to_the_next(rigs: list[Rig]) -> No
 
 
 def test_an_emergency_stop_reaches_every_rig(rigs: list[Rig]) -> None:
+    room = has_room()
     for rig in rigs:
-        rig.start("--duration", "60")
+        rig.start("--duration", "60", *(() if room else SLOWER))
     for rig in rigs:
         rig.wait_until(rig.running, "the session")
     stopped = rigs[0].telenano("estop", "--json")

@@ -17,6 +17,7 @@ from documents import ROOT, run
 from experiment_tables import demo
 from test_gallery_page import MOVE, SAID
 
+from studies.experiments.folder_tables import describe
 from studies.experiments.table import tidy, write_tables
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(1500)]
@@ -35,7 +36,7 @@ READ = "axe.run(document.querySelector('article'), { runOnly: ['color-contrast',
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory, recording_of: Callable[[str], Path]) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    write_tables(tidy(demo(1)), folder)
+    write_tables(tidy(demo(1), describe), folder)
     given = {"NO_MKDOCS_2_WARNING": "1", "TELENANO_RECORDING": str(recording_of("fig12_virtual_impedance"))}
     given["TELENANO_EXPERIMENT"] = str(folder)
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder / "built")]

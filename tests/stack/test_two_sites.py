@@ -235,8 +235,12 @@ def rates(site: Site, first_ns: int, last_ns: int, topics: tuple[str, ...]) -> d
 def test_a_listener_reads_everything_of_a_rig_without_encryption(tmp_path: Path) -> None:
     rig = TwoSites(tmp_path, insecure=True)
     try:
-        rig.start("--duration", "1")
+        rig.start("--duration", "5")
         seen = sniff(rig.slave, LISTENED_S, tmp_path / "wire")
+        assert rig.master.process is not None
+        assert rig.master.process.wait(timeout=120) == 0, rig.master.logs()
+        summary = rig.master.summary()
+        assert summary["verdict"] != "no_data", summary["reason"]
     finally:
         rig.close()
     assert [text for text in IN_THE_CLEAR if text not in seen] == []

@@ -60,6 +60,8 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     assert "acknowledged" in operator.answered(lambda: operator.click("#delay-set"))
     rig.wait_until(lambda: newest(rig, "link/status").forward.settings.get("delay_s") == 0.004, "the delay on the bus")
     until(lambda: "DELAYED" in operator.banners(), "the banner of the delay")
+    operator.until("document.querySelector('#profile').value === 'constant delay'", "the network that is in force")
+    operator.until("document.querySelector('#delay').placeholder === '4'", "the delay that is in force")
     operator.fill("#delay", "0")
     operator.answered(lambda: operator.click("#delay-set"))
     operator.answered(lambda: operator.choose("#law-name", "wave"))
@@ -94,6 +96,7 @@ def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) 
     # what is in force is what the rig reports, and a field that was applied is empty again
     forward = "document.querySelector('#link-forward-jitter-scale_s')"
     operator.until(f"{forward}.placeholder === '2' && {forward}.value === ''", "the jitter in its field")
+    operator.until("document.querySelector('#profile').value === 'custom'", "the network that is in force")
     operator.answered(lambda: operator.choose("#profile", "dsl"))
     rig.wait_until(lambda: link().forward.profile == "dsl", "the profile on the bus")
     until(lambda: "DELAYED" in operator.banners(), "the banner of its delay")

@@ -23,7 +23,7 @@ ONE = "afm_node.sample.particles.count=1"
 # 1.3 d
 BEHIND_M = 4.34e-7
 DEEP_MM, WAY_M = 14.0, 1e-6
-# of half the pad: some 130 nm/s
+# This share of half the pad steers at some 130 nm/s.
 SHARE = 0.4
 # the kinetic friction of latex_250
 PLATEAU_N = 10.75e-9

@@ -102,6 +102,7 @@ def test_blocked_udp_and_another_address_in_mid_session(rig: tuple[TwoSites, Wid
     shown = sites.master.telenano("link", "show")
     assert shown.returncode == 0, shown.stderr
     assert "network: arrived" in shown.stdout
+    sites.end_session()
 
 
 # sends what begins with no known key as fast as it gets a processor; arguments: host, port, duration [s]; prints how
@@ -198,3 +199,4 @@ def test_attacks_on_the_line_reach_no_node_are_counted_and_cost_no_rate(rig: tup
     assert len(followed) > 1000
     assert all(first <= second for first, second in pairwise(followed))
     assert {hand for hand in followed if hand <= end_ns} <= hands
+    sites.end_session()

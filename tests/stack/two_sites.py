@@ -270,6 +270,18 @@ class TwoSites:
         self.master.start(*arguments)
         self.wait_until(self.running, "a running session")
 
+    def end_session(self) -> dict[str, Any]:
+        """End the session as an operator does, with the slave's recording fetched, and give its summary.
+
+        It has a verdict of what both sites recorded, whatever befell them.
+        """
+        self.master.stop()
+        assert "was not fetched" not in self.master.log.read_text(), self.master.logs()
+        summary = self.master.summary()
+        assert Path(summary["recording"]["file"]).name == "both.mcap", summary["recording"]
+        assert summary["verdict"] != "no_data", summary["reason"]
+        return summary
+
     def rearm(self) -> None:
         """Take the rig up again as the operator would, after the tip was withdrawn."""
         for device in ("afm_node", "haptic_node"):

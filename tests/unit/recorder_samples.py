@@ -1,29 +1,18 @@
 """Messages to record; a module of its own, because other folders have a conftest too."""
 
-import json
-from pathlib import Path
 from typing import Any
 
-import proto
-from proto import Message, decode
+from proto import Message
+from telenano.extend.messages import example
 
 EPOCH_NS = 1_750_000_000_000_000_000
 MILLISECOND_NS = 1_000_000
 NODE = "recorder@master"
 
 
-_GOLDEN = {
-    vector["topic"]: bytes.fromhex(vector["hex"])
-    for vector in json.loads((Path(proto.__file__).parent / "golden" / "vectors.json").read_text())
-    if vector["case"] == "minimal"
-}
-
-
 def sample(topic: str, seq: int, **changes: Any) -> Message:
     """Return a valid message; fields that no test asks for come from the golden vectors of the wire."""
-    base = decode(topic, _GOLDEN[topic])
-    header = {"seq": seq, "t_ns": EPOCH_NS + seq * MILLISECOND_NS}
-    return type(base)(**(base.__dict__ | header | changes))
+    return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * MILLISECOND_NS} | changes))
 
 
 def haptic_state(seq: int, **changes: Any) -> Message:

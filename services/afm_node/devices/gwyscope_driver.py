@@ -26,6 +26,7 @@ _FEEDBACKS = ("feedback", "feedback_pll", "feedback_amplitude", "feedback_kpfm")
 _TICKS, _READS = 4, 200
 # A server whose samples stand for so long does not run its loop.
 _CLOCK_STANDS_S = 0.05
+_SLOWEST_TICK_S = 1.0
 # A motion over the sample goes to a z as well, beside the z that is sent at once: it is not to get there.
 _Z_SPEED_M_PER_S = 1e-12
 _ALWAYS_READ = ("e", "adc1", "adc2")
@@ -87,14 +88,14 @@ class GwyscopeAfm(RequestDriver):
         if self._attended:
             return
         found = yield gwyscope_wire.encode({"todo": GUARD_QUESTION, "heartbeat_s": self.calibration.heartbeat_s})
-        answer = gwyscope_wire.decode(found)
+        answer = _items(found)
         if answer.get("todo") != GUARD_QUESTION:
             self.refuse_without_guard()
-        self.retractions = int(answer.get("trips", 0))
+        self.retractions = int(_number(answer, "trips"))
 
     def _ask(self, todo: str, **items: Any) -> Answers:
         """Send a request and return its answer; DeviceError where the server does not know it."""
-        answer = gwyscope_wire.decode((yield gwyscope_wire.encode({"todo": todo, **items})))
+        answer = _items((yield gwyscope_wire.encode({"todo": todo, **items})))
         said = answer.get("todo")
         if said != todo:
             raise DeviceError(f"does not do {todo}: it answers {said!r}" + _sent_text(items))
@@ -158,15 +159,20 @@ class GwyscopeAfm(RequestDriver):
             if len(stamps) > _TICKS:
                 break
         steps = [after - before for before, after in pairwise(stamps)]
-        if len(steps) < _TICKS or not min(steps) > 0.0:
+        if len(steps) < _TICKS or not 0.0 < min(steps) < _SLOWEST_TICK_S:
             raise DeviceError("answers, and its samples stand: the server's loop does not run")
         self.tick_s = min(steps)
 
 
+def _items(frame: bytes) -> dict[str, Any]:
+    """Return the texts, numbers and flags of an answer; an array stands for none of these."""
+    return {key: value for key, value in gwyscope_wire.decode(frame).items() if isinstance(value, str | int | float)}
+
+
 def _number(answer: dict[str, Any], name: str) -> float:
-    """Return a number out of an answer; DeviceError where it has none of that name."""
+    """Return a finite number out of an answer; DeviceError where it has none of that name."""
     value = answer.get(name)
-    if not isinstance(value, int | float):
+    if not isinstance(value, int | float) or not math.isfinite(value):
         raise DeviceError(f"answers {answer.get('todo')} without a number {name}: check the names in the calibration")
     return float(value)
 

@@ -16,6 +16,8 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersRequest,
 )
 
+from proto.errors import TelenanoError
+
 _FRAME = struct.Struct(">BHB")
 _HEADER = 8
 # This bit in the function of an answer means that the device did not do what was requested.
@@ -83,7 +85,7 @@ class Answer(NamedTuple):
     exception: int
 
 
-class FramingError(ValueError):
+class FramingError(TelenanoError, ValueError):
     """Bytes that are no answer in Modbus TCP: the connection has to be made anew."""
 
 

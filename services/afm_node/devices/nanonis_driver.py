@@ -36,9 +36,12 @@ _STATUS_EVERY = 10
 _RESTS, _REST_M, _NEAR_SHARE, _LOOK_NS = 6, 2e-9, 0.25, 50_000_000
 # a request and its answer over a network and through the vendor's software
 _LOST_NS = 250_000_000
+_LONGEST_TAP_S = 10.0
 _LOG_HEADER = struct.Struct(">IfQH")
 _LOG_LIST, _LOG_DATA = 2, 4
 _MOST_CHANNELS = 24
+# so many reads of a tick find the end of what has come, or it has none
+_MOST_RECEIVED = 64
 
 Answers = Generator[bytes, bytes, list[Any]]
 
@@ -118,6 +121,8 @@ class NanonisAfm(RequestDriver):
         yield from self._withdraw()
         yield from self._protect()
         self.tick_s = float((yield from self._ask("Util.AcqPeriodGet"))[0])
+        if not 0.0 < self.tick_s <= _LONGEST_TAP_S:
+            raise DeviceError(f"averages its values over {self.tick_s} s: set its Tap to {_LONGEST_TAP_S:g} s at most")
         if self.calibration.stage is not None:
             yield from self._ask("FolMe.SpeedSet", self.calibration.stage.speed_m_per_s, 1)
         self._history.clear()
@@ -328,26 +333,34 @@ class FrameLog:
         self.port = 0
         self._line: Line | None = None
         self._incoming = Incoming(cut_frame)
+        # This is of the newest frame.
+        self._number = -1
 
     def open(self) -> None:
         """Begin to connect; OSError where that is refused at once."""
         if self._line is not None:
             self._line.close()
-        self._incoming = Incoming(cut_frame)
+        self._incoming, self._number = Incoming(cut_frame), -1
         self._line = self._connect(self._host, self._wanted)
 
     def newest(self) -> list[float] | None:
         """Return the values of the newest frame that has come, None where there is none; OSError for a lost line."""
         if self._line is None or not self._line.ready():
             return None
-        self._incoming.add(self._line.receive())
         found = None
-        while (frame := self._incoming.take()) is not None:
-            channels, _, _, state = _LOG_HEADER.unpack_from(frame)
-            # The first frame is no sample: it lists the signals of the columns.
-            if state == _LOG_DATA:
-                found = list(struct.unpack_from(f">{channels}f", frame, _LOG_HEADER.size))
-        return found
+        # What was held up comes at once, and what is behind it is newer.
+        for _ in range(_MOST_RECEIVED):
+            received = self._line.receive()
+            self._incoming.add(received)
+            while (frame := self._incoming.take()) is not None:
+                channels, _, number, state = _LOG_HEADER.unpack_from(frame)
+                # The first frame is no sample: it lists the signals of the columns. One that comes again is none.
+                if state == _LOG_DATA and number > self._number:
+                    self._number = number
+                    found = list(struct.unpack_from(f">{channels}f", frame, _LOG_HEADER.size))
+            if not received:
+                return found
+        return None
 
 
 def cut_frame(stream: bytes) -> int:

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Generator
 
+from proto.errors import TelenanoError
+
 # A message of a controller that a loop asks is short; an image has some megabytes.
 LARGEST_BYTES = 64 * 2**20
 
 
-class WireError(ValueError):
+class WireError(TelenanoError, ValueError):
     """Bytes that are no message of the protocol: the connection has to be made anew."""
 
 

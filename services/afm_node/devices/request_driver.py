@@ -142,6 +142,8 @@ class RequestDriver(TcpDriver[ControllerCalibration]):
 
     def take_sample(self, z_m: float, value: float, sampled_ns: int) -> None:
         """Take a sample of z [m] and the deflection's signal, taken at a time of the monotonic clock [ns]."""
+        if not (math.isfinite(z_m) and math.isfinite(value)):
+            raise DeviceError(f"answered with what is no number: z = {z_m} m, a signal of {value}")
         self.fresh += (z_m, value) != self._values
         self._values = z_m, value
         self._readings = self.calibration.readings(z_m, value)

@@ -9,12 +9,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
 from typing import Any, ClassVar, Generic, TypeVar
 
+from proto.errors import cause
 from services.afm_node.devices import modbus_line
 from services.afm_node.devices.converter_calibration import InstrumentCalibration, Readings
-from services.afm_node.devices.modbus_frames import FramingError
 from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
 from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import WireError
 from services.afm_node.driver import DeviceError, DeviceReport
 from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
@@ -43,7 +42,7 @@ class TcpDriver(ABC, Generic[C]):
     vibration = None
     simulation = None
     relief = None
-    # what a person is told that this is
+    # This is the name by which a person is told of the device.
     kind: ClassVar[str] = "instrument"
 
     def __init__(
@@ -226,10 +225,8 @@ class TcpDriver(ABC, Generic[C]):
                 connected, self._sent_ns = go_on_connecting(self._line, now_ns, self._begun_ns, self._sent_ns)
                 if connected:
                     self._begin_talk(now_ns, self._line)
-        except (WireError, FramingError, DeviceError) as error:
-            self._lose(now_ns, str(error))
-        except OSError as error:
-            self._lose(now_ns, f"the connection is gone: {error.strerror or error}")
+        except Exception as error:  # noqa: BLE001
+            self._lose(now_ns, cause(error))
 
     def _come_up(self, identity: str) -> None:
         self._ready = True

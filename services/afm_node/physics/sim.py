@@ -163,14 +163,16 @@ class SimulatedInstrument:
         inputs = _thermal(state.inputs, config, moves=self._motion is not None)
         self.state = state._replace(disturbances=config, inputs=inputs)
 
-    def take_spring(self, stiffness_n_per_m: float) -> bool:
-        """Take another stiffness of the environment [N/m]; return whether it is a spring."""
+    @property
+    def is_spring(self) -> bool:
+        """Return whether the environment is a spring."""
+        return isinstance(self._params.plant, SpringParams)
+
+    def take_spring(self, stiffness_n_per_m: float) -> None:
+        """Take another stiffness of the environment [N/m], which must be a spring."""
         plant = self._params.plant
-        if not isinstance(plant, SpringParams):
-            return False
         changed = spring_params(stiffness_n_per_m, plant.rest_distance_m, plant.bilateral)
         self._params = self._params._replace(plant=changed)
-        return True
 
     def restore_sample(self) -> None:
         """Take a sample as it was in the beginning: its particles lie where they lay, and nothing is remembered."""

@@ -1,6 +1,7 @@
 """What `set` takes at the instrument: a program to begin or to change, and where the tip is over the sample."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, create_model
@@ -98,34 +99,33 @@ def is_of_simulation(key: str) -> bool:
     return key in (STIFFNESS, RESTORE) or key.startswith(_DISTURBANCES)
 
 
-def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> list[str]:
-    """Change what `set` changes of a simulated instrument (`is_of_simulation`), all or nothing; return it in sentences.
+def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> list[tuple[str, Callable[[], None]]]:
+    """Return what `set` changes of a simulated instrument (`is_of_simulation`): sentences, and what carries them out.
 
     Raises:
         RefusedError: The instrument is real, or has no such thing, or a value is wrong.
     """
-    simulation, sentences = driver.simulation, []
-    disturbances = None
-    if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
-        if simulation is None:
-            raise RefusedError("disturbances: a real instrument has its own")
-        if simulation.disturbances is None:
-            raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
-        disturbances = changed_disturbances(simulation.disturbances, changes)
-    if RESTORE in parameters and (simulation is None or parameters[RESTORE] is not True):
-        raise RefusedError(f"{RESTORE}: has to be true, and only a simulated sample can be restored")
+    simulation = driver.simulation
+    if simulation is None:
+        for key in parameters:
+            raise RefusedError(f"{key.partition('.')[0]}: a real instrument has its own")
+        return []
+    found: list[tuple[str, Callable[[], None]]] = []
     if STIFFNESS in parameters:
         stiffness_n_per_m = _stiffness(parameters[STIFFNESS])
-        if simulation is None or not simulation.take_spring(stiffness_n_per_m):
+        if not simulation.is_spring:
             raise RefusedError(f"{STIFFNESS}: only the simulated environment spring has one")
-        sentences.append(f"the sample has {stiffness_n_per_m:g} N/m")
-    if simulation is not None and RESTORE in parameters:
-        simulation.restore_sample()
-        sentences.append("the sample is as it was in the beginning")
-    if simulation is not None and disturbances is not None:
-        simulation.configure(disturbances)
-        sentences.append("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()))
-    return sentences
+        found.append((f"the sample has {stiffness_n_per_m:g} N/m", partial(simulation.take_spring, stiffness_n_per_m)))
+    if RESTORE in parameters:
+        if parameters[RESTORE] is not True:
+            raise RefusedError(f"{RESTORE}: has to be true, and only a simulated sample can be restored")
+        found.append(("the sample is as it was in the beginning", simulation.restore_sample))
+    if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
+        if simulation.disturbances is None:
+            raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
+        configure = partial(simulation.configure, changed_disturbances(simulation.disturbances, changes))
+        found.append(("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()), configure))
+    return found
 
 
 def _stiffness(value: Scalar) -> float:

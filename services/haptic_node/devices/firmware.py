@@ -4,13 +4,14 @@ import ctypes
 import hashlib
 import os
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from presets.regular_files import is_own
 from proto.errors import TelenanoError
+from services.signals import children
 
 SOURCES = Path(__file__).parents[3] / "firmware" / "handle"
 _FILES = ("core/frame.c", "core/handle.c", "boards/posix/posix.c")
@@ -81,7 +82,8 @@ def compiled(
         raise FirmwareError(f"{error.filename}: the source of the firmware is missing: {error.strerror}") from error
     cache = folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano"
     library = cache / f"{name}-{digest}.so"
-    if library.exists():
+    # A file that others can write is not loaded, and the code is compiled again.
+    if library.exists() and is_own(library.stat()):
         return library
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
@@ -90,10 +92,11 @@ def compiled(
     # The library is renamed into place whole, because another process may compile the same now.
     with tempfile.TemporaryDirectory(dir=cache) as work:
         made = Path(work) / library.name
-        done = subprocess.run([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)
+        done = children.run([compiler, *arguments, "-o", str(made)], capture_output=True, text=True, check=False)
         if done.returncode:
             needs = f" (apt install{extra})" if extra else ""
             raise FirmwareError(f"{name} does not compile with {compiler}{needs}: {done.stderr.strip()}")
+        made.chmod(0o700)
         made.replace(library)
     return library
 

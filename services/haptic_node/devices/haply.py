@@ -1,14 +1,17 @@
 """Haply Inverse3 with a VerseGrip: the JSON over WebSocket of its service, format 3.x on port 10001.
 
 The service sends one full message when a client connects, and after that exactly one message of states for each one
-that it receives. A state carries neither time nor number, so its age is the time from sending to receipt, and a reading
-that is frozen shows only as a place that stands still under a force that changes; the coupling looks for that.
+that it receives. A state carries neither time nor number, so its age is the time from sending to receipt. It counts for
+the newest message only: what has come before a request, or before another message, was not asked for and is dropped and
+counted, and a service that goes on with it is lost. A reading that is frozen shows only as a place that stands still
+under a force that changes; the coupling looks for that.
 
 Frames: the device has +x to the right, +y away from the person and +z up, which is the master frame.
 """
 
 import contextlib
 import math
+import select
 import socket
 import time
 from collections.abc import Callable
@@ -39,6 +42,8 @@ BUTTONS = ("a", "b", "c")
 _OPEN_S = 3.0
 _ANSWER_S = 0.5
 _CHECK_S = 0.1
+# So many readings more with unasked messages than without are no accident; more reads than these never end.
+_MOST_UNASKED, _MOST_READS = 50, 64
 # A difference of the force that is sent and the one that is rendered which deserves a remark.
 _FORCE_SHARE, _FORCE_N = 0.1, 0.1
 
@@ -179,20 +184,44 @@ class Conversation:
         self._protocol.send_text(message)
         self._flush()
 
+    def wait(self, patience_s: float = _ANSWER_S) -> None:
+        """Wait until there is a message.
+
+        Raises:
+            DeviceError: The service is gone or silent.
+        """
+        self._socket.settimeout(patience_s)
+        while not self._messages:
+            self._receive()
+
     def receive(self, patience_s: float = _ANSWER_S) -> Answer:
         """Return the next message.
 
         Raises:
             DeviceError: The service is gone, silent, or says what cannot be read.
         """
-        self._socket.settimeout(patience_s)
-        while not self._messages:
-            self._receive()
+        self.wait(patience_s)
         text = self._messages.pop(0)
         try:
             return _DECODER.decode(text)
         except msgspec.MsgspecError as error:
             raise DeviceError(f"{self._service}: the service says what format 3.x does not have: {error}") from error
+
+    def drop(self, keep: int = 0) -> int:
+        """Drop the messages that have come, but the newest `keep`, without waiting; return how many they were.
+
+        Raises:
+            DeviceError: The service is gone, or sends without end.
+        """
+        for _ in range(_MOST_READS):
+            if not select.select([self._socket], [], [], 0)[0]:
+                break
+            self._receive()
+        else:
+            raise DeviceError(f"{self._service}: the service sends faster than it is read: end other programs of it")
+        dropped = max(0, len(self._messages) - keep)
+        del self._messages[:dropped]
+        return dropped
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
@@ -276,6 +305,8 @@ class HaplyWire:
         self._emulated = False
         self._session: bool | None = None
         self._differs = 0
+        # messages that came without a request, and for how many readings more they did than did not
+        self.unasked = self._unasked_lately = 0
         self._orientation, self._grip_ns = UPRIGHT, 0
 
     def open(self) -> Capabilities:
@@ -291,7 +322,7 @@ class HaplyWire:
         self._tail = after.encode()
         config = arm.config or ArmConfig()
         self._emulated = config.device_info.model == EMULATED
-        self._session, self._differs = None, 0
+        self._session, self._differs, self._unasked_lately = None, 0, 0
         self._orientation, self._grip_ns = UPRIGHT, 0
         radius_m = _RADII_M.get(config.type, 0.10)
         first = {
@@ -332,12 +363,18 @@ class HaplyWire:
             raise DeviceError(f"{self._service}: the service is not open")
         force: Vector = ZERO
         period_ns = round(1e9 / self._rate_hz)
-        due_ns = self._now_ns()
+        due_ns = sent_ns = self._now_ns()
         while True:
+            unasked = self._conversation.drop()
             # The state is taken between sending and receipt: its age is bounded by the earlier of the two.
-            sent_ns = self._now_ns()
+            before_ns, sent_ns = sent_ns, self._now_ns()
             self._send(force)
-            wanted = turn(self._sample(self._conversation.receive(), force, sent_ns))
+            self._conversation.wait()
+            unasked += self._conversation.drop(keep=1)
+            self._count(unasked)
+            # Where more came than was asked for, this may be the answer to the request before.
+            taken_ns = before_ns if self._unasked_lately else sent_ns
+            wanted = turn(self._sample(self._conversation.receive(), force, taken_ns))
             if wanted is None:
                 return
             force = wanted
@@ -386,6 +423,18 @@ class HaplyWire:
             message = b'{"session":{"configure":{"profile":{"name":"%b"}}},%b' % (name.encode(), message[1:])
             self._session = None
         self._conversation.send(message)
+
+    def _count(self, unasked: int) -> None:
+        """Count the messages of a reading that were not asked for; DeviceError where they do not end."""
+        if unasked and not self.unasked:
+            StructuredLog("servo").warning("the service sends what it was not asked for", device=self._id)
+        self.unasked += unasked
+        self._unasked_lately = max(0, self._unasked_lately + (1 if unasked else -1))
+        if self._unasked_lately > _MOST_UNASKED:
+            raise DeviceError(
+                f"{self._service}: the service has sent {self.unasked} messages that it was not asked for, and goes on:"
+                " end other programs of the device, or update it"
+            )
 
     def _sample(self, answer: Answer, sent: Vector, taken_ns: int) -> DeviceSample:
         arm = next((arm for arm in answer.inverse3 if arm.device_id == self._id), None)

@@ -4,11 +4,13 @@ A tick writes one COMMAND and takes what has come; the answer to it is there at 
 newest sample is given with its age. After a loss everything comes from the device again: identity, limits, position.
 """
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
 from enum import Enum
 
+from proto.errors import cause
 from services.haptic_node.config import LimitsConfig
 from services.haptic_node.devices import wire
 from services.haptic_node.devices.calibration import HandleCalibration
@@ -82,6 +84,8 @@ class SerialHandle:
         # Frame counters: dropped because the port was full, and missing from the sequence.
         self.dropped = 0
         self.missed = 0
+        # Frames with no newer sample than the one before: they are left out.
+        self.repeated = 0
         self.reader = wire.FrameReader()
         self._modes: tuple[int, ...] = (MODE_OFF,)
         self._baud = baud
@@ -193,11 +197,9 @@ class SerialHandle:
     def make_safe(self) -> None:
         """Send STOP; the device's own watchdog stands behind it."""
         if self._port is not None and self.hello is not None:
-            try:
+            # Where the cable is out, the watchdog has switched the drive off.
+            with contextlib.suppress(Exception):
                 self._port.write(wire.encode_stop(self._next_seq(), self.hello.session))
-            except DeviceError:
-                # The cable is out: the watchdog has switched the drive off.
-                return
 
     def write(self, command: DriveCommand) -> None:
         """Send the command of this period, if there is a device to send it to."""
@@ -254,11 +256,14 @@ class SerialHandle:
                     return
             if self._phase is _Phase.READY:
                 if now_ns - self._received_ns > LOST_NS:
-                    self._lose(now_ns, f"{self.path}: the handle has been silent for {LOST_NS // _MS} ms")
+                    more = f", but for {self.repeated} frames with nothing new" if self.repeated else ""
+                    self._lose(now_ns, f"{self.path}: the handle has been silent for {LOST_NS // _MS} ms{more}")
+                elif (late_ns := self._unanswered_ns(now_ns)) > LOST_NS:
+                    self._lose(now_ns, f"{self.path}: the handle answers commands of {late_ns / _MS:.0f} ms ago")
             else:
                 self._go_on_with_handshake(now_ns)
-        except DeviceError as error:
-            self._lose(now_ns, str(error))
+        except Exception as error:  # noqa: BLE001
+            self._lose(now_ns, cause(error))
 
     def _go_on_with_handshake(self, now_ns: int) -> None:
         if now_ns - self._phase_began_ns > HANDSHAKE_NS:
@@ -314,6 +319,10 @@ class SerialHandle:
             self._session = state.session
             self._lose(now_ns, f"{self.path}: {reset_text(self.hello.session, state.session)}")
             return
+        if self._phase is _Phase.READY and self.state is not None and not _is_newer(state, self.state):
+            # A frame that comes again or out of turn is no sign of life, and its place is none of now.
+            self.repeated += 1
+            return
         self._received_ns = now_ns
         if self._phase is _Phase.CONFIGURING:
             if not (state.flags & wire.IS_CONFIGURED and state.command_seq == self._awaited_seq):
@@ -335,6 +344,12 @@ class SerialHandle:
         self._sampled_ns = self._clock.host_ns(state.time_us, now_ns)
         if self._calibration is not None:
             self._reading = reading_of(state, self._calibration)
+
+    def _unanswered_ns(self, now_ns: int) -> int:
+        """Return how long ago the first command was sent that the newest sample knows nothing of; 0 without one."""
+        if self.state is None or (unanswered := (self.state.command_seq + 1) & 0xFFFF) == self._seq:
+            return 0
+        return now_ns - self._sent_at_ns[unanswered % _SENT_KEPT]
 
     def _judge(self, now_ns: int) -> None:
         """Renew the report."""
@@ -381,8 +396,8 @@ class SerialHandle:
         frame = wire.encode_command(self._next_seq(), self.hello.session, flags, command.mode, position, force)
         try:
             self._send(frame)
-        except DeviceError as error:
-            self._lose(self._now_ns(), str(error))
+        except Exception as error:  # noqa: BLE001
+            self._lose(self._now_ns(), cause(error))
 
     def _send(self, frame: bytes) -> None:
         if self._port is None:
@@ -429,6 +444,12 @@ def refusal(hello: wire.Hello, calibration: HandleCalibration | None, period_s: 
     if hello.max_rate_hz < round(1.0 / period_s):
         return f"the handle takes {hello.max_rate_hz} commands a second, {round(1.0 / period_s)} are needed"
     return ""
+
+
+def _is_newer(state: wire.State, before: wire.State) -> bool:
+    """Return whether a sample was taken and sent after another one, by number and time of the device, which wrap."""
+    ahead, later_us = (state.seq - before.seq) & 0xFFFF, (state.time_us - before.time_us) & 0xFFFFFFFF
+    return 0 < ahead < 1 << 15 and 0 < later_us < 1 << 31
 
 
 def counts_of(state: wire.State) -> dict[str, int]:

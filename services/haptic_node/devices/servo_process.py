@@ -1,7 +1,7 @@
 """The process of a servo: the coupling at the rate of a device of impedance type, beside the node's loop.
 
-The node starts `python -m services.haptic_node.devices.servo_process` and writes one line of JSON to its input, which
-device and where the shared memory is; the process answers with a line, what the device can do or why it is not there.
+The node starts this module as a program and writes one line of JSON to its input, which device and where the shared
+memory is; the process answers with a line, what the device can do or why it is not there.
 From then on both talk through shared memory. The force is zero without a word of the node for 50 ms, and the process
 ends with the node.
 """
@@ -21,11 +21,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from proto.errors import cause
 from services.haptic_node.coupling import Vector
 from services.haptic_node.devices.impedance_wire import ImpedanceWire
 from services.haptic_node.driver import Capabilities, DeviceError
 from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
 from services.runtime.loop.realtime import ordinary_scheduling
+from services.signals import children
 
 if TYPE_CHECKING:
     from services.haptic_node.config import HapticConfig
@@ -127,10 +129,10 @@ class ServoLoop:
             try:
                 self._wire.run(self.turn)
                 return
-            except DeviceError as lost:
-                error = str(lost)
+            except Exception as lost:  # noqa: BLE001
+                error = cause(lost)
             finally:
-                self._wire.close()
+                self._let_go()
 
     def turn(self, sample: DeviceSample) -> Vector | None:
         """Return the force that answers a sample, and tell the node; None if the node is gone or asks for the end."""
@@ -173,11 +175,15 @@ class ServoLoop:
                     self.servo.state = self.servo.state._replace(started=False)
                     self._session_runs = False
                     return True
-                self._wire.close()
                 error = f"the device is now {found.identity}, and it was {self._found.identity}: start the node anew"
-            except DeviceError as still:
-                error = str(still)
+            except Exception as still:  # noqa: BLE001
+                error = cause(still)
+            self._let_go()
         return False
+
+    def _let_go(self) -> None:
+        with contextlib.suppress(Exception):
+            self._wire.close()
 
 
 class ProcessLink:
@@ -283,7 +289,7 @@ class ProcessLink:
                 os.close(descriptor)
         # Its start must not stop the loop: under SCHED_FIFO it would share the node's processor as an equal.
         with ordinary_scheduling():
-            self._process = subprocess.Popen(self._command_line, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self._process = children.start(self._command_line, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._process.stdin is not None
         order = {"kind": self._kind, "settings": self._settings, "shared": str(self._file)}
         with contextlib.suppress(BrokenPipeError):
@@ -346,8 +352,8 @@ def main() -> int:
     try:
         wire = wire_of(order["kind"], order["settings"])
         found = wire.open()
-    except DeviceError as error:
-        _answer({"error": str(error)})
+    except Exception as error:  # noqa: BLE001
+        _answer({"error": cause(error)})
         return 2
     try:
         _answer({"found": found._asdict()})

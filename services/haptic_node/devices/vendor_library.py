@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from services.haptic_node.driver import DeviceError
+from services.runtime.settings.config import refused_code
 
 
 class VendorLibrary(NamedTuple):
@@ -60,11 +61,13 @@ def find(library: VendorLibrary) -> str:
 
 
 def load(library: VendorLibrary, path: str | None) -> ctypes.CDLL:
-    """Load a library, from a path that the user gives, or where it is found.
+    """Load a library, from a path that the settings give and the user allows, or where it is found.
 
     Raises:
         DeviceError: It is not there, or it cannot be loaded; the message says where to get it.
     """
+    if path and (text := refused_code(library.setting, path)):
+        raise DeviceError(text)
     found = path or find(library)
     if not found:
         raise DeviceError(f"{library.what} is not installed: {library.install}, or name it as {library.setting}")

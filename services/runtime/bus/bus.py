@@ -16,7 +16,7 @@ from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus.newest import Header, Taken, without_superseded
 from services.runtime.bus.outgoing_batch import OutgoingBatch
 from services.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
-from services.runtime.bus.reader import NetworkEvents, Reader
+from services.runtime.bus.reader import NetworkEvents, Reader, Refusals
 from services.runtime.loop.clock import NEVER_NS, Clock
 
 # Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
@@ -190,19 +190,9 @@ class Subscriber:
 
     def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
         """Decode, validate and count one message; None when it is rejected, repeated or superseded."""
-        try:
-            topic, payload = self._names.get(frames[0], ""), frames[-1]
-            if not topic or len(frames) != 2:
-                topic, payload = split_frames(frames)
-            message = accept(topic, payload)
-            src = message.src
-            if self.permit is not None:
-                self.permit(topic, src)
-            tracker = self.trackers.get((topic, src)) or self.tracker(topic, src)
-        except WireError as error:
-            self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
-            self.last_error = str(error)
+        if (accepted := self.accepted(frames)) is None:
             return None
+        topic, message, payload, tracker = accepted
         arrival = tracker.accept(message.seq, message.t_ns)
         if topic in self._aside:
             self._aside[topic](message)
@@ -212,6 +202,26 @@ class Subscriber:
         if overtaken or (arrival is Arrival.DUPLICATE and topic != "session/control"):
             return None
         return Received(topic, message, payload, received_ns, arrival)
+
+    def accepted(self, frames: Sequence[bytes]) -> tuple[str, Message, bytes, SequenceTracker] | None:
+        """Return topic, message and payload, and the statistics of its source; None when it is rejected.
+
+        Whatever is read from the bus comes through here: each field is then bounded by its model, and what is not is
+        counted by its reason.
+        """
+        try:
+            topic, payload = self._names.get(frames[0], ""), frames[-1]
+            if not topic or len(frames) != 2:
+                topic, payload = split_frames(frames)
+            message = accept(topic, payload)
+            src = message.src
+            if self.permit is not None:
+                self.permit(topic, src)
+            return topic, message, payload, self.trackers.get((topic, src)) or self.tracker(topic, src)
+        except WireError as error:
+            self.rejected[error.reason] = self.rejected.get(error.reason, 0) + 1
+            self.last_error = str(error)
+            return None
 
     def set_aside(self, topic: str, handle: Callable[[Message], None]) -> None:
         """Subscribe to a topic whose messages are for `handle` and not for the reader."""
@@ -279,7 +289,7 @@ class ZmqBus:
         self._events_pending = self._network is not None
         self.publish = publisher.publish
         self.sequence_numbers = publisher.sequence_numbers
-        self._counters: list[Reader | NetworkEvents] = [*self.subscribers]
+        self._counters: list[Refusals] = [*self.subscribers]
         if self._network is not None:
             self._counters.append(self._network)
         self._counted = [0] * len(self._counters)
@@ -323,6 +333,11 @@ class ZmqBus:
             self._readable = ready
             if self._network_descriptors:
                 self._events_pending = not self._network_descriptors.isdisjoint(ready)
+
+    def count(self, counter: Refusals) -> None:
+        """Report what somebody else refuses as well."""
+        self._counters.append(counter)
+        self._counted.append(0)
 
     def has_arrived(self) -> bool:
         """Return whether something may have arrived since the last wait, for `receive`."""

@@ -30,18 +30,22 @@ class Reader(Protocol):
         """Return the sequence statistics of every input."""
 
 
-class NetworkEvents(Protocol):
-    """What looks after the network connections of a bus."""
-
-    has_pending: bool
+class Refusals(Protocol):
+    """What counts the messages or connections that it refuses."""
 
     @property
     def rejected(self) -> dict[str, int]:
-        """How often connections were refused, by reason."""
+        """How often something was refused, by reason."""
 
     @property
     def last_error(self) -> str:
         """The newest refusal in words."""
+
+
+class NetworkEvents(Refusals, Protocol):
+    """What looks after the network connections of a bus."""
+
+    has_pending: bool
 
     @property
     def descriptors(self) -> Sequence[int]:

@@ -81,14 +81,16 @@ class Report(NamedTuple):
 class Body(NamedTuple):
     """A body: its report, its samples (topic, payload), the marks that stand among them (`HELLO` and others).
 
-    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say; `takes_short`,
-    whether it says that it takes short reports.
+    `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say; `carried`, what
+    it found that the line to here carries, 0 while that is not full; `takes_short`, whether it says that it takes short
+    reports.
     """
 
     report: Report
     samples: Sequence[tuple[bytes, bytes]]
     marks: Sequence[int]
     carries: int = 0
+    carried: int = 0
     takes_short: bool = False
 
 
@@ -143,7 +145,7 @@ def parse(body: bytes) -> Body:
         raise RejectedError("count")
     samples: list[tuple[bytes, bytes]] = []
     marks: list[int] = []
-    carries, takes_short = 0, False
+    carries, carried, takes_short = 0, 0, False
     place = SHORT_REPORT.size if is_short else REPORT.size
     while place < len(body):
         if place + SAMPLE.size > len(body):
@@ -155,11 +157,15 @@ def parse(body: bytes) -> Body:
         if number >= CARRIES:
             marks.append(number)
             content = body[place - length : place]
-            carries = int.from_bytes(content[:8], "big") if number == CARRIES else carries
+            if number == CARRIES:
+                # An earlier end says the first only, and reads no more of it.
+                carries, carried = int.from_bytes(content[:8], "big"), int.from_bytes(content[8:16], "big")
+                if max(carries, carried) >= BOUND:
+                    raise RejectedError("count")
             takes_short = takes_short or (number == HELLO and content == TAKES_SHORT)
             continue
         payload, topic = body[place - length : place], number & ~_DEFLATED
         if topic >= len(DATAGRAM_TOPICS):
             raise RejectedError("malformed")
         samples.append((_FRAMES[topic], _inflated(payload) if number & _DEFLATED else payload))
-    return Body(report, samples, marks, carries, takes_short)
+    return Body(report, samples, marks, carries, carried, takes_short)

@@ -154,6 +154,8 @@ class DatagramEnd:
         self._kernel_drops = 0
         # How often the other end is still to be told that this one inflates samples.
         self._greetings = 0
+        # What the other end has measured of the line from here [bit/s], 0 before that.
+        self._known = 0
         # How many trains are still to be sent at the start.
         self._trains = _TRAINS
         self.socket = socket.socket(place.family, socket.SOCK_DGRAM)
@@ -328,7 +330,9 @@ class DatagramEnd:
             self.outgoing.deflates = True
             self.outgoing.shortens = self.outgoing.shortens or body.takes_short
         if body.carries:
-            self.outgoing.control.known_bytes_per_s = body.carries / 8.0
+            self._known = body.carries
+        if CARRIES in body.marks:
+            self.incoming.carried_while_full = body.carried
         if number == opener.window.newest:
             self._agreement.opened(opener)
             self._heard = (report.sent_ns, now_ns)
@@ -375,8 +379,9 @@ class DatagramEnd:
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
             self._count_kernel_drops()
-            if self.outgoing.deflates and self.incoming.capacity:
-                self._send(mark(CARRIES, self.incoming.capacity.to_bytes(8, "big")), now_ns)
+            if self.outgoing.deflates:
+                figures = (self.incoming.measured, self.outgoing.control.carried_while_full)
+                self._send(mark(CARRIES, b"".join(figure.to_bytes(8, "big") for figure in figures)), now_ns)
             if self._expected:
                 self.outgoing.adapt_repeats(*self._acknowledged_counts)
             if self._agreement.peer_public:
@@ -396,12 +401,13 @@ class DatagramEnd:
         if self.incoming.wants_train:
             self.incoming.wants_train = False
             self.outgoing.send_train(now_ns, self._send)
-        told = self.incoming.told_of_queue(now_ns, self.outgoing.line.back_ns)
+        self.incoming.measure(now_ns)
+        told = self.outgoing.told_of_queue(now_ns, self.machine)
         if told is not None:
             self._tell(*told)
 
     def _seems_narrow(self) -> bool:
-        return 0 < min(self.incoming.capacity, 8.0 * self.outgoing.control.known_bytes_per_s) < _NARROW
+        return 0 < min(self.incoming.measured, self._known) < _NARROW
 
     def send_train(self) -> bool:
         """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.

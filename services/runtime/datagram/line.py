@@ -10,12 +10,15 @@ that stands (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012
 Neither way can have more of a queue than the round trip, which no clock enters, is above its least.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 from services.runtime.loop.clock_offset import STEP_NS, Exchange
 
 # A queue stands if it does for two of these [ns].
 _HALF_WINDOW_NS = 50_000_000
+# Of so many of them that had so many delays, the calmest quarter says how much the delay varies by itself.
+_VARIATIONS, _FEWEST_SEEN = 16, 3
 # Least delays are kept for spans of equal length, of which there are so many; a span grows from the first to the last
 # length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
 _SPANS, _FIRST_SPAN_NS, _LAST_SPAN_NS = 64, 250_000_000, 16_000_000_000
@@ -58,6 +61,9 @@ class Line:
         self._slope = self._there = self._back = 0.0
         self._least_both = 0.0
         self._lowest = self._before = (0.0, 0.0)
+        self._most_back = 0.0
+        self._highest, self._last, self._seen = 0.0, 0.0, 0
+        self._varied: deque[float] = deque(maxlen=_VARIATIONS)
         self._window_ends_ns = 0.0
         self._windows = 0
 
@@ -75,6 +81,16 @@ class Line:
     def back_ns(self) -> int | None:
         """The standing queue of what arrives here [ns]."""
         return self._standing(1)
+
+    def take_back_ns(self) -> int | None:
+        """Return the greatest standing queue of what arrived here since it was last asked [ns]."""
+        most_ns, self._most_back = round(self._most_back), 0.0
+        return None if self.back_ns is None else max(self.back_ns, most_ns)
+
+    @property
+    def there_variation_ns(self) -> int:
+        """By how much the delay of what is sent from here varies, in the calmest quarter of the last second [ns]."""
+        return round(sorted(self._varied)[len(self._varied) // 4]) if self._varied else 0
 
     def _standing(self, way: int) -> int | None:
         return None if self._windows < 2 else round(min(self._before[way], self._lowest[way]))
@@ -145,7 +161,13 @@ class Line:
     def _see(self, at: float, there: float, back: float) -> None:
         if at >= self._window_ends_ns:
             self._window_ends_ns = at + _HALF_WINDOW_NS
-            self._before, self._lowest = self._lowest, (there, back)
-            self._windows += 1
+            if self._seen >= _FEWEST_SEEN:
+                self._varied.append(self._highest - self._lowest[0])
+            if self._windows > 1:
+                self._most_back = max(self._most_back, min(self._before[1], self._lowest[1]))
+            self._before, self._lowest, self._highest = self._lowest, (there, back), there
+            self._windows, self._seen = self._windows + 1, 1
         else:
             self._lowest = (min(self._lowest[0], there), min(self._lowest[1], back))
+            self._highest, self._seen = max(self._highest, there), self._seen + (there != self._last)
+        self._last = there

@@ -8,7 +8,7 @@ from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, Report, ma
 from services.runtime.datagram.body import TRAIN as TRAIN_MARK
 from services.runtime.datagram.line import Line
 from services.runtime.datagram.pacing import NETWORK_BYTES, RESERVE_BYTES, Repeats, SendBudget
-from services.runtime.datagram.rate import Delivery, RateControl, Seen
+from services.runtime.datagram.rate import WARN_QUEUE_NS, Delivery, RateControl, Seen
 from services.runtime.datagram.sealing import OVERHEAD_BYTES
 from services.runtime.loop.clock_offset import Exchange
 
@@ -25,6 +25,8 @@ _WHOLE_REPORT_NS = 9_000_000
 TRAIN_DATAGRAMS, _PADDING_BYTES = 40, 400
 # No more than one train in this time, whoever asks for it [ns].
 _TRAIN_PAUSE_NS = 700_000_000
+# A queue is told of that stands for the first time, and again after the second [ns].
+_STANDS_NS, _REMIND_NS = 2_000_000_000, 60_000_000_000
 # Means follow what is sent over some 0.3 s, at twenty updates a second.
 _NEWEST_SHARE = 0.15
 
@@ -57,6 +59,8 @@ class Outgoing:
         # The mean size of a datagram [bytes], and what is sent in a second.
         self._bytes_each, self._bytes_per_s = 400.0, 0.0
         self._train_ns = now_ns - _TRAIN_PAUSE_NS
+        self._full_since_ns: int | None = None
+        self._told_ns: int | None = None
 
     def samples(self, topic: str, payload: bytes, now_ns: int) -> bytes:
         """Return what to send now that a sample is offered; empty where it is left out."""
@@ -110,8 +114,27 @@ class Outgoing:
         found, queue_ns = self._delivery.rate(self._bytes_each, self._bytes_per_s), self.line.there_ns
         if found is None or queue_ns is None:
             return
-        self.control.update(now_ns, Seen(queue_ns, *found, round_trip_ns), LEAST_HZ * self._bytes_each)
+        seen = Seen(queue_ns, *found, round_trip_ns, self.line.there_variation_ns)
+        self.control.update(now_ns, seen, LEAST_HZ * self._bytes_each)
         self._budget.limit(self.control.bytes_per_s, self._bytes_each, now_ns)
+
+    def told_of_queue(self, now_ns: int, machine: str) -> tuple[str, str] | None:
+        """Return level and text of an event when the line to a machine becomes full, still is after long, or is not."""
+        queue_ns, mode, told_ns = self.line.there_ns or 0, self.control.mode, self._told_ns
+        if mode != "full" or queue_ns < WARN_QUEUE_NS:
+            self._full_since_ns = None
+            if mode != "free" or told_ns is None:
+                return None
+            self._told_ns = None
+            return "info", f"the line to {machine} is no longer full"
+        if self._full_since_ns is None:
+            self._full_since_ns = now_ns
+        if now_ns - self._full_since_ns < _STANDS_NS or (told_ns is not None and now_ns - told_ns < _REMIND_NS):
+            return None
+        self._told_ns = now_ns
+        carries = f"carries {8e-6 * self.control.carried_bytes_per_s:.3g} Mbit/s of the link's datagrams"
+        queue = f"a queue of {queue_ns * 1e-6:.0f} ms stands before it"
+        return "warning", f"the line to {machine}, which {carries}, is full: {queue}, and every sample is as much older"
 
     def adapt_repeats(self, expected: int, arrived: int) -> None:
         """Choose how many older samples each datagram repeats."""

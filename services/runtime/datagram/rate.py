@@ -1,21 +1,32 @@
-"""How much an end may send over a line that may be full: the rate control of GCC, driven by the standing queue.
+"""How much an end may send over a line that may be full: the rate control of GCC, by a queue that grows with load.
 
 The shape is that of Google Congestion Control (Carlucci, De Cicco, Holmer and Mascolo, "Analysis and design of the
 Google congestion control for WebRTC", MMSys 2016): while a queue stands, the rate becomes a share of what was
-delivered; else it grows. GCC infers the queue from its gradient; here `line.Line` gives the queue itself, so that the
-threshold is one of delay, as in LEDBAT (RFC 6817). Losses without a queue change nothing: they do not mean that a line
-is full.
+delivered; else it grows. GCC infers the queue from its gradient; here `line.Line` gives the delay that stands, so that
+the threshold is one of delay, as in LEDBAT (RFC 6817). Losses without a queue change nothing: they do not mean that a
+line is full.
 
-A queue that does not fall although this end sends half of what it did is made by others, such as a TCP transfer in the
-same buffer. To send still less would only give them the line, so that from then on losses decide, as they do in GCC:
-the rate falls by half of the share lost where that is above 10 %, and grows where it is below 2 %.
+A delay that stands is not yet a queue of this end's making. On a line that keeps the order, datagrams wait for one
+another, and where its delay jitters some of that stands as long as the line does; a TCP transfer keeps its own queue.
+So each reduction is a trial (`Trial`). A queue that this end makes goes at a rate that is known: when a share r of what
+the line carries is sent, by 1 - r of the time. Where the delay stands still after two reductions, or falls much faster
+than that, sending less is not what lowers it, and the rate of before is in force again. What stood is then the
+`excused` delay, above which the queue has to grow before another trial, or ten seconds have to pass.
+
+It is stable, because a reduction that does not help lasts for two trials, of some 0.3 s and a round trip each, so that
+reductions cannot add up: on a line without any limit they cost one or two samples in a hundred. Jitter may look like a
+queue that went as expected; then the rate is back within seconds, because it grows wherever no queue stands. Where a
+queue of this end is taken for jitter, it grows on, past what was excused, within a fraction of a second.
+
+Where others keep a queue, to send less would only give them the line, so that meanwhile losses decide, as they do in
+GCC: the rate falls by half of the share that is lost beyond what is lost at the reduced rate, where that is above 10 %.
 """
 
 from collections import deque
 from typing import Literal, NamedTuple
 
-# Above the first the line is full, below the second it is not any more [ns].
-FULL_NS, FREE_NS = 4_000_000, 2_000_000
+# From this on a queue may stand [ns].
+FULL_NS = 4_000_000
 # A queue that stands for so long is a fault to tell of [ns].
 WARN_QUEUE_NS = 10_000_000
 # What is sent of what was delivered, so that the queue drains; less by so much for each nanosecond above FULL_NS.
@@ -23,15 +34,28 @@ _SHARE, _LEAST_SHARE, _SHARE_PER_NS = 0.85, 0.5, 5e-9
 # Growth in a second far from where the line was last full, and near it, from the first to the second share of it: there
 # it begins slowly and is more by so much for each second since then, as that of CUBIC (RFC 9438).
 _GROWTH, _CAREFUL_GROWTH, _MORE_PER_S, _NEAR, _PAST = 1.5, 1.03, 0.02, 0.8, 1.15
-# Growth where it is known that the line carries more, after it was not full for so long.
-_KNOWN_GROWTH, _CONTENDED_S = 2.5, 1.5
 # The effect of a change shows after a round trip and the time over which a queue is judged.
 _JUDGED_NS = 150_000_000
-# A queue is not of this end's making if so much of it is left after this time, in which so much less was sent.
-_LEFT, _PATIENCE_NS = 0.6, 1_000_000_000
-# That is tried again after this time.
-_SHARED_NS = 10_000_000_000
-_MUCH_LOST, _LITTLE_LOST = 0.10, 0.02
+# A trial is judged when its effect had so long to show; what is measured lags by up to the second [ns].
+_TRIED_NS, _LAG_NS = 250_000_000, 100_000_000
+# A queue of this end falls by at least the first share of what was sent less, and by no more than the second and [ns].
+_TOO_LITTLE, _TOO_MUCH, _TOO_MUCH_NS = 0.5, 1.5, 12_000_000
+# A line was not full of what it carried if it delivers so many times that while less is sent.
+_MORE = 1.2
+# What is sent now is carried if this share of it is delivered; after so many reductions the rest is lost anyway.
+_CARRIED, _MOST_STEPS = 0.9, 3
+# A delay that was excused is a queue again from so many times of it and so much more, or after the first time; where
+# none has stood for the second, none is excused any more [ns].
+_EXCUSED, _EXCUSED_NS, _EXCUSED_FOR_NS, _GONE_NS = 1.5, 6_000_000, 10_000_000_000, 1_000_000_000
+# Of a delay that varies, so many times the variation is no queue; from the second on a queue may seem to have gone by
+# chance [ns].
+_VARIATION, _VARIES_NS = 2, 14_000_000
+# Where a delay is excused, the rate becomes so many times what was delivered, and so much greater at each look, until
+# it is so many times what is sent.
+_RESTORED, _EXCUSED_GROWTH, _UNREACHED = 1.25, 1.05, 1.5
+# A queue that comes back so soon, at less than this share of what was carried before it, goes on with the trial.
+_SOON_NS, _WELL_BELOW = 5_000_000_000, 0.9
+_MUCH_LOST = 0.10
 _LOSS_PERIOD_NS = 500_000_000
 # Over so long a time the delivered rate is judged.
 _SPAN_NS = 300_000_000
@@ -42,14 +66,30 @@ Mode = Literal["free", "full", "shared"]
 class Seen(NamedTuple):
     """What an end knows of the way that it sends on.
 
-    queue_ns: the standing queue [ns]; delivered_bytes_per_s: what arrived there lately; loss_share: of what was sent
-    lately, the share that did not; round_trip_ns: [ns].
+    queue_ns: the delay that stands [ns]; delivered_bytes_per_s: what arrived there lately; loss_share: of what was sent
+    lately, the share that did not; round_trip_ns: [ns]; variation_ns: by how much the delay varied at least, within
+    the time over which it is judged [ns].
     """
 
     queue_ns: int
     delivered_bytes_per_s: float
     loss_share: float
     round_trip_ns: int
+    variation_ns: int = 0
+
+
+class Trial(NamedTuple):
+    """Reductions, to see whether the queue goes: when they began, and the last of `steps`, with which queue [ns].
+
+    `before_bytes_per_s` was the rate before the first, and `carried_bytes_per_s` what was delivered at the last.
+    """
+
+    first_ns: int
+    begin_ns: int
+    queue_ns: int
+    before_bytes_per_s: float
+    carried_bytes_per_s: float
+    steps: int
 
 
 class Delivery:
@@ -91,58 +131,112 @@ class RateControl:
     """The rate of one end; `bytes_per_s` is the most that it may send.
 
     `mode`: free, nothing limits it but the budget; full, a queue stood and the rate follows what is delivered; shared,
-    the queue is made by others and losses decide.
+    sending less does not lower the delay, and losses decide. `carried_bytes_per_s` is what was delivered last while a
+    queue stood, 0 before that.
     """
 
     def __init__(self, most_bytes_per_s: float) -> None:
         self.bytes_per_s = self.most_bytes_per_s = most_bytes_per_s
-        # What the other end has measured of the line, 0 before that; it only says how fast the rate may grow.
-        self.known_bytes_per_s = 0.0
+        self.carried_bytes_per_s = 0.0
         self.mode: Mode = "free"
-        self._ready_ns = 0
+        self._ready_ns = self._stood_ns = 0
         self._at_ns: int | None = None
         self._full_at: tuple[float, int] | None = None
-        # The greatest queue of this time of full line, and when it began.
-        self._worst: tuple[int, int] | None = None
+        # The trial under way, and the last one whose queue went.
+        self._trial: Trial | None = None
+        self._last: Trial | None = None
+        # The delay that sending less did not lower, until when that is believed [ns], and the share lost meanwhile.
+        self._excused_ns, self._excused_until_ns, self._lost_anyway = 0, 0, 0.0
+
+    @property
+    def carried_while_full(self) -> int:
+        """What the line carries [bit/s] while it is full, else 0."""
+        return round(8.0 * self.carried_bytes_per_s) if self.mode == "full" else 0
 
     def update(self, now_ns: int, seen: Seen, least_bytes_per_s: float) -> None:
         """Take what is seen of the line now, some twenty times a second; never send less than the least."""
         elapsed_s = 0.0 if self._at_ns is None else min(1.0, max(0.0, (now_ns - self._at_ns) * 1e-9))
         self._at_ns = now_ns
         rate = self.bytes_per_s
-        if seen.queue_ns < FREE_NS:
-            self._worst = None
-            if self.mode == "shared":
+        if seen.queue_ns >= FULL_NS:
+            self._stood_ns = now_ns
+        if now_ns - self._stood_ns >= _GONE_NS or now_ns >= self._excused_until_ns:
+            self._excused_ns = 0
+        queue_from_ns = max(FULL_NS, _VARIATION * seen.variation_ns)
+        if self._excused_ns:
+            queue_from_ns = max(queue_from_ns, round(_EXCUSED * self._excused_ns) + _EXCUSED_NS)
+        stands = seen.queue_ns >= queue_from_ns
+        if self._trial is not None and self._is_of_others(self._trial, now_ns, seen):
+            rate = self._excuse(self._trial, now_ns, seen)
+        elif stands and now_ns >= self._ready_ns:
+            rate = self._reduced(now_ns, rate, seen)
+        elif not stands:
+            if self._trial is not None:
+                self._last, self._trial = self._trial, None
+            if self._excused_ns and self.mode != "full":
+                rate = self._by_losses(now_ns, rate, seen)
+            elif self.mode != "free" and now_ns >= self._ready_ns:
                 self.mode = "full"
-            if self.mode == "full" and now_ns >= self._ready_ns:
-                rate *= self._growth(now_ns) ** elapsed_s
-        elif self.mode == "shared":
-            rate = self._by_losses(now_ns, rate, seen)
-            if self._worst is not None and now_ns - self._worst[1] >= _SHARED_NS:
-                # The others may have gone, and what stands now be of this end's making.
-                self.mode, self._worst = "full", None
-        elif seen.queue_ns >= FULL_NS and now_ns >= self._ready_ns:
-            rate = self._at_a_queue(now_ns, rate, seen)
+                rate *= self._growth(now_ns, seen.variation_ns) ** elapsed_s
         self.bytes_per_s = min(self.most_bytes_per_s, max(rate, least_bytes_per_s))
-        if self.mode == "full" and self.bytes_per_s >= self.most_bytes_per_s:
+        if self.bytes_per_s >= self.most_bytes_per_s:
             self.mode = "free"
 
-    def _at_a_queue(self, now_ns: int, rate: float, seen: Seen) -> float:
-        self.mode = "full"
-        self._ready_ns = now_ns + seen.round_trip_ns + _JUDGED_NS
-        if self._worst is None:
-            self._worst = seen.queue_ns, now_ns
+    def _is_of_others(self, trial: Trial, now_ns: int, seen: Seen) -> bool:
+        """Return whether sending less does not lower a queue, or is not what lowers it."""
+        less = max(0.0, 1.0 - self.bytes_per_s / max(1.0, trial.carried_bytes_per_s))
+        fell_ns = trial.queue_ns - seen.queue_ns
+        since_ns = max(0, now_ns - trial.first_ns - seen.round_trip_ns)
+        if fell_ns > _TOO_MUCH * less * since_ns + _TOO_MUCH_NS + _VARIATION * seen.variation_ns:
+            return True
+        if seen.delivered_bytes_per_s > _MORE * trial.carried_bytes_per_s:
+            # A line that is full does not deliver more than it did.
+            return True
+        acts_ns = now_ns - trial.begin_ns - self._shows_ns(trial, seen)
+        least_ns = _TOO_LITTLE * min(less * (acts_ns - _LAG_NS), float(trial.queue_ns))
+        is_carried = self._is_carried(seen) or trial.steps > _MOST_STEPS
+        return trial.steps > 1 and is_carried and acts_ns >= _TRIED_NS and fell_ns < least_ns
+
+    def _is_carried(self, seen: Seen) -> bool:
+        """Return whether the line carries what is sent now: less, and it is full of it; more, and its queue goes."""
+        return _CARRIED * self.bytes_per_s <= seen.delivered_bytes_per_s <= _MORE * self.bytes_per_s
+
+    @staticmethod
+    def _shows_ns(trial: Trial, seen: Seen) -> int:
+        """Return how long a reduction takes to show: what was sent less comes behind the queue, and is told of."""
+        return seen.round_trip_ns + max(trial.queue_ns, seen.queue_ns)
+
+    def _excuse(self, trial: Trial, now_ns: int, seen: Seen) -> float:
+        """Return the rate again that was in force before a trial, or nearly so."""
+        self._trial = self._last = None
+        self._excused_ns, self._excused_until_ns = max(trial.queue_ns, seen.queue_ns), now_ns + _EXCUSED_FOR_NS
+        self._lost_anyway = seen.loss_share
+        self._ready_ns = now_ns + max(_LOSS_PERIOD_NS, seen.round_trip_ns)
+        self.mode = "shared"
+        carried = self._full_at[0] if self._full_at is not None else trial.carried_bytes_per_s
+        return max(self.bytes_per_s, min(trial.before_bytes_per_s, _RESTORED * carried))
+
+    def _reduced(self, now_ns: int, rate: float, seen: Seen) -> float:
+        """Return a share of what is delivered, to see whether the queue goes."""
+        before, last = self._trial, self._last
+        last = last if before is None and last is not None and now_ns - last.begin_ns < _SOON_NS else None
+        if last is not None and rate < _WELL_BELOW * last.carried_bytes_per_s and self._is_carried(seen):
+            # The line has just carried more than this, and carries this, so that it is not full of it.
+            most = min(last.before_bytes_per_s, _RESTORED * last.carried_bytes_per_s)
+            return self._excuse(last._replace(queue_ns=seen.queue_ns, before_bytes_per_s=most), now_ns, seen)
+        if before is None:
             self._full_at = min(rate, seen.delivered_bytes_per_s), now_ns
-        queue_ns, since_ns = self._worst
-        # A queue at its worst takes so long to drain at the least share, and was not seen for a round trip.
-        patience_ns = _PATIENCE_NS + 4 * queue_ns + 2 * seen.round_trip_ns
-        if now_ns - since_ns >= patience_ns:
-            self._worst = seen.queue_ns, now_ns
-            if seen.queue_ns >= _LEFT * queue_ns:
-                self.mode = "shared"
-                return max(rate, 0.5 * self._full_at[0]) if self._full_at is not None else rate
-        elif seen.queue_ns > queue_ns:
-            self._worst = seen.queue_ns, since_ns
+        elif now_ns - before.begin_ns < self._shows_ns(before, seen) + _TRIED_NS:
+            return rate
+        self.mode, self.carried_bytes_per_s = "full", seen.delivered_bytes_per_s
+        self._ready_ns = now_ns + seen.round_trip_ns + _JUDGED_NS
+        first = before or Trial(now_ns, now_ns, 0, rate, 0.0, 0)
+        self._trial = first._replace(
+            begin_ns=now_ns,
+            queue_ns=seen.queue_ns,
+            carried_bytes_per_s=seen.delivered_bytes_per_s,
+            steps=first.steps + 1,
+        )
         share = max(_LEAST_SHARE, _SHARE - (seen.queue_ns - FULL_NS) * _SHARE_PER_NS)
         return min(rate, share * seen.delivered_bytes_per_s)
 
@@ -150,17 +244,19 @@ class RateControl:
         if now_ns < self._ready_ns:
             return rate
         self._ready_ns = now_ns + max(_LOSS_PERIOD_NS, seen.round_trip_ns)
-        if seen.loss_share > _MUCH_LOST:
-            return rate * (1.0 - 0.5 * seen.loss_share)
-        return rate * 1.05 if seen.loss_share < _LITTLE_LOST else rate
+        lost = seen.loss_share - self._lost_anyway
+        sent = seen.delivered_bytes_per_s / max(0.1, 1.0 - seen.loss_share)
+        if lost > _MUCH_LOST:
+            self.mode = "shared"
+            return min(rate, sent) * (1.0 - 0.5 * lost)
+        # A rate that nothing reaches is no limit.
+        return rate * _EXCUSED_GROWTH if rate < _UNREACHED * sent else self.most_bytes_per_s
 
-    def _growth(self, now_ns: int) -> float:
-        if self._full_at is None:
+    def _growth(self, now_ns: int, variation_ns: int) -> float:
+        if self._full_at is None or variation_ns >= _VARIES_NS:
+            # A queue may have gone by chance here, and to be wrong about that costs less than to be slow.
             return _GROWTH
         full_at, since_s = self._full_at[0], (now_ns - self._full_at[1]) * 1e-9
-        if since_s > _CONTENDED_S and self.bytes_per_s < _NEAR * self.known_bytes_per_s:
-            # What made the line full then, beside this end, is gone.
-            return _KNOWN_GROWTH
         if not _NEAR * full_at < self.bytes_per_s < _PAST * full_at:
             return _GROWTH
         return min(_GROWTH, _CAREFUL_GROWTH + _MORE_PER_S * since_s)

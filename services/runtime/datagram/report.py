@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]) -> dict[str, Any]:
     """Return the fields of link/network for the direction that an end receives."""
     offset = end.offset.estimate()
-    fates, queue_ns = end.arrivals.take_fates(), end.outgoing.line.back_ns
+    fates, queue_ns = end.arrivals.take_fates(), end.outgoing.line.take_back_ns()
     # The sender added the lead of the other clock to the time of sending.
     ahead_ns = 0 if offset is None else round(offset.offset_s * 1e9)
     lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")

@@ -101,7 +101,7 @@ def parse_health(frames: Sequence[bytes], node: str) -> Mapping[str, Any] | None
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m services.runtime.loop.healthcheck", description="Check whether a node is healthy."
+        prog="python -P -m services.runtime.loop.healthcheck", description="Check whether a node is healthy."
     )
     named = os.environ.get(NODE_VARIABLE, "")
     parser.add_argument("node", nargs="?", default=named, metavar="NODE@SITE", help=f"default: {NODE_VARIABLE}")

@@ -26,7 +26,6 @@ from services.runtime.loop.realtime import (
     ahead_of_others,
     apply_realtime,
     behind_others,
-    die_with_parent,
     ordinary_scheduling,
     raise_file_limit,
     use_huge_pages,
@@ -34,6 +33,7 @@ from services.runtime.loop.realtime import (
 from services.runtime.security.private_files import check_rig_name
 from services.runtime.settings.config import read_yaml, validate
 from services.runtime.settings.scenario import load_scenario
+from services.signals.children import die_with_parent
 
 C = TypeVar("C", bound=BaseModel)
 

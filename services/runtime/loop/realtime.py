@@ -19,7 +19,6 @@ from services.runtime.settings.optional_modules import optional_module
 # Windows has no such module.
 resource = optional_module("resource")
 _PR_SET_TIMERSLACK = 29
-_PR_SET_PDEATHSIG = 1
 # pages are locked as they are first touched: locking every reserved page would take 400 MB a process
 _MCL_CURRENT_FUTURE_ONFAULT = 7
 # The limit is far above what a rig needs; libzmq scans nothing by number, so the size costs nothing.
@@ -263,14 +262,6 @@ def raise_file_limit() -> None:
         return
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, _MOST_FILES), most))
-
-
-def die_with_parent(signal_number: int) -> None:
-    """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
-    if not is_linux():
-        # Only its supervisor then ends a node.
-        return
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
 
 
 @contextlib.contextmanager

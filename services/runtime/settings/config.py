@@ -17,6 +17,8 @@ from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_
 M = TypeVar("M", bound=BaseModel)
 
 ENVIRONMENT_PREFIX = "TELENANO__"
+# Set to anything, it lets a scenario name code: a function of a sample, a library of a device.
+ALLOW_CODE_VARIABLE = "TELENANO_ALLOW_CODE"
 # Sections are nested far less deeply than this, and programs that walk through them can go this deep.
 _DEEPEST = 16
 # At most so many faults of one document are reported, so that a thousand wrong keys cost no more than that.
@@ -32,6 +34,16 @@ class Settings(BaseModel):
     """The base of settings: frozen and strict, without unknown keys and without infinite numbers."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+def refused_code(setting: str, named: str) -> str:
+    """Return why code that a setting names is not run; empty where the person who started this process allows it."""
+    if os.environ.get(ALLOW_CODE_VARIABLE):
+        return ""
+    return (
+        f"{setting} {named}: it is code, and a scenario is data: if you trust whoever wrote it, allow it with "
+        f"`telenano up --allow-code`, or {ALLOW_CODE_VARIABLE}=1 in the environment"
+    )
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

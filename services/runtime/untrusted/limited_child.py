@@ -22,6 +22,8 @@ from typing import Any, BinaryIO, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from services.signals import children
+
 # Other systems have no such limits; there the headers and the wall time are checked.
 try:
     import resource
@@ -84,14 +86,14 @@ def read_in_child(
     if size > LARGEST_FILE_BYTES:
         raise ValueError(f"it has {size} bytes; at most {LARGEST_FILE_BYTES} are read")
     limits = limits or limits_for(size)
-    command = [sys.executable, "-P", "-m", __name__, function]
+    command = [sys.executable, "-m", __name__, function]
     given = [limits, os.fspath(path), *arguments]
     # A single thread is used, because each thread of a linear algebra library reserves memory.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     with _answer_file() as out:
         try:
             if watch is None:
-                code = subprocess.run(
+                code = children.run(
                     [*command, json.dumps(given)], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
                     env=environment, timeout=limits.wall_s, check=False,
                 ).returncode  # fmt: skip
@@ -114,7 +116,7 @@ def _watched(
     """Run a child that reports its advance, each within wall_s [s] of the one before; return its exit code."""
     reader, writer = os.pipe()
     try:
-        process = subprocess.Popen(
+        process = children.start(
             [*command, json.dumps([*given, writer])], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.DEVNULL,
             env=environment, pass_fds=(writer,),
         )  # fmt: skip

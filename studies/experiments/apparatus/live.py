@@ -22,6 +22,7 @@ from recording.reader import Recording
 from services.console.command_client import send_control
 from services.console.coupling import couple_anew
 from services.controller.config import ControllerConfig
+from services.delay_node.config import LinkSettings, changed, network_name
 from services.haptic_node.config import HapticConfig
 from services.runtime.bus.observer import Observer
 from services.runtime.loop.commands import Command, CommandName
@@ -361,11 +362,12 @@ class Live(Apparatus):
     def _verified(self, wanted: Wanted) -> dict[str, Any]:
         """Wait until the rig reports the condition, and return what it reported; RigError names what it does not."""
         expected = {way: of_way(wanted.link, way) for way in ("forward", "backward")}
+        network = network_name(changed(LinkSettings(), wanted.link))
 
         def link_is_set() -> bool:
             status = self._report("link/status", f"{LINK}@master")
             return isinstance(status, LinkStatus) and all(
-                getattr(status, way).profile == wanted.link["profile"] and dict(getattr(status, way).settings) == keys
+                getattr(status, way).profile == network and dict(getattr(status, way).settings) == keys
                 for way, keys in expected.items()
             )
 

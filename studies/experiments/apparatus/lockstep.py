@@ -1,17 +1,13 @@
 """Trials in simulated time: the steps of the nodes without processes, as `telenano.simulate` runs them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from recording.column_table import ColumnTable
 from studies.experiments.apparatus.base import Apparatus, Course, Take
-from studies.experiments.desk import Desk
-from studies.experiments.plan import Plan
 from studies.experiments.types import TrialData, particle_table
-
-Simulate = Callable[..., Any]
 
 
 def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> Any:
@@ -22,17 +18,7 @@ def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> A
 
 
 class Lockstep(Apparatus):
-    """An apparatus without processes or clock; nothing can disturb a trial.
-
-    Args:
-        plan: The experiment.
-        desk: Tells and asks nobody.
-        simulate: Runs a scenario; `studies.loops.simulation.simulate_document` unless given.
-    """
-
-    def __init__(self, plan: Plan, desk: Desk, simulate: Simulate = _simulate) -> None:
-        super().__init__(plan, desk)
-        self._simulate = simulate
+    """An apparatus without processes or clock, whose desk tells and asks nobody; nothing can disturb a trial."""
 
     def take(self, course: Course) -> Take:
         document = {**course.document, "duration_s": course.duration_s}
@@ -40,7 +26,7 @@ class Lockstep(Apparatus):
         document = {**document, "delay_node": link}
         hand = self.steering(course)
         steered = () if hand is None else (hand,)
-        session = self._simulate(document, str(self.plan.path), *steered)
+        session = _simulate(document, str(self.plan.path), *steered)
         conditions = session.conditions
         data = TrialData(session.table("afm/state"), session.table("haptic/state"), empty("law/status"))
         if hand is not None:

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import yaml
 from proto.errors import RigError
 from services.launcher.rigs import running_rigs
 from services.runtime.bus.local_endpoint import RIG_VARIABLE
-from services.runtime.loop.realtime import die_with_parent
+from services.signals import children
 from services.signals.interrupts import kept_from_children
 
 # A rig is ready within half a minute also where its models have to be compiled first.
@@ -62,12 +61,12 @@ class RigProcess:
         # A pipe would break when this process is killed, in the middle of what the rig does to end in order.
         self._log = folder / "up.log"
         with kept_from_children(), self._log.open("wb") as log:
-            self._process = subprocess.Popen(
+            self._process = children.start(
                 [*command, *further],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                preexec_fn=partial(_die_with, os.getpid()),
+                dies_with_parent=True,
             )
         try:
             os.environ[RIG_VARIABLE] = self._named()
@@ -133,9 +132,3 @@ def wait_for_others(folder: Path, show: Callable[[str], None]) -> None:
             told = True
         time.sleep(_LOOK_S)
     raise RigError(f"rig {mine[0].name} of a run before this one does not end: stop it (`telenano status --all`)")
-
-
-def _die_with(parent: int) -> None:
-    die_with_parent(signal.SIGTERM)
-    if os.getppid() != parent:
-        os.kill(os.getpid(), signal.SIGTERM)

@@ -60,7 +60,7 @@ def sum_of_sines(p: Track, seed: int) -> Course:
     return Course(times, p.centre + p.amplitude / len(phases) * blend * values, p.quantity)
 
 
-def lag_s(target: Series, followed: Series, period_s: float, longest_s: float = _LONGEST_LAG_S) -> float | None:
+def lag_s(target: Series, followed: Series, period_s: float) -> float | None:
     """Return by how much a course lags behind its target: the maximum of their cross-correlation [s].
 
     Each lag is judged over the part that both have, normalised, and the maximum is refined by a parabola.
@@ -69,9 +69,8 @@ def lag_s(target: Series, followed: Series, period_s: float, longest_s: float = 
         target: The target, evenly sampled, shape (n,).
         followed: What followed it, sampled alike, shape (n,).
         period_s: The distance of the samples [s].
-        longest_s: The longest lag that is looked for [s].
     """
-    most = min(round(longest_s / period_s), len(target) // 2)
+    most = min(round(_LONGEST_LAG_S / period_s), len(target) // 2)
     found = [_correlation(target[: len(target) - k], followed[k:]) for k in range(most + 1)]
     if not found or any(value is None for value in found):
         return None

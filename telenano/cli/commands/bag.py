@@ -5,10 +5,9 @@ Each imports what it needs when it runs: the summary of an hour is there before 
 
 import json
 from collections.abc import Iterable
-from enum import StrEnum
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from pydantic import BaseModel
@@ -29,7 +28,6 @@ from telenano.cli.options import (
 from telenano.cli.output import console, print_document, print_json, print_rows, report_errors
 
 if TYPE_CHECKING:
-    from recording.export import Format
     from recording.info import RecordingInfo
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
@@ -53,18 +51,6 @@ ToleranceOption = Annotated[
         "--tolerance", metavar="[TOPIC:]FIELD=VALUE", help="Largest difference, in the field's unit (repeatable)."
     ),
 ]
-
-
-class ExportFormat(StrEnum):
-    """What a recording can be exported to."""
-
-    PARQUET = "parquet"
-    CSV = "csv"
-    HDF5 = "hdf5"
-    MCAP_JSON = "mcap-json"
-    MCAP_PROTOBUF = "mcap-protobuf"
-    ROS2 = "ros2"
-    NEXUS = "nexus"
 
 
 @app.command()
@@ -313,22 +299,29 @@ def recover(file: FileArgument, out: OutOption, as_json: JsonOption = False) -> 
 def export(
     file: FileArgument,
     out: OutOption,
-    to: Annotated[ExportFormat, typer.Option("--to", help="parquet, csv: a folder; the others: a file.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="parquet, csv (folders), hdf5, mcap-json, nexus, or that of a package, such as protobuf or ros2.",
+        ),
+    ],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Convert a recording for other tools; viewers read mcap-json or mcap-protobuf, ROS 2 ros2, archives nexus."""
+    """Convert a recording for other tools; viewers read mcap-json, archives nexus."""
     with report_errors(as_json):
         chosen = Selection.of(topics or (), exclude or ())
-        if to is ExportFormat.NEXUS:
+        if to == "nexus":
             from analysis.nexus_files import export_session
 
             _print_model(export_session(file, out, chosen), as_json)
         else:
             from recording.export import export_recording
 
-            _print_model(export_recording(file, out, cast("Format", to.value), chosen), as_json)
+            _print_model(export_recording(file, out, to, chosen), as_json)
 
 
 @app.command()

@@ -63,8 +63,16 @@ def stiffness(
     seed: SeedOption = 0,
     spectrum: Annotated[
         Path | None,
-        typer.Option("--spectrum", metavar="FILE", help="An own thermal spectrum: frequency [Hz], density [V^2/Hz]."),
+        typer.Option("--spectrum", metavar="FILE", help="An own thermal spectrum: frequency [Hz] and density."),
     ] = None,
+    unit: Annotated[
+        str,
+        typer.Option(
+            "--unit",
+            metavar="UNIT",
+            help="Of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz or m/sqrt(Hz); default: its head.",
+        ),
+    ] = "",
     record: Annotated[
         Path | None, typer.Option("--record", metavar="FILE", help="An own record of the free deflection [V].")
     ] = None,
@@ -98,13 +106,12 @@ def stiffness(
         if spectrum is not None or record is not None:
             from studies.instrument.own_calibration import BY_ANGLE, Thermal
 
-            if sensitivity_nm is None:
-                raise ConfigError("--sensitivity: a spectrum in volts needs the way for a volt [nm/V]")
             width, length = (1e-6 * value for value in size) if size else (None, None)
             mode = BY_ANGLE if factor is None else factor
             errors = 1e-9 * sensitivity_error, 1e-6 * size_error
-            known = Thermal(1e-9 * sensitivity_nm, temperature, mode, width, length, rate, averages, *errors)
-            _own_stiffness(spectrum, record, known, as_json=as_json)
+            way_m = None if sensitivity_nm is None else 1e-9 * sensitivity_nm
+            known = Thermal(way_m or 1.0, temperature, mode, width, length, rate, averages, *errors)
+            _own_stiffness(spectrum, record, known, unit, needs_sensitivity=way_m is None, as_json=as_json)
             return
         import studies.instrument.instrument_calibration as calibration
         from services.afm_node.config import AfmConfig
@@ -146,13 +153,27 @@ def _own_sensitivity(curve: Path, part: tuple[float, float], *, as_json: bool) -
     print_document(document, str(curve), as_json=as_json)
 
 
-def _own_stiffness(spectrum: Path | None, record: Path | None, known: "Thermal", *, as_json: bool) -> None:
-    from studies.instrument.own_calibration import columns_of, stiffness_of_record, stiffness_of_spectrum
+def _own_stiffness(
+    spectrum: Path | None,
+    record: Path | None,
+    known: "Thermal",
+    unit: str,
+    *,
+    needs_sensitivity: bool,
+    as_json: bool,
+) -> None:
+    from studies.instrument.own_calibration import columns_of, spectrum_of, stiffness_of_record, stiffness_of_spectrum
 
     if spectrum is not None and record is not None:
         raise ConfigError("--spectrum, --record: give one of them")
+    is_of_metres = False
     if spectrum is not None:
-        frequency_hz, density = columns_of(spectrum, 2)
+        frequency_hz, density, is_of_metres = spectrum_of(spectrum, unit)
+    if needs_sensitivity and not is_of_metres:
+        raise ConfigError("--sensitivity: what was measured in volts needs the way for a volt [nm/V]")
+    if spectrum is not None:
+        if is_of_metres:
+            known = known._replace(sensitivity_m_per_v=1.0, sensitivity_error_m_per_v=0.0)
         found = stiffness_of_spectrum(frequency_hz, density, known)
     else:
         found = stiffness_of_record(columns_of(record or Path(), 1)[0], known)

@@ -60,9 +60,10 @@ def analyse(
     """
     with report_errors(as_json):
         from services.viz_node.figure_style import figure_options
-        from studies.experiments.analyse import Choice, analyse, require_packages
+        from studies.experiments.analyse import Choice, analyse, check_choice, require_packages
         from studies.experiments.analysis_page import NAME, write_analysis
         from studies.experiments.folder_tables import about_experiment, adaptive_factors, tables_of
+        from studies.experiments.table import write_tables
 
         require_packages()
         if test not in ("mixed", "anova"):
@@ -70,8 +71,12 @@ def analyse(
         options = figure_options(formats, style)
         tables = tables_of(folder)
         choice = Choice(tuple(measure or ()), test, correction, confidence, tuple(category or ()), within)  # type: ignore[arg-type]
-        analysis = analyse(tables, choice, adaptive_factors(folder))
+        check_choice(tables, choice)
         target = out or folder / FOLDER
+        # whatever becomes of the analysis, the table of the trials is there
+        with results_in(target) as part:
+            write_tables(tables, part)
+        analysis = analyse(tables, choice, adaptive_factors(folder))
         command = " ".join(["telenano", *sys.argv[1:]])
         with results_in(target) as part:
             document = write_analysis(part, analysis, tables, about_experiment(folder), command, options)

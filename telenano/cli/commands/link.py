@@ -12,7 +12,6 @@ from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES, profile_named
 from services.runtime.bus.observer import RIG_HINT, Observer, messages_of
-from services.runtime.datagram.rate import WARN_QUEUE_NS
 from services.runtime.loop.main import load_site
 from services.runtime.settings.config import flatten
 from telenano.cli.commands.link_probe import probe
@@ -28,7 +27,6 @@ _DIRECTIONS = ("forward", "backward")
 # the receiving end of each direction reports twice a second
 _NETWORK_S = 1.5
 _NETWORK_COUNTS = ("receiving", "sent", "arrived", "late", "settled", "lost")
-_FULL_S = WARN_QUEUE_NS * 1e-9
 _PER_DATAGRAM = ("number", "arrived_ns", "delay_ns", "lost_flag")
 _DELAYS = ("delay_mean_s", "delay_min_s", "delay_max_s")
 
@@ -144,7 +142,8 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     ways = [network.get(direction, {}) for direction in _DIRECTIONS]
     rows = [_row(f"network: {key}", *(way.get(key, "") for way in ways)) for key in _NETWORK_COUNTS]
     rows.append(_row("network: lost of settled [%]", *map(_lost_percent, ways)))
-    rows.append(_row("network: queue [ms]", *map(_queue_text, ways)))
+    queues_s = [way.get("queue_s") for way in ways]
+    rows.append(_row("network: queue [ms]", *("" if each is None else f"{1e3 * each:.1f}" for each in queues_s)))
     rows.append(_row("network: line carries [Mbit/s]", *(_mbit(way.get("capacity_bit_per_s")) for way in ways)))
     # An end says of the other direction, which it sends, how much that is.
     for what, text in (("line", str), ("limit_bit_per_s", _mbit), ("unsent", str)):
@@ -160,13 +159,6 @@ def _lost_percent(way: dict[str, Any]) -> str:
     """Return the share lost of what is settled: datagrams of the last second may still arrive."""
     settled = way.get("settled")
     return f"{100.0 * way['lost'] / settled:.1f}" if settled else ""
-
-
-def _queue_text(way: dict[str, Any]) -> str:
-    queue_s = way.get("queue_s")
-    if queue_s is None:
-        return ""
-    return f"{1e3 * queue_s:.1f}" + (": the line is full" if queue_s > _FULL_S else "")
 
 
 def _mbit(bit_per_s: float | str | None) -> str:

@@ -22,12 +22,12 @@ class Kind(StrEnum):
     SAMPLE = "sample"
     PROGRAM = "program"
     TASK = "task"
+    COMMAND = "command"
+    CHECK = "check"
 
 
 def new(
-    kind: Annotated[
-        Kind, typer.Argument(metavar="KIND", help="law, device, instrument, operator, sample, program or task.")
-    ],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in a scenario, such as my_law.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to make; default: telenano-NAME.")
@@ -37,7 +37,7 @@ def new(
     ] = "haptic_node",
     as_json: JsonOption = False,
 ) -> None:
-    """Make a package with a law, device, instrument, operator, sample, program or task of yours, and a test of it."""
+    """Make a package with one of these of yours, a test of it and all that pip needs."""
     with report_errors(as_json):
         if node not in ("haptic_node", "afm_node"):
             raise ConfigError(f"--node {node}: devices are those of haptic_node and of afm_node")

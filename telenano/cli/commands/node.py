@@ -1,6 +1,5 @@
 """`telenano node`: run one node alone."""
 
-import os
 import sys
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import typer
 from proto import TOPICS
 from proto.errors import ConfigError, known_names
 from proto.nodes import NODES, SERVICES, name_of
+from services.signals import children
 from telenano.cli.completion import service_names
 from telenano.cli.options import command_group
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -36,8 +36,7 @@ def node(
     with report_errors(as_json=False):
         if name not in SERVICES:
             raise ConfigError(f"unknown node {name!r}: {known_names(name, SERVICES)}")
-    # the node takes the place of this process, so that signals reach it
-    os.execv(sys.executable, [sys.executable, "-m", f"services.{name}", *context.args])
+    children.become([sys.executable, "-m", f"services.{name}", *context.args])
 
 
 def _list(*, as_json: bool) -> None:

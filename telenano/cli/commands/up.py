@@ -1,6 +1,7 @@
 """`telenano up`: run a scenario on a rig, record it, and write figure and summary."""
 
 import contextlib
+import os
 import signal
 import sys
 from datetime import datetime
@@ -18,6 +19,7 @@ from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.rigs import own_rig
 from services.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
 from services.runtime.security.keyring import Keyring
+from services.runtime.settings.config import ALLOW_CODE_VARIABLE
 from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
@@ -58,6 +60,10 @@ def up(
             help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
         ),
     ] = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Run code that the scenario names: the function of a sample, a library."),
+    ] = False,
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "csv",
@@ -71,6 +77,9 @@ def up(
     as_json: JsonOption = False,
 ) -> None:
     """Start every node of a rig, run a scenario, record it, and write figure and summary."""
+    if allow_code:
+        # the nodes inherit it, and so do the sessions of a sweep
+        os.environ[ALLOW_CODE_VARIABLE] = "1"
     with report_errors(as_json):
         options = figure_options(formats, style)
         request = validated(UpRequest, {**given, "page": not (no_view or as_json or headless)})

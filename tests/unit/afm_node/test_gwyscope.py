@@ -554,6 +554,24 @@ def test_guard_retracts_first_and_lets_nobody_in_before() -> None:
     assert not line.judge.due
 
 
+def test_a_driver_that_fails_in_its_retraction_is_told_and_its_connection_ended(rig: ControllerRig) -> None:
+    """The driver of a package may raise anything, and that kept event and end from being done."""
+    closed: list[bool] = []
+
+    def fail() -> bool:
+        raise ZeroDivisionError("the fault")
+
+    def close() -> None:
+        closed.append(True)
+        fail()
+
+    rig.line.driver.retract, rig.line.driver.close = fail, close
+    rig.node.make_safe()
+    assert closed
+    texts = [event.text for event in rig.bench.take("session/event")]
+    assert any("no retraction of the tip (an answer that nobody expected: ZeroDivisionError" in text for text in texts)
+
+
 @pytest.mark.parametrize(
     ("begin", "text"),
     [

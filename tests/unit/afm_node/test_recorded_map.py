@@ -1,6 +1,7 @@
 """A recorded map is felt as it was measured: interpolation, both branches, the edges, and files that cannot be used."""
 
 import math
+import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from services.afm_node.physics.part import PlantInputs
 from services.afm_node.physics.recorded_map import MapState, value_at
 from services.afm_node.physics.sample.force_map import checked_map, gates, map_params, read_map, write_map
 from services.afm_node.physics.sample.map_files import Wanted, import_map
-from services.afm_node.physics.sample.map_libraries import blocks_of
+from services.afm_node.physics.sample.map_libraries import blocks_of, refuse_large_archive
 from services.numerics.compiled import compiled_form
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
@@ -351,6 +352,41 @@ def test_a_large_archive_is_read_in_blocks_that_have_all_of_it(tmp_path: Path) -
         shares.append(share)
     assert read == names[3:]
     assert shares == [pytest.approx(64 / 130), pytest.approx(128 / 130), 1.0]
+
+
+def write_archive(path: Path, entries: dict[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    return path
+
+
+def test_what_curves_share_is_bounded_and_what_is_not_read_of_it_is_not_copied(tmp_path: Path) -> None:
+    curves = {f"index/{number}/header.properties": b"a" for number in range(130)}
+    path = write_archive(tmp_path / "image.jpk-qi-data", {"data-image.jpk-qi-image": bytes(14 << 20), **curves})
+    sizes = [Path(block).stat().st_size for block, _ in blocks_of(str(path), tmp_path)]
+    assert len(sizes) == 3 and max(sizes) < 20_000
+    path = write_archive(tmp_path / "shared.jpk-qi-data", {"header.properties": bytes(14 << 20), **curves})
+    with pytest.raises(ValueError, match="its curves share 14680064 bytes of properties, at most 4194304 are read"):
+        next(blocks_of(str(path), tmp_path))
+
+
+def test_an_archive_that_names_bytes_twice_or_unpacks_to_a_multiple_is_refused(tmp_path: Path) -> None:
+    sound = write_archive(tmp_path / "sound.zip", {f"{n}": os.urandom(100) for n in range(40)})
+    refuse_large_archive(str(sound))
+    bomb = write_archive(tmp_path / "bomb.zip", {f"{n}": bytes(14 << 20) for n in range(90)})
+    with pytest.raises(ValueError, match="it unpacks to 1321205760 bytes, at most"):
+        refuse_large_archive(str(bomb))
+    # all entries of the directory at the end are the first of the file
+    content = bytearray(sound.read_bytes())
+    place = content.find(b"PK\x01\x02")
+    while place >= 0:
+        content[place + 42 : place + 46] = bytes(4)
+        place = content.find(b"PK\x01\x02", place + 1)
+    shared = tmp_path / "shared.zip"
+    shared.write_bytes(content)
+    with pytest.raises(ValueError, match="lie over one another"):
+        refuse_large_archive(str(shared))
 
 
 def test_a_plain_grid_in_hdf5_is_read_with_its_attributes(tmp_path: Path) -> None:

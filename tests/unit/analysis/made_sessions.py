@@ -48,7 +48,9 @@ class Made:
     answers: until when the hand gets answers [s]; events: session time and data of what the instrument reports;
     incidents: session time and text of what the slave's launcher does; end_s: when the recording ends, None if the
     programme is ended; set_s: when the tip has acknowledged a setting; queue_s: by which the way there grows in a
-    second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s].
+    second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s];
+    hand_mode: of the device at a session time; killed_s: when the hand's process is killed, from which on its numbers
+    begin anew and its programme does not run, until anew_s if that is given.
     """
 
     ahead_s: float = 0.0
@@ -68,6 +70,17 @@ class Made:
     queue_s: float = 0.0
     told_s: float = 0.0
     full_s: float | None = None
+    hand_mode: Callable[[float], str] = lambda time_s: "position"
+    killed_s: float | None = None
+    anew_s: float | None = None
+
+    def hand_at(self, time_s: float) -> tuple[float, float]:
+        """Return session_s [s], and F_m [N], of the hand at a session time."""
+        programme_s = time_s
+        if self.killed_s is not None and time_s >= self.killed_s:
+            programme_s = -1.0 if self.anew_s is None else time_s - self.anew_s
+        session_s = programme_s if 0.0 <= programme_s <= SESSION_S and time_s <= SESSION_S else -1.0
+        return session_s, hand_force_n(session_s) if session_s >= 0.0 else 0.0
 
     def slave_ns(self, time_s: float) -> int:
         """Return what the slave's clock shows at a session time [ns]."""
@@ -104,7 +117,9 @@ class Made:
         trip_s = self.there_s + self.back_s
         for step in range(-round(0.3 / STEP_S), steps):
             time_s = step * STEP_S
-            session_s = time_s if 0.0 <= time_s <= SESSION_S else -1.0
+            session_s, pressed_now_n = self.hand_at(time_s)
+            if self.killed_s is not None and abs(time_s - self.killed_s) < 0.5 * STEP_S:
+                counts.pop(("haptic/state", HAND), None)
             answered_s = min(time_s, self.answers) - trip_s
             is_answered = self.answers > 0.0
             add(
@@ -112,14 +127,15 @@ class Made:
                 HAND,
                 time_s,
                 session_s=session_s,
-                operator_force_n=(0.0, 0.0, -hand_force_n(time_s)),
+                operator_force_n=(0.0, 0.0, -pressed_now_n),
+                mode=self.hand_mode(time_s),
                 position_m=(0.0, 0.0, -1e-3 * time_s),
                 answered_seq=round(answered_s / STEP_S) + 1000 if is_answered else 0,
                 answered_t_ns=BEGAN_NS + round(answered_s * NS) if is_answered else 0,
                 answered_at_ns=BEGAN_NS + round((answered_s + trip_s) * NS) if is_answered else 0,
             )
             add("haptic/command", CONTROLLER, time_s, position_m=(0.0, 0.0, -1e-3 * time_s))
-            pressed_n = hand_force_n(time_s - self.there_s)
+            pressed_n = self.hand_at(time_s - self.there_s)[1]
             tip_n = pressed_n if self.tip_n is None else self.tip_n(time_s)
             touches = pressed_n > 0.0 if self.in_contact is None else self.in_contact(time_s)
             mode = self.mode(time_s)
@@ -135,13 +151,16 @@ class Made:
             )
         self._clock(add, dice)
         for time_s, data in self.events:
-            text = f"the AFM is in mode {data['mode']}: {data['reason']}"
-            add("session/event", TIP, time_s, kind="mode", level="warning", id="", text=text, data=data)
+            src, text = TIP, f"the AFM is in mode {data['mode']}: {data.get('reason')}"
+            if data["mode"] == "off":
+                src, text = HAND, "no command within the deadline: off until commands are fresh"
+            add("session/event", src, time_s, kind="mode", level="warning", id="", text=text, data=data)
         if self.set_s is not None:
             text = "set afm_node.safety.force_limit_n to 3e-08"
             add("session/event", TIP, self.set_s, kind="ack", level="info", id="a", text=text, data={})
         for time_s, text in self.incidents:
-            add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data={})
+            ended = {"about_node": text.partition(" ")[0], "exit_code": -9} if "was killed" in text else {}
+            add("session/event", "launcher@slave", time_s, kind="node", level="warning", id="", text=text, data=ended)
         if self.end_s is None:
             numbers = {"haptic/state": counts.get(("haptic/state", HAND), 0)}
             data = end_data(numbers)
@@ -177,5 +196,7 @@ class Made:
             add("link/status", LINK, 0.1 * tenth, clock=clock, **({} if self.told_s else answer))
             if self.full_s is not None and tenth % 5 == 0:
                 counts = {"sent": 50 * (tenth + 10), "settled": 50 * tenth + 200, "lost": 5 * tenth + 20}
-                line = {"queue_s": self.full_s, "capacity_bit_per_s": 1_000_000, "line": "free"}
-                add("link/network", LINK, 0.1 * tenth, direction="backward", **counts, **line)
+                line = {"queue_s": self.full_s, "capacity_bit_per_s": 1_000_000}
+                # Both ways are delayed as much, and the slave alone takes its own for full.
+                for source, way, sends in ((LINK, "backward", "free"), ("controller@slave", "forward", "full")):
+                    add("link/network", source, 0.1 * tenth, direction=way, **counts, **line, line=sends)

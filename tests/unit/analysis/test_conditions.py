@@ -52,6 +52,19 @@ def test_the_laws_that_ran_and_the_delay_that_was_are_stated(recording: Recordin
     assert title(found) == "wave then passivity, round trip of the link 50 ms, link lte"
 
 
+def test_a_network_of_ones_own_is_not_called_clean(recording: Recording) -> None:
+    for section, name, ending in (
+        ({"forward": {"jitter": {"scale_s": 0.01}}}, "custom", ", link custom"),
+        ({"profile": "lte", "forward": {"delay_s": 0.2}}, "lte, changed", ", link lte, changed"),
+        ({"forward": {"delay_s": 0.2}}, "constant delay", "round trip of the link 50 ms"),
+        ({}, "clean", "round trip of the link 50 ms"),
+    ):
+        scenario = SCENARIO.model_copy(update={"delay_node": section})
+        found = conditions(recording, scenario, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+        assert found["link_profile"] == name
+        assert title(found).endswith(ending)
+
+
 def test_a_delay_that_was_changed_in_the_session_is_stated_with_both_ends(recording: Recording) -> None:
     found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
     assert found["link_round_trip_range_ms"] == [50.0, 50.0]

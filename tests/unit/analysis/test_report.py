@@ -145,13 +145,13 @@ def test_a_session_that_was_recorded_from_its_start_to_its_end_lacks_nothing_at_
     running = np.flatnonzero(session_s >= 0.0)
     if running[-1] == session_s.size - 1:
         session_s = np.append(session_s, -1.0)
-    assert cut_off(recording, session_s, running) == []
+    assert cut_off(recording, session_s, running, 2.0) == []
     filter_recording(session, tmp_path / "beginning.mcap", ALL, end_s=1.0)
     beginning = Recording(tmp_path / "beginning.mcap")
-    assert cut_off(beginning, session_s[: running[-1] + 1], running) == [
+    assert cut_off(beginning, session_s[: running[-1] + 1], running, float(session_s[running[-1]])) == [
         f"the recording ends within the operator's programme, {session_s[running[-1]]:.3f} s after its start"
     ]
-    assert cut_off(recording, session_s + 2.0, running[:-1])[0].startswith("the recording begins 2.0")
+    assert cut_off(recording, session_s + 2.0, running[:-1], 4.0)[0].startswith("the recording begins 2.0")
 
 
 def test_gaps_are_joined_over_the_series() -> None:

@@ -252,6 +252,82 @@ def test_the_kill_of_a_node_is_named_in_the_holds_that_it_touched_and_in_no_othe
     assert f"at 3.100 s: {killed[1]}" in starved["reason"]
 
 
+KILL = (3.1, "haptic_node@master was killed by SIGKILL after 9.2 s: it is started again in 0.1 s")
+
+
+def off_between(first_s: float, last_s: float) -> Any:
+    return lambda time_s: "off" if first_s <= time_s < last_s else "position"
+
+
+@pytest.mark.parametrize("anew_s", [None, 4.0])
+def test_a_session_after_a_kill_of_the_hand_is_told_to_its_end_with_the_kill_and_its_time(
+    tmp_path: Path, anew_s: float | None
+) -> None:
+    summary = report(
+        tmp_path,
+        killed_s=3.1,
+        anew_s=anew_s,
+        without=lambda topic, time_s: topic == "haptic/state" and 3.1 < time_s < 3.3,
+        hand_mode=off_between(3.1, 3.6),
+        incidents=(KILL,),
+    )
+    # the made session is 8 s long, and the hand's samples go on to 8.3 s
+    assert summary["duration_s"] > 7.9
+    (kill,) = summary["interruptions"]
+    assert (kill["kind"], summary["processes_ended"]) == ("process_ended", 1)
+    assert kill["start_s"] == pytest.approx(3.1, abs=0.01)
+    assert kill["end_s"] == pytest.approx(summary["duration_s"] if anew_s is None else anew_s, abs=0.01)
+    then = "its programme was not started anew" if anew_s is None else "its programme began anew at 4.000 s"
+    assert f"in the session at 3.095 s {KILL[1]}; {then}" in summary["reason"]
+    # the holds of the programme that began anew are judged as well
+    presses = [hold for hold in summary["holds"] if hold["hand_force_n"] > 0.5 and hold["start_s"] > 4.0]
+    assert len(presses) == (0 if anew_s is None else 2)
+
+
+def test_every_hold_of_the_tip_and_every_time_that_the_hand_was_let_go_is_counted_and_named(tmp_path: Path) -> None:
+    """The network is away for 60 ms in a hold of 1 N; what the force does then is not the law's doing."""
+    swings = lambda time_s: hand_force_n(time_s - 0.02) + (0.2 if 1.6 < time_s < 2.6 and time_s % 0.2 < 0.1 else 0.0)  # noqa: E731
+    given: dict[str, Any] = {
+        "tip_n": swings,
+        "in_contact": lambda time_s: hand_force_n(time_s - 0.02) > 0.0,
+        "mode": lambda time_s: "hold" if 1.6 <= time_s < 1.63 or 3.5 <= time_s < 3.54 else "follow",
+        "hand_mode": off_between(1.61, 1.65),
+        "events": (
+            (1.6, {"mode": "hold", "reason": "command_deadline", "base_position_m": 0.0}),
+            (1.61, {"mode": "off", "position_m": 0.0}),
+            (3.5, {"mode": "hold", "reason": "command_deadline", "base_position_m": 0.0}),
+        ),
+    }
+    summary = report(tmp_path, **given)
+    assert (summary["tip_holds"], summary["hand_let_go"], summary["processes_ended"]) == (2, 1, 0)
+    assert verdicts(summary) == ["stable", "guarded", "stable", "stable"]
+    sentence = "the tip was held once because no command came (command_deadline), at 1.600 s, for 30 ms"
+    assert summary["holds"][1]["reason"].startswith(sentence)
+    assert "the network or a node was away, which says nothing of the law" in summary["reason"]
+    twice = "the tip was held 2 times because no command came (command_deadline), first at 1.600 s, for 40 ms at the"
+    assert f"in the session {twice} longest" in summary["reason"]
+    assert "the hand was let go once, at 1.610 s, for 40 ms (no command within the deadline" in summary["reason"]
+    # a hold that somebody asked for is none of the network's, and the law is blamed for its own swing
+    asked = {**given, "hand_mode": off_between(9.0, 9.1)}
+    asked["events"] = tuple((at_s, {**data, "reason": "hold_requested"}) for at_s, data in given["events"])
+    own = report(tmp_path / "own", **asked)
+    assert (own["tip_holds"], own["hand_let_go"], own["interruptions"]) == (0, 0, [])
+    assert verdicts(own)[1] == "limit_cycle"
+
+
+def test_a_law_that_swung_before_the_network_was_away_is_blamed_for_it(tmp_path: Path) -> None:
+    cycle = lambda time_s: hand_force_n(time_s - 0.02) + (0.3 * np.sin(50.0 * time_s) if 2.9 < time_s < 4.5 else 0.0)  # noqa: E731
+    summary = report(
+        tmp_path,
+        tip_n=cycle,
+        in_contact=lambda time_s: hand_force_n(time_s - 0.02) > 0.0,
+        mode=lambda time_s: "hold" if 4.3 <= time_s < 4.33 else "follow",
+        events=((4.3, {"mode": "hold", "reason": "command_deadline", "base_position_m": 0.0}),),
+    )
+    assert verdicts(summary)[2] == "limit_cycle"
+    assert "the tip was held once because no command came" in summary["reason"]
+
+
 def test_what_was_set_at_the_slave_is_in_the_session_by_its_own_clock(tmp_path: Path) -> None:
     for folder, ahead_s in (("one", 0.0), ("other", 37.0)):
         summary = report(tmp_path / folder, ahead_s=ahead_s, set_s=3.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from forged_files import copied
 from made_sessions import TIP, Made
 from pydantic import ValidationError
 
@@ -60,6 +61,8 @@ def summaries(
     files["in_parts"] = parts
     for name, made in MADE.items():
         files[name] = [made.write(tmp_path_factory.mktemp(name))]
+    odd = tmp_path_factory.mktemp("odd") / "session.mcap"
+    files["odd"] = [copied(files["stable"][0], odd, lambda place, log_ns: 0 if place == 9 else log_ns)]
     return {name: summary_of(open_recordings(paths)) for name, paths in files.items()}
 
 
@@ -104,15 +107,10 @@ def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str,
     assert summaries["without_answers"]["loop_age_ms"] is None
     assert summaries["set"]["changed"]
     assert not summaries["cut_off"]["recording"]["complete"]
+    figures = {"queue_max_ms": 50.0, "capacity_mbit": 1.0, "datagrams_per_s": 500.0, "lost_share": 0.1}
     assert summaries["of_a_full_line"]["lines"] == [
-        {
-            "direction": "backward",
-            "queue_max_ms": 50.0,
-            "full_share": 1.0,
-            "capacity_mbit": 1.0,
-            "datagrams_per_s": 500.0,
-            "lost_share": 0.1,
-        }
+        {"direction": "forward", "full_share": 0.0, **figures},
+        {"direction": "backward", "full_share": 1.0, **figures},
     ]
     assert "lines" not in summaries["wave"]
     assert len(summaries["in_parts"]["recording"]["parts"]) == 2

@@ -3,10 +3,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from recorder_samples import sample
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
-from services.console.command_client import addressed, console_of, parse_parameters, send_control
+from services.console.command_client import Attention, addressed, console_of, parse_parameters, send_control
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.commands import Command
 from services.runtime.loop.main import load_site
@@ -57,6 +58,34 @@ def test_parameters_are_flags_numbers_or_text() -> None:
 def test_a_parameter_that_cannot_be_sent_is_named(pair: str) -> None:
     with pytest.raises(ConfigError, match="^" + re.escape(pair)):
         parse_parameters([pair])
+
+
+ALIVE = ("afm_node@slave", "controller@master")
+
+
+@pytest.mark.parametrize(
+    ("lateness_s", "turns_s", "heard", "why"),
+    [
+        (1e-4, 0.02, 10, "afm_node@slave, controller@master do not know it"),
+        (0.4, 0.02, 10, "the rig is late by 0.4 s (afm_node@slave), so that the command may not have been read yet"),
+        (1e-4, 0.52, 10, "the rig is late by 0.5 s (this command), so that the command may not have been read yet"),
+        # it was heard for a second, and then no more
+        (1e-4, 0.02, 2, "the rig is late by 3.5 s (afm_node@slave), so that the command may not have been read yet"),
+    ],
+)
+def test_a_command_that_nobody_answers_is_unknown_only_where_the_rig_was_in_time(
+    lateness_s: float, turns_s: float, heard: int, why: str
+) -> None:
+    attention = Attention(0.0)
+    for number in range(round(5.0 / turns_s)):
+        attention.turn((number + 1) * turns_s)
+    for report in range(10):
+        for node, late_s in zip(ALIVE, (lateness_s, 1e-4), strict=True):
+            if node != "afm_node@slave" or report < heard:
+                told = sample("node/health", report, src=node, lateness_max_s=late_s)
+                attention.heard(told, 0.5 * (report + 1))
+    assert attention.why(ALIVE, 5.0) == why
+    assert attention.why((*ALIVE, "recorder@master"), 5.0) == f"nothing was heard of recorder@master; {why}"
 
 
 def test_commands_are_typed_at_the_console_of_ones_own_machine(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
 from studies.loops import lockstep
 from studies.loops.cells import Cell, trajectory_of
@@ -75,7 +75,7 @@ def test_clamp_alone_holds_position_force_at_any_delay(run_loop: Any) -> None:
 def test_a_clamp_bounds_the_force_and_does_not_end_the_swing_of_the_law(
     monkeypatch: pytest.MonkeyPatch, hand: Any, swing_n: float
 ) -> None:
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     cell = Cell(
         law="position_force",
         environment="spring",
@@ -88,3 +88,13 @@ def test_a_clamp_bounds_the_force_and_does_not_end_the_swing_of_the_law(
     force = 1e8 * trajectory_of(cell).tip_force_n[-2500:]
     assert force.max() < 1.11
     assert np.ptp(force) == pytest.approx(swing_n, rel=0.2, abs=0.0)
+
+
+def test_two_laws_come_with_the_clamp() -> None:
+    """A clamp of the law's own counts as on while its margin is one that a hand can meet."""
+    margins = {name: getattr(ControllerConfig(law=name).params(), "margin_n", NO_LIMIT_N) for name in OWN_LAWS}
+    assert {name for name, margin in margins.items() if margin < NO_LIMIT_N} - {"wave"} == {
+        "passivity",
+        "model_mediated",
+    }
+    assert not ControllerConfig(law="wave").params().clamped

@@ -15,6 +15,7 @@ from services.delay_node.config import (
     changed,
     changes_text,
     flattened,
+    network_name,
     parse_settings,
     profile_changes,
 )
@@ -179,6 +180,24 @@ def test_a_profile_by_itself_is_changed_by_nothing(name):
 def test_keys_that_a_profile_does_not_set_replace_nothing_of_it():
     assert changes_text(parse_settings({"forward": {"delay_s": 0.02}})) == ""
     assert changes_text(parse_settings({"profile": "lan", "forward": {"outage": {"period_s": 5.0}}})) == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        *(({"profile": name, "seed": 3}, name) for name in PROFILES),
+        ({}, "clean"),
+        ({"forward": {"delay_s": 0.0, "jitter": {"scale_s": 0.0}}}, "clean"),
+        ({"forward": {"delay_s": 0.1}, "backward": {"delay_s": 0.1}}, "constant delay"),
+        ({"backward": {"delay_s": 0.1, "loss": {"probability": 0.1}}}, "custom"),
+        ({"forward": {"topics": {"afm/state": {"delay_s": 0.1}}}}, "custom"),
+        ({"forward": {"reliable": []}}, "custom"),
+        ({"profile": "lte", "forward": {"outage": {"period_s": 5.0}}}, "lte, changed"),
+        ({"profile": "satellite", "forward": {"delay_s": 0.0}}, "satellite, changed"),
+    ],
+)
+def test_a_network_is_named_by_what_is_in_force(given, name):
+    assert network_name(parse_settings(given)) == name
 
 
 def test_empty_lists_survive_the_flat_form():

@@ -378,10 +378,10 @@ def test_command_takes_the_place_of_the_entrypoint(
     monkeypatch.setenv("TELENANO_NODE", "launcher@master")
     monkeypatch.delenv("TELENANO_EPOCH_OFFSET_NS", raising=False)
     run: list[Any] = []
-    monkeypatch.setattr(os, "execvp", lambda program, command: run.append((program, command)))
+    monkeypatch.setattr(entrypoint.children, "become", run.append)
     for _ in range(2):
         entrypoint.main(["telenano", "--version"])
-    assert run == [("telenano", ["telenano", "--version"])] * 2
+    assert run == [["telenano", "--version"]] * 2
     assert (cache / "steps").read_text() == "code"
     assert os.environ["TELENANO_EPOCH_OFFSET_NS"] == (tmp_path / "epoch_offset_ns").read_text()
     monkeypatch.delenv("TELENANO_EPOCH_OFFSET_NS")

@@ -68,6 +68,14 @@ class MemoryConversation:
         self._answers.append(json.dumps(self.service.answer(message, self.time.s)))
         self.time.sleep(self.service.late_s)
 
+    def wait(self, patience_s: float = 0.0) -> None:
+        """Do nothing: the answer is there as soon as it was asked for."""
+
+    def drop(self, keep: int = 0) -> int:
+        dropped = len(self._answers) - keep
+        del self._answers[:dropped]
+        return dropped
+
     def receive(self, patience_s: float = 0.0) -> haply.Answer:
         return haply._DECODER.decode(self._answers.pop(0))
 

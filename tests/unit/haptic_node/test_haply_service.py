@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import threading
+import time
 import tomllib
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -23,6 +24,9 @@ from services.haptic_node.devices.haply_service import HaplyService, obey, serve
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.servo import DeviceSample
 from telenano.cli.commands.device_impedance import whole_lines
+
+# The coupling takes so much for silence.
+SILENCE_S = 0.05
 
 
 class Served:
@@ -91,6 +95,61 @@ def test_the_driver_finds_the_device_and_drives_it_over_the_real_wire(served: Se
     assert seen[-1].position_m[2] > seen[0].position_m[2]
     assert all(sample.taken_ns > before.taken_ns for before, sample in pairwise(seen))
     wire.close()
+
+
+def clocked(answers: Callable[[int], tuple[int, float]]) -> tuple[Any, list[tuple[float, float]], HaplyWire]:
+    """Serve places that are times; return the server, (age that is told, true age) of each reading, and the driver.
+
+    Args:
+        answers: For the number of a message, how many answers it gets, and how old their place is [s].
+    """
+    from websockets.sync.server import ServerConnection, serve
+
+    def states(place_s: float) -> str:
+        place = {"x": place_s, "y": 0.0, "z": 0.0}
+        return json.dumps({"inverse3": [{"device_id": "049D", "state": {"cursor_position": place}}]})
+
+    def converse(connection: ServerConnection) -> None:
+        connection.send(states(time.monotonic()))
+        for number, _ in enumerate(connection):
+            count, old_s = answers(number)
+            for _ in range(count):
+                connection.send(states(time.monotonic() - old_s))
+
+    server = serve(converse, "127.0.0.1", 0, compression=None)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return server, [], HaplyWire(f"ws://127.0.0.1:{server.socket.getsockname()[1]}")
+
+
+def ages(ages_s: list[tuple[float, float]], count: int) -> Callable[[DeviceSample], Any]:
+    def turn(sample: DeviceSample) -> Any:
+        now_s = time.monotonic()
+        ages_s.append((now_s - sample.taken_ns * 1e-9, now_s - sample.position_m[0]))
+        return None if len(ages_s) >= count else (0.0, 0.0, 0.0)
+
+    return turn
+
+
+def test_messages_that_nobody_asked_for_make_no_place_older_than_it_is_told() -> None:
+    """Fifty of them at once made each place of the rest of the session 48 ms older."""
+    server, found, wire = clocked(lambda number: (51 if number == 20 else 1, 0.0))
+    wire.open()
+    wire.run(ages(found, 200))
+    assert 50 <= wire.unasked <= 51
+    assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
+    wire.close()
+    server.shutdown()
+
+
+def test_service_that_answers_twice_is_lost_before_its_places_are_old() -> None:
+    server, found, wire = clocked(lambda number: (2, 0.0))
+    wire.open()
+    with pytest.raises(DeviceError, match=r"has sent \d+ messages that it was not asked for, and goes on: end other"):
+        wire.run(ages(found, 5000))
+    assert len(found) < 500
+    assert all(true_s <= told_s + SILENCE_S for told_s, true_s in found)
+    wire.close()
+    server.shutdown()
 
 
 def test_version_is_told_over_http(served: Served) -> None:

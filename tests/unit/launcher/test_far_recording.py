@@ -1,18 +1,21 @@
 """The recording of the other site: what it sends is checked, a fetch goes on where it ended, and a lie is refused."""
 
+import asyncio
+import contextlib
 import hashlib
 import json
 import os
+import socket
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from proto.errors import RecordingError, RefusedError, RigError
+from proto.errors import ConfigError, RecordingError, RefusedError, RigError
 from proto.messages import Array
 from proto.network_messages import RecordingPiece
 from recording.writer import FileSettings, RecordingWriter
@@ -21,9 +24,14 @@ from services.launcher.far_recording import PartialFile, checked_names, fetch, n
 from services.launcher.piece_sender import BYTES, FILE, HEAD_BYTES, MOST_BYTES, OFFSET, PIECE_BYTES, RATE, PieceSender
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
+from services.relay.server import Relay
+from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import AddressBook, NodeEntry
+from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.participant import NO_REALTIME, open_participant
+from services.runtime.security.access_control import AccessControl
+from services.runtime.security.keyring import Keyring
 
 NAME, NS = "session_1.mcap", 1_000_000_000
 
@@ -335,6 +343,77 @@ def test_a_fetch_goes_on_after_a_kill_and_after_a_silence_of_the_line(
     assert shown[-1] == (len(whole), len(whole))
     # what is here already needs no other site
     assert fetch(book, [NAME], tmp_path / "far") == [tmp_path / "far" / NAME]
+
+
+@pytest.fixture
+def relayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AddressBook]:
+    """Give the book of two sites that dial a relay, which runs, and the end of the slave's site with it."""
+    with contextlib.ExitStack() as stack:
+        probes = [stack.enter_context(socket.socket()) for _ in range(3)]
+        for probe in probes:
+            probe.bind(("127.0.0.1", 0))
+        relay_port, launcher_port, link_port = (probe.getsockname()[1] for probe in probes)
+    nodes = {
+        "launcher@slave": {"network": f"tcp://{{slave}}:{launcher_port}"},
+        "delay_node@slave": {"network": f"tcp://{{master}}:{link_port}", "machine": "master"},
+        "console@master": {"local": f"ipc://{tempfile.mkdtemp(prefix='tn')}/console"},
+    }
+    machines = {"master": "192.0.2.1", "slave": "192.0.2.2"}
+    book = AddressBook.model_validate({"machines": machines, "nodes": nodes, "relay": f"127.0.0.1:{relay_port}"})
+    rings = {name: Keyring(tmp_path / f"keys-{name}") for name in ("master", "slave", "relay")}
+    keys = {name: found.create(name).public.decode() for name, found in rings.items()}
+    for site, other, roles in (("master", "slave", ["data"]), ("slave", "master", ["data", "control"])):
+        rings[site].allow(other, keys[other], roles)
+        rings[site].allow("relay", keys["relay"], ["relay"])
+        rings["relay"].allow(site, keys[site], ["relay"])
+    access = {name: AccessControl(name, rings[name], requires_keys=True) for name in ("relay", "slave")}
+
+    async def run(ready: threading.Event, ends: threading.Event) -> None:
+        relay = Relay(access["relay"], StructuredLog("relay"))
+        await relay.start("127.0.0.1", relay_port)
+        tasks = [relay.run(), SiteEnd(book, "slave", access["slave"], StructuredLog("relay@slave")).run()]
+        running = [asyncio.create_task(task) for task in tasks]
+        ready.set()
+        await asyncio.to_thread(ends.wait)
+        for task in running:
+            task.cancel()
+        await relay.close()
+
+    ready, ends = threading.Event(), threading.Event()
+    thread = threading.Thread(target=lambda: asyncio.run(run(ready, ends)))
+    thread.start()
+    assert ready.wait(10.0)
+    yield book
+    ends.set()
+    thread.join()
+
+
+def at_site(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, site: str) -> None:
+    """Let what is opened next be of the machine of a site."""
+    monkeypatch.setenv("TELENANO_MACHINE", site)
+    monkeypatch.setenv("TELENANO_KEYS_DIR", str(tmp_path / f"keys-{site}"))
+
+
+def test_a_fetch_is_at_the_relay_by_itself_and_leaves_it_again(
+    far: Path, tmp_path: Path, relayed: AddressBook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The rig has ended, and with it the end of this site at the relay.
+    at_site(monkeypatch, tmp_path, "slave")
+    with FarSite(relayed, far):
+        at_site(monkeypatch, tmp_path, "master")
+        for folder in ("far", "again"):
+            (fetched,) = fetch(relayed, [NAME], tmp_path / folder)
+            assert fetched.read_bytes() == (far / NAME).read_bytes()
+    assert "relay@master" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_a_fetch_without_the_key_of_the_relay_names_the_command(
+    tmp_path: Path, relayed: AddressBook, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at_site(monkeypatch, tmp_path, "master")
+    Keyring().revoke("relay")
+    with pytest.raises(ConfigError, match="telenano keys allow relay KEY --role relay"):
+        fetch(relayed, [NAME], tmp_path / "far")
 
 
 def test_a_site_that_is_not_there_is_named_and_nothing_is_lost(

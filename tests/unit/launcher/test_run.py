@@ -153,6 +153,14 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
         f"that takes some time; Ctrl-C leaves it to `telenano report {path} --out {plan.out}`",
         "1 of 4: reading the session",
     ]
+    # so it is after Ctrl-C, however long the session was: who pressed it waits for the terminal
+    monkeypatch.setattr(up, "_LONG_BYTES", 1_000_000)
+    reported.clear()
+    report_of(Outcome("", True, True, (path,), "", {}), plan, reported.append)
+    assert reported[1:] == [
+        f"that takes some time; another Ctrl-C leaves it to `telenano report {path} --out {plan.out}`",
+        "1 of 4: reading the session",
+    ]
     assert report_of(Outcome("", True, False, (path,), "", {}), plan, reported.append) is None
     assert report_of(Outcome("", False, True, (), "elsewhere", {}), plan, reported.append) is None
 

@@ -286,7 +286,7 @@ def test_frames_that_are_no_message_are_counted_and_kept(
 def test_a_flood_of_made_up_sources_ends_in_rejections(intake: Intake, listen: MakeListener) -> None:
     listener = listen("haptic_node@master")
     for number in range(1100):
-        intake.record(listener, [b"node/health", header(src=f"n{number}@master")], EPOCH_NS)
+        intake.record(listener, [b"link/status", header(src=f"n{number}@master")], EPOCH_NS)
     assert listener.subscriber.rejected == {"source": 1100 - 1024}
     assert len(listener.streams) == 1024
 

@@ -70,5 +70,16 @@ def test_a_programme_that_a_restarted_device_begins_anew_is_of_the_same_session(
     )
     starts_ns = [round(start_s * 1e9) for start_s in starts_s]
     found = last_session(session_s, np.array(seq), t_ns, starts_ns)
-    second = list(range(100 + idle, 200 + idle))
-    assert found.tolist() == ([*range(100), *second] if joined else second)
+    # The session has the samples of the new process from before its programme was started anew, too.
+    assert found.tolist() == list(range(0 if joined else 100 + idle, 200 + idle))
+
+
+@pytest.mark.parametrize(("end_s", "last"), [(None, 149), (600.0, 149), (70.5, 120), (0.5, 149)])
+def test_a_programme_that_nobody_starts_anew_leaves_a_session_to_its_end(end_s: float | None, last: int) -> None:
+    session_s = np.array([*COURSE_S, *[-1.0] * 50])
+    t_ns = np.concatenate([stamps(COURSE_S, SECOND_NS), (50 + np.arange(50)) * SECOND_NS])
+    seq = np.array([*range(500, 600), *range(50)])
+    ends_ns = [] if end_s is None else [round(end_s * 1e9)]
+    assert last_session(session_s, seq, t_ns, (), ends_ns).tolist() == list(range(last + 1))
+    # a programme that was ended by a command is over
+    assert last_session(session_s, np.arange(150), t_ns, (), ends_ns).tolist() == list(range(100))

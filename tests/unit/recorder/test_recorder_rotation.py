@@ -308,6 +308,11 @@ def test_orders_that_make_no_sense_are_refused(make_rig: Callable[..., RecorderR
         rig.command(**{"record.split": 3})
     with pytest.raises(RecordingError, match="there is no snapshot"):
         rig.command(**{"record.snapshot": True})
+    # The recording had gone on in another part although the command was refused.
+    before = rig.node.path
+    with pytest.raises(RefusedError, match="one after the other"):
+        rig.command(**{"record.split": True, "record.snapshot": True})
+    assert rig.node.path == before
     rig.intake.finish()
     rig.intake.fault, rig.intake.writer = "the disk is full", None
     with pytest.raises(RecordingError, match="the disk is full"):

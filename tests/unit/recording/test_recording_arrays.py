@@ -5,7 +5,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, teleop_forward
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
 from proto import encode
 from proto.errors import RecordingError
@@ -78,7 +78,6 @@ def test_what_is_not_there_is_named(make_file: MakeFile, channel: str, field: st
         (["a", "b", "c"], "O"),
         ([True, False, True], "b"),
         ([None, None, None], "f"),
-        ([1, "a"], None),
         ([True, None], None),
     ],
 )
@@ -101,3 +100,23 @@ def test_a_column_does_not_depend_on_how_much_is_packed_at_once(
         assert found.dtype.kind == kind
         expected = [math.nan if value is None and kind == "f" else value for value in values]
         np.testing.assert_array_equal(found, np.array(expected, dtype=found.dtype))
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, "x", [1.0], {}, True])
+@pytest.mark.parametrize("at_once", [1, 4, 1000])
+def test_a_message_that_is_not_valid_is_counted_and_left_out(
+    config: RecorderConfig, monkeypatch: pytest.MonkeyPatch, wrong: object, at_once: int
+) -> None:
+    monkeypatch.setattr(arrays, "_AT_ONCE", at_once)
+    writer = RecordingWriter.create(NODE, config)
+    channel = writer.channel("haptic/state", "haptic_node@master", "master")
+    for seq in range(12):
+        fields = msgpack.unpackb(encode(haptic_state(seq)))
+        writer.write(channel, seq, seq, seq, msgpack.packb(fields | ({"step_s": wrong} if seq in (5, 9) else {})))
+    writer.finish()
+    recording = Recording(writer.path)
+    found = columns(recording, "haptic/state", ("step_s", "seq", "log_ns"))
+    assert found["seq"].tolist() == found["log_ns"].tolist() == [seq for seq in range(12) if seq not in (5, 9)]
+    assert np.isfinite(found["step_s"]).all()
+    assert sum(recording.left_out.rejected.values()) == 2
+    assert "step_s" in recording.left_out.last_error

@@ -11,24 +11,21 @@ import h5py
 import numpy as np
 import pyarrow.parquet as parquet
 import pytest
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
 
 from proto import TOPICS, encode
 from proto.contract import examples
 from proto.errors import ConfigError, RecordingError
-from proto.messages import AfmScanline, Array, Message
+from proto.messages import AfmScanline, Array
 from recording.channel_filter import Selection
-from recording.export import Format, export_recording, plain_schema
+from recording.export import export_recording, plain_schema
 from recording.messages import RawChannel, RawMessage
 from recording.quantities import quantity
 from recording.reader import Recording
 from recording.records import REJECTED_TOPIC, RejectedRecord
 from recording.rewrite import CopyWriter
-from recording.tables import json_fields, line, plain, typed_columns
+from recording.tables import line, plain, typed_columns
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
@@ -229,97 +226,8 @@ def test_the_schema_for_viewers_is_plain(topic: str) -> None:
     assert set(schema["properties"]) == set(model.model_fields)
 
 
-class Protobuf:
-    """Decoder of an MCAP file of protobuf that knows nothing but what the file says of itself."""
-
-    def __init__(self, path: Path) -> None:
-        self.messages: dict[str, list[Any]] = {}
-        self.comments: dict[str, list[str]] = {}
-        kinds: dict[int, Any] = {}
-        with path.open("rb") as file:
-            for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
-                assert schema is not None
-                assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
-                if schema.id not in kinds:
-                    files = FileDescriptorSet.FromString(schema.data).file
-                    pool = DescriptorPool()
-                    for described in files:
-                        pool.Add(described)
-                    kinds[schema.id] = GetMessageClass(pool.FindMessageTypeByName(schema.name))
-                    rows = files[0].source_code_info.location
-                    self.comments[schema.name] = [row.leading_comments for row in rows]
-                self.messages.setdefault(channel.topic, []).append(kinds[schema.id].FromString(message.data))
-
-
-def test_the_protobuf_recording_is_read_by_what_it_says_of_itself(rich: Path, tmp_path: Path) -> None:
-    target = tmp_path / "viewer.mcap"
-    assert export_recording(rich, target, "mcap-protobuf").messages == 41
-    read = Protobuf(target)
-    hand = read.messages["haptic/state"]
-    assert [list(message.position_m) for message in hand] == [list(haptic_state(seq).position_m) for seq in range(10)]
-    assert [message.t_ns for message in hand] == [haptic_state(seq).t_ns for seq in range(10)]
-    assert [message.limited for message in hand] == [seq % 2 == 1 for seq in range(10)]
-    assert hand[0].mode == haptic_state(0).mode
-    forward = read.messages["teleop/forward@slave"]
-    assert [list(message.wave_sqrt_w) for message in forward] == [
-        [0.0, 0.0, 0.5] if seq == 3 else [] for seq in range(10)
-    ]
-    # what is absent is told from 0
-    assert not any(message.HasField("energy_j") for message in forward)
-    scan = read.messages["afm/scanline"]
-    assert list(scan[3].amplitude_m) == (HEIGHTS * 3).tolist()
-    assert json.loads(read.messages["session/event"][4].data) == {"force_n": 1.5, "k4": "x"}
-    assert list(read.messages[REJECTED_TOPIC][0].frames) == [b"\x00\xff"]
-    assert "Force on the device by the operator [N]; pushing is -z, F_m = -z" in read.comments["telenano.HapticState"]
-
-
-def test_every_message_survives_protobuf(tmp_path: Path) -> None:
-    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
-    sent: dict[str, list[Message]] = {}
-    for topic, row in TOPICS.items():
-        channel = writer.channel(topic, "afm_node@slave", "slave")
-        sent[topic] = [message for message in examples(row).values() if as_declared(message)]
-        for seq, message in enumerate(sent[topic]):
-            writer.write(channel, EPOCH_NS + seq, EPOCH_NS, seq, encode(message))
-    writer.finish()
-    assert not export_recording(writer.path, tmp_path / "viewer.mcap", "mcap-protobuf").skipped
-    read = Protobuf(tmp_path / "viewer.mcap").messages
-    for topic, messages in sent.items():
-        for message, found in zip(messages, read[topic], strict=True):
-            assert same(json_fields(message), found), topic
-
-
-def as_declared(message: Message) -> bool:
-    """Say whether arrays that the contract declares to be of whole numbers are so; the examples try every type."""
-    kinds = type(message).model_fields
-    arrays = [(kinds[name].description or "", value) for name, value in message if isinstance(value, Array)]
-    return all(value.dtype[0] != "f" for text, value in arrays if text[:3] in ("u1:", "i2:", "i4:", "i8:"))
-
-
-def same(fields: dict[str, Any], found: Any) -> bool:
-    """Say whether a message of protobuf has these JSON values: no less, and nothing that is absent."""
-    for key, value in fields.items():
-        field = found.DESCRIPTOR.fields_by_name[key]
-        other = getattr(found, key)
-        if value is None:
-            # a list has no absence, it is empty
-            equal = len(other) == 0 if field.is_repeated else not found.HasField(key)
-        elif field.type == field.TYPE_MESSAGE:
-            parts = zip(value, other, strict=True) if field.is_repeated else [(value, other)]
-            equal = all(same(*part) for part in parts)
-        elif isinstance(value, dict):
-            equal = json.loads(other) == value
-        elif isinstance(value, list):
-            equal = np.array_equal(np.ravel(value), np.array(list(other)))
-        else:
-            equal = other == value and type(other) is type(value)
-        if not equal:
-            return False
-    return True
-
-
-@pytest.mark.parametrize("kind", ["mcap-json", "mcap-protobuf"])
-def test_each_publisher_of_a_topic_is_a_line_of_its_own_in_a_viewer(kind: Format, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["mcap-json"])
+def test_each_publisher_of_a_topic_is_a_line_of_its_own_in_a_viewer(kind: str, tmp_path: Path) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     for site in ("master", "slave"):
         channel = writer.channel("law/status", f"controller@{site}", site)
@@ -343,8 +251,8 @@ def test_an_attachment_of_a_strangers_recording_is_written_into_the_folder_and_n
     assert (tmp_path / "csv" / "columns.csv").read_text().startswith("channel,column")
 
 
-@pytest.mark.parametrize("kind", ["mcap-json", "mcap-protobuf"])
-def test_a_viewer_draws_by_the_time_of_sending(kind: Format, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["mcap-json"])
+def test_a_viewer_draws_by_the_time_of_sending(kind: str, tmp_path: Path) -> None:
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     channel = writer.channel("haptic/state", "haptic_node@master", "master")
     slow = writer.channel("afm/state", "afm_node@slave", "slave")
@@ -362,16 +270,6 @@ def test_a_viewer_draws_by_the_time_of_sending(kind: Format, tmp_path: Path) -> 
     assert found == sent_ns
 
 
-def test_a_topic_that_this_version_does_not_know_is_text_of_json_in_protobuf(tmp_path: Path) -> None:
-    facts = (("delivery", "lossless"), ("site", "slave"), ("src", "afm_node@slave"), ("topic", "new/topic"))
-    with CopyWriter(tmp_path / "newer.mcap") as writer:
-        channel = RawChannel("new/topic", "msgpack", facts, None)
-        writer.add(RawMessage(channel, EPOCH_NS, EPOCH_NS, 0, b"\x81\xa1a\x01"))
-    export_recording(tmp_path / "newer.mcap", tmp_path / "viewer.mcap", "mcap-protobuf")
-    (unknown,) = Protobuf(tmp_path / "viewer.mcap").messages["new/topic"]
-    assert json.loads(unknown.json) == {"a": 1}
-
-
 def test_a_viewer_gets_the_unit_of_a_part_that_is_an_array_or_may_be_absent() -> None:
     parts = plain_schema(AfmScanline.model_json_schema())["properties"]
     assert parts["height_m"]["description"].endswith("[m]")
@@ -379,7 +277,7 @@ def test_a_viewer_gets_the_unit_of_a_part_that_is_an_array_or_may_be_absent() ->
 
 
 def test_nothing_is_overwritten(rich: Path, tmp_path: Path) -> None:
-    for kind in ("parquet", "csv", "hdf5", "mcap-json", "mcap-protobuf"):
+    for kind in ("parquet", "csv", "hdf5", "mcap-json"):
         with pytest.raises(RecordingError, match="already exists"):
             export_recording(rich, tmp_path, kind)
 
@@ -388,10 +286,6 @@ def test_a_package_that_is_not_there_is_named(rich: Path, tmp_path: Path, monkey
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     with pytest.raises(ConfigError, match=r"hdf5 needs the package h5py: pip install .*\[export\]'"):
         export_recording(rich, tmp_path / "x.h5", "hdf5")
-    monkeypatch.setitem(__import__("sys").modules, "google.protobuf.descriptor_pb2", None)
-    with pytest.raises(ConfigError, match=r"mcap-protobuf needs the package protobuf: pip install .*\[export\]'"):
-        export_recording(rich, tmp_path / "x.mcap", "mcap-protobuf")
-    assert not (tmp_path / "x.mcap").exists()
 
 
 def test_lines_are_json_with_the_facts_of_the_record(rich: Path) -> None:
@@ -411,7 +305,7 @@ def test_what_is_not_understood_is_given_as_it_is(tmp_path: Path) -> None:
     assert AfmScanline.version >= 1
 
 
-def exported(path: Path, target: Path, kind: Format) -> dict[str, dict[str, list[Any]]]:
+def exported(path: Path, target: Path, kind: str) -> dict[str, dict[str, list[Any]]]:
     """Export a recording and return its tables, by name and column."""
     export_recording(path, target, kind)
     tables: dict[str, dict[str, list[Any]]] = {}
@@ -432,7 +326,7 @@ def exported(path: Path, target: Path, kind: Format) -> dict[str, dict[str, list
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5"])
 def test_tables_written_in_batches_are_those_written_at_once(
-    rich: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Format
+    rich: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     at_once = exported(rich, tmp_path / "once", kind)
     assert len(at_once) >= 4
@@ -494,9 +388,9 @@ def test_rows_are_written_in_large_groups_and_a_file_of_many_is_followed_by_anot
     assert all(file.schema_arrow.equals(once.schema_arrow, check_metadata=True) for file in files)
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap-protobuf"])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mcap-json"])
 def test_the_memory_of_an_export_does_not_grow_with_the_length(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: Format
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     monkeypatch.setattr("recording.table_batches._MOST_ROWS", 50)
     monkeypatch.setattr("recording.parquet_tables._MOST_ROWS", 150)

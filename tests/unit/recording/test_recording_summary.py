@@ -20,8 +20,10 @@ from services.recorder.config import RecorderConfig
 SRC = "haptic_node@master"
 
 
-def written(folder: Path, numbers: list[int], *, gap: bool = False, note: str = "", finish: bool = True) -> Path:
-    """Write haptic/state with these numbers, a chunk for each hundred."""
+def written(
+    folder: Path, numbers: list[int], *, gap: bool = False, note: str = "", finish: bool = True, each: int = 100
+) -> Path:
+    """Write haptic/state with these numbers, a chunk for each hundred or another number."""
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=folder))
     writer.attach("site.yaml", "application/yaml", b"nodes: {}\n", EPOCH_NS)
     writer.add_metadata("recording", {"node": NODE})
@@ -29,7 +31,7 @@ def written(folder: Path, numbers: list[int], *, gap: bool = False, note: str = 
     for place, seq in enumerate(numbers):
         log_ns = EPOCH_NS + place * MILLISECOND_NS
         writer.write(channel, log_ns, log_ns, seq, encode(haptic_state(seq)))
-        if place % 100 == 99:
+        if place % each == each - 1:
             writer.flush()
     if gap:
         record = GapRecord(channel_topic="haptic/state", src=SRC, first_missing=200, last_missing=209, count=10)
@@ -67,11 +69,32 @@ def test_what_the_recorder_knows_to_be_missing_is_in_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "numbers",
-    [[*range(200), *range(210, 400)], [*range(300), *range(100)], [*range(300), 299, *range(300, 400)]],
-    ids=["a gap that is not recorded", "a restart", "a repetition"],
+    [[*range(200), *range(210, 400)], [*range(300), *range(100), *range(110, 200)]],
+    ids=["a gap that is not recorded", "a gap after a restart"],
 )
 def test_where_the_numbers_do_not_agree_the_messages_have_to_be_read(tmp_path: Path, numbers: list[int]) -> None:
     assert quick_info(written(tmp_path, numbers)) is None
+
+
+@pytest.mark.parametrize("at", [(1200,), (1234,), (1, 1999), (700, 750, 755, 1800)])
+def test_where_a_process_was_started_again_few_chunks_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: tuple[int, ...]
+) -> None:
+    ends = zip((0, *at), (*at, 2000), strict=True)
+    path = written(tmp_path, [seq for first, end in ends for seq in range(end - first)], each=10)
+    unpacked = set()
+    inside = summary.unpack
+    monkeypatch.setattr(summary, "unpack", lambda *given: unpacked.add(given[1].offset) or inside(*given))
+    found = quick_info(path)
+    expected = Recording(path).info()
+    assert found is not None
+    assert (found.complete, found.missing, found.lost) == (expected.complete, expected.missing, expected.lost)
+    states = [next(row for row in each.channels if row.topic == "haptic/state") for each in (found, expected)]
+    assert [(row.restarts, row.messages, row.rate_hz) for row in states] == 2 * [
+        (len(at), states[0].messages, states[0].rate_hz)
+    ]
+    # Two hundred chunks are halved eight times, and of each half two are looked at.
+    assert len(unpacked) <= 2 + 16 * len(at)
 
 
 def test_a_copy_that_lacks_a_part_has_to_be_read(tmp_path: Path) -> None:

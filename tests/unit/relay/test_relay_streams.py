@@ -32,13 +32,17 @@ AFM, LINK = "afm_node@slave", "delay_node@slave"
 class Bench:
     """The keys of a relay and two sites, and what runs of them."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, other: "Bench | None" = None) -> None:
+        """Make the keys; with another rig, use its relay."""
         self.port, self.afm_port, self.link_port = free_ports(3)
         self.rings = {name: ring(folder, name) for name in ("relay", "master", "slave", "stranger")}
         self.keys = {name: found.create(name).public for name, found in self.rings.items()}
+        if other is not None:
+            self.port, self.rings["relay"], self.keys["relay"] = other.port, other.rings["relay"], other.keys["relay"]
         for name in ("master", "slave"):
             self.rings[name].allow("relay", self.keys["relay"].decode(), ["relay"])
-            self.rings["relay"].allow(f"lab_{name}", self.keys[name].decode(), ["relay"])
+            listed = f"lab_{name}" if other is None else f"{folder.name}_{name}"
+            self.rings["relay"].allow(listed, self.keys[name].decode(), ["relay"])
         self.rings["master"].allow("slave", self.keys["slave"].decode(), ["data"])
         self.rings["slave"].allow("master", self.keys["master"].decode(), ["data", "control"])
         nodes = {
@@ -94,7 +98,8 @@ class Bench:
 
     async def together(self) -> None:
         """Start everything and wait until the sites know of one another."""
-        await self.start_relay()
+        if "relay" not in vars(self):
+            await self.start_relay()
         for name in ("master", "slave"):
             self.start_site(name)
         await until(lambda: all(end._servers for end in self.ends))
@@ -116,8 +121,9 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def bench(folder: Path) -> AsyncIterator[Bench]:
-    found = Bench(folder)
+async def bench(folder: Path, other: Bench | None = None) -> AsyncIterator[Bench]:
+    folder.mkdir(exist_ok=True)
+    found = Bench(folder, other)
     try:
         yield found
     finally:
@@ -188,6 +194,84 @@ def test_a_node_of_the_other_site_is_reached_though_both_only_dial(tmp_path: Pat
             await until(lambda: not +rig.relay.streams)
 
     asyncio.run(run())
+
+
+def test_ten_rigs_behind_one_address_are_joined_without_a_refusal(tmp_path: Path) -> None:
+    # Each has 25 connections, as a rig with a page has, and each is two at the relay, which refuses none of them. One
+    # that this process serves too late, as it is all of the rigs, is tried again.
+    async def run() -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            rigs = [await stack.enter_async_context(bench(tmp_path / "rig0"))]
+            for number in range(1, 10):
+                rigs.append(await stack.enter_async_context(bench(tmp_path / f"rig{number}", rigs[0])))
+            relay = await rigs[0].start_relay()
+            for rig in rigs:
+                rig.relay = relay
+            await asyncio.gather(*(rig.together() for rig in rigs))
+            for rig in rigs:
+                for port in (rig.afm_port, rig.link_port):
+                    await stack.enter_async_context(echo(HOST, port))
+            texts = [b"number %d" % number for number in range(25)]
+            said = [
+                eventually_echoed(host, port, text)
+                for rig in rigs
+                for host, port, mine in (
+                    ("127.77.0.2", rig.afm_port, texts[:13]),
+                    ("127.77.0.1", rig.link_port, texts[13:]),
+                )
+                for text in mine
+            ]
+            await asyncio.gather(*said)
+            # a handshake that this process had no time for is no limit of the relay
+            assert {reason for reason, count in relay.refused.items() if count} <= {"handshake"}
+
+    asyncio.run(run())
+
+
+def test_a_refusal_is_logged_at_both_ends_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(server, "_BURST", 2.0)
+    monkeypatch.setattr(server, "_PER_S", 0.01)
+
+    async def run() -> None:
+        async with bench(tmp_path) as rig:
+            await rig.together()
+            strangers = [await asyncio.open_connection(HOST, rig.port) for _ in range(4)]
+            async with echo(HOST, rig.afm_port):
+                for _ in range(3):
+                    waiting = asyncio.create_task(echoed("127.77.0.2", rig.afm_port, b"hello"))
+                    await until(lambda: rig.relay.refused["flood"] > 2)
+                    waiting.cancel()
+            for _, writer in strangers:
+                writer.close()
+
+    asyncio.run(run())
+    told = caplog.text
+    assert told.count("connections from 127.0.0.1 are refused") == 1
+    assert told.count("has ended a connection without an answer") == 1
+
+
+def test_who_waits_for_a_half_that_is_refused_is_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_JOIN_S", 10.0 * PATIENCE_S)
+
+    async def run() -> None:
+        async with bench(tmp_path) as rig:
+            await rig.together()
+            async with echo(HOST, rig.afm_port):
+                opening = await rig.dial("master", want="open", to=rig.hex("slave"), port=rig.afm_port)
+                # the other site can dial no second time: it says so in the place of silence
+                dialled, rig.ends[1]._dial = rig.ends[1]._dial, _refused  # type: ignore[method-assign]
+                async with asyncio.timeout(PATIENCE_S):
+                    assert await opening.receive() == {"refused": "absent"}
+                rig.ends[1]._dial = dialled  # type: ignore[method-assign]
+                opening.close()
+
+    asyncio.run(run())
+
+
+async def _refused(**request: Any) -> Channel:
+    raise ConnectionResetError
 
 
 def test_a_node_that_begins_a_moment_later_is_waited_for(tmp_path: Path) -> None:

@@ -100,6 +100,48 @@ class Ending:
     waits_ns: dict[int, int]
 
 
+Jitter = Callable[[random.Random, float], float]
+
+
+def normal(sigma_ms: float) -> Jitter:
+    """Give delays of a normal distribution, of which the lower half is none."""
+    return lambda draw, at_s: abs(draw.gauss(0.0, sigma_ms))
+
+
+def _no_jitter(draw: random.Random, at_s: float) -> float:
+    return 0.0
+
+
+def even(width_ms: float) -> Jitter:
+    """Give delays from nothing to twice a width, each as likely, as the cable of `wide_area.py` does."""
+    return lambda draw, at_s: draw.uniform(0.0, 2.0 * width_ms)
+
+
+def pareto(scale_ms: float) -> Jitter:
+    """Give delays that are mostly short and at times many times the scale (exponent 3)."""
+    return lambda draw, at_s: scale_ms * (draw.paretovariate(3.0) - 1.0)
+
+
+def stalls(length_ms: float, each_s: float) -> Jitter:
+    """Let a line stand still for a time at regular intervals, as a radio that looks around does, then empty at once."""
+    return lambda draw, at_s: max(0.0, length_ms - 1e3 * (at_s % each_s))
+
+
+class Way:
+    """What a line adds to each datagram on its way, after the bottleneck; in order, none overtakes another."""
+
+    def __init__(self, jitter: Jitter, seed: str, *, in_order: bool) -> None:
+        self._jitter, self._draw, self._in_order = jitter, random.Random(seed), in_order
+        self._last_ns = 0
+
+    def arrives(self, at_ns: int) -> int:
+        """Return when it arrives that without jitter would at a time [ns]."""
+        at_ns += round(self._jitter(self._draw, at_ns * 1e-9) * MS)
+        if self._in_order:
+            at_ns = self._last_ns = max(at_ns, self._last_ns)
+        return at_ns
+
+
 def _thirds() -> Iterator[float]:
     """Yield shares of a period that put messages apart: multiples of the golden ratio."""
     return ((0.618 * place) % 1.0 for place in itertools.count(1))
@@ -114,7 +156,8 @@ def run(
     size: int = 174,
     hz: int = 1000,
     drift: float = 0.0,
-    jitter_ms: float = 0.0,
+    jitter: Jitter = _no_jitter,
+    in_order: bool = False,
     loss: float = 0.0,
     least_hz: float = 50.0,
     change: Callable[[float, Bottleneck], None] = lambda at_s, line: None,
@@ -128,10 +171,13 @@ def run(
     """
     next_message_s = [draw_s * period_s for draw_s, (period_s, _) in zip(_thirds(), beside, strict=False)]
     draw = random.Random(seed)
+    there_way, back_way = (Way(jitter, f"{seed} {way}", in_order=in_order) for way in ("there", "back"))
     most = 750_000.0
     control, seen_line, delivery, budget = RateControl(most), Line(), Delivery(), SendBudget(most / 125.0, 0)
     tcp = Tcp(line)
     step_ns = 1_000_000_000 // hz
+    arriving: deque[tuple[int, int]] = deque()
+    heard: tuple[int, int] | None = None
     reports: deque[tuple[int, Exchange, int, int]] = deque()
     on_way: list[tuple[int, int, object]] = []
     number = arrived = newest = tcp_bytes = 0
@@ -170,15 +216,25 @@ def run(
                 tcp.acknowledged()
                 tcp_bytes += SEGMENT
             elif owner == "us":
-                at_ns += round(abs(draw.gauss(0.0, jitter_ms)) * MS)
-                arrived += 1
-                newest = max(newest, numbers.pop(offered_ns))
-                waits_ns[offered_ns] = at_ns - offered_ns - line.delay_ns
-                waits.append(waits_ns[offered_ns] / MS)
-                there = round(at_ns * (1.0 + drift)) + OFFSET_NS
-                home_ns = at_ns + back_ns + round(abs(draw.gauss(0.0, jitter_ms)) * MS)
-                reports.append((home_ns, Exchange(offered_ns, there, there, home_ns), newest + 1, arrived))
+                arriving.append((there_way.arrives(at_ns), offered_ns))
         on_way = still
+        if not in_order:
+            arriving = deque(sorted(arriving))
+        while arriving and arriving[0][0] <= now:
+            at_ns, offered_ns = arriving.popleft()
+            arrived += 1
+            if numbers[offered_ns] >= newest:
+                newest, heard = numbers[offered_ns], (offered_ns, round(at_ns * (1.0 + drift)) + OFFSET_NS)
+            del numbers[offered_ns]
+            waits_ns[offered_ns] = at_ns - offered_ns - line.delay_ns
+            waits.append(waits_ns[offered_ns] / MS)
+        if heard is not None:
+            # The other end sends as often, and says in each datagram which was the newest that it heard.
+            home_ns = back_way.arrives(now + back_ns)
+            there = round(now * (1.0 + drift)) + OFFSET_NS
+            reports.append((home_ns, Exchange(*heard, there, home_ns), newest + 1, arrived))
+        if not in_order:
+            reports = deque(sorted(reports, key=lambda report: report[0]))
         while reports and reports[0][0] <= now:
             _, exchange, expected, count = reports.popleft()
             seen_line.record(exchange)
@@ -187,7 +243,7 @@ def run(
             next_update = now + 50 * MS
             rate = delivery.rate(float(size), most)
             if rate is not None and seen_line.there_ns is not None:
-                seen = Seen(seen_line.there_ns, *rate, line.delay_ns + back_ns)
+                seen = Seen(seen_line.there_ns, *rate, line.delay_ns + back_ns, seen_line.there_variation_ns)
                 control.update(now, seen, least_hz * size)
                 budget.limit(control.bytes_per_s, float(size), now)
         if now >= next_second:

@@ -131,6 +131,7 @@ ORDERS = given(BEFORE, st.one_of(AFTER, AT_ONCE), SURROUNDINGS)
 QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
+@pytest.mark.dear("an emergency stop is tried in many orders at every commit")
 @settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=QUIET)
 @ORDERS
 def test_whatever_came_before_an_emergency_stop_leaves_both_devices_latched(

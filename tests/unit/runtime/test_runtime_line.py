@@ -5,7 +5,7 @@ import random
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from line_bench import MS, Bottleneck, run
+from line_bench import MS, Bottleneck, Jitter, even, normal, pareto, run, stalls
 
 from services.runtime.datagram.line import Line
 from services.runtime.datagram.outgoing import LEAST_HZ
@@ -72,6 +72,20 @@ def test_a_peak_within_a_tenth_of_a_second_is_no_standing_queue() -> None:
             assert queues(line)[0] < 0.5
 
 
+def test_the_queue_that_is_told_is_the_greatest_since_the_last_report_and_not_the_one_of_its_moment() -> None:
+    line = Line()
+    for tick in range(1500):
+        # A burst of messages fills the line for a third of a second, and is gone when the report is made.
+        line.record(exchange((tick + 100) * MS, 0.0, max(0.0, 126.0 - 0.4 * (tick - 1000)) if tick >= 1000 else 0.0))
+        if tick == 999:
+            assert line.take_back_ns() == pytest.approx(0.0, abs=0.1 * MS)
+    assert queues(line)[1] < 1.0
+    told_ns = line.take_back_ns()
+    assert told_ns is not None
+    assert 80 * MS < told_ns <= 126 * MS
+    assert line.take_back_ns() == pytest.approx(0.0, abs=0.1 * MS)
+
+
 @pytest.mark.parametrize("step_s", [-1000.0, -0.05, 0.05, 1000.0])
 def test_a_clock_that_is_set_makes_no_queue_for_longer_than_the_line_needs_to_be_seen_anew(step_s: float) -> None:
     line = Line()
@@ -130,8 +144,9 @@ def test_samples_are_evenly_spaced_over_a_full_line() -> None:
 
 def test_beside_a_tcp_transfer_a_fair_queue_gives_a_share_without_a_long_queue() -> None:
     found = run(Bottleneck(MBIT, fair=True), 30.0, tcp_from=5.0)
-    # two segments of TCP are 24 ms of this line
-    assert max(found.queue_ms[10:]) < 40.0
+    # Two segments of TCP are 24 ms of this line, and as much again passes for jitter.
+    assert max(found.queue_ms[10:]) < 65.0
+    assert sum(found.queue_ms[10:]) / len(found.queue_ms[10:]) < 35.0
     assert sum(found.rate_hz[10:]) / len(found.rate_hz[10:]) > 200
     assert found.tcp_bytes > 0.3 * 20 * MBIT
 
@@ -176,8 +191,78 @@ def test_beside_the_messages_of_all_nodes_1_mbit_carries_almost_every_second_sam
 
 
 def test_jitter_alone_leaves_out_nothing() -> None:
-    found = run(Bottleneck(10 * MBIT), 15.0, jitter_ms=10.0, drift=2e-4)
+    found = run(Bottleneck(10 * MBIT), 15.0, jitter=normal(10.0), drift=2e-4)
     assert sum(found.rate_hz) >= 0.99 * 1000 * len(found.rate_hz)
+
+
+ORDERED = {
+    "normal, 3 ms": normal(3.0),
+    "normal, 10 ms": normal(10.0),
+    "even, 3 ms": even(3.0),
+    "even, 10 ms": even(10.0),
+    "even, 30 ms": even(30.0),
+    "Pareto, 3 ms": pareto(3.0),
+    "30 ms of stall, five a second": stalls(30.0, 0.2),
+    "100 ms of stall each second": stalls(100.0, 1.0),
+    "300 ms of stall each 3 s": stalls(300.0, 3.0),
+}
+# Here a datagram takes a third of a second at times.
+WILD = {"Pareto, 10 ms": pareto(10.0), "normal, 30 ms": normal(30.0), "Pareto, 30 ms": pareto(30.0)}
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.02, 0.15])
+@pytest.mark.parametrize("name", ORDERED)
+def test_a_line_that_jitters_in_order_is_not_full(name: str, loss: float) -> None:
+    found = run(Bottleneck(10 * MBIT), 15.0, jitter=ORDERED[name], in_order=True, loss=loss)
+    assert sum(found.rate_hz) >= 0.95 * 1000 * len(found.rate_hz)
+
+
+@pytest.mark.parametrize("name", WILD)
+def test_over_a_line_that_jitters_wildly_most_samples_go(name: str) -> None:
+    found = run(Bottleneck(10 * MBIT), 15.0, jitter=WILD[name], in_order=True)
+    assert sum(found.rate_hz) >= 0.85 * 1000 * len(found.rate_hz)
+
+
+@pytest.mark.parametrize("jitter", [even(3.0), even(10.0)], ids=["3 ms", "10 ms"])
+def test_a_narrow_line_that_jitters_is_left_without_a_long_queue(jitter: Jitter) -> None:
+    found = run(Bottleneck(MBIT), 25.0, jitter=jitter, in_order=True)
+    steady = found.rate_hz[4:]
+    assert sum(steady) / len(steady) > 0.8 * 718
+    assert sum(found.queue_ms[4:]) / len(steady) < 40.0
+
+
+def test_a_line_that_jitters_and_becomes_narrow_and_wide_again_is_followed() -> None:
+    def change(at_s: float, line: Bottleneck) -> None:
+        line.bytes_per_s = MBIT if 8.0 <= at_s < 20.0 else 10 * MBIT
+
+    found = run(Bottleneck(10 * MBIT), 30.0, change=change, jitter=even(10.0), in_order=True)
+    assert min(found.rate_hz[:7]) >= 950
+    # the jitter itself is 20 ms
+    assert max(found.queue_ms[11:19]) < 90.0
+    assert found.control.carried_bytes_per_s == pytest.approx(MBIT, rel=0.25)
+    assert min(found.rate_hz[25:]) >= 950
+
+
+@pytest.mark.parametrize("until_s", [8.0, 18.0])
+def test_a_line_that_has_become_narrow_is_named_with_what_it_carries_now_and_its_queue_goes(until_s: float) -> None:
+    def change(at_s: float, line: Bottleneck) -> None:
+        line.bytes_per_s = (10.0 if at_s < 5.0 else 0.256) * MBIT
+
+    found = run(Bottleneck(10 * MBIT), until_s, change=change)
+    assert found.control.carried_while_full == pytest.approx(256_000, rel=0.05)
+    # The whole buffer of 2 s has filled; what was sent before a reduction goes first.
+    assert max(found.queue_ms[15:], default=0.0) < 50.0
+
+
+def test_after_jitter_that_ends_all_samples_go_within_two_seconds() -> None:
+    wild = pareto(30.0)
+    found = run(
+        Bottleneck(10 * MBIT),
+        14.0,
+        jitter=lambda draw, at_s: wild(draw, at_s) if 2.0 <= at_s < 10.0 else 0.0,
+        in_order=True,
+    )
+    assert min(found.rate_hz[-2:]) >= 990
 
 
 def test_an_hour_of_a_full_line_with_a_clock_that_drifts() -> None:

@@ -11,9 +11,11 @@ from datagram_bench import Pair, pair
 from network_bench import payload
 from test_runtime_datagram import _Blocked
 
+from services.runtime.bus.address_book import LinkTransport
 from services.runtime.datagram.arrivals import ArrivalRecord
 from services.runtime.datagram.body import (
     ASKING_TRAIN,
+    CARRIES,
     DICTIONARY,
     HELLO,
     REPORT,
@@ -25,10 +27,12 @@ from services.runtime.datagram.body import (
     short_report,
 )
 from services.runtime.datagram.incoming import Incoming
-from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS
+from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS, Outgoing
+from services.runtime.datagram.rate import Mode
 from services.runtime.datagram.reception import MISSED_NS, SILENCE_NS
 from services.runtime.datagram.replay_window import ReplayWindow
 from services.runtime.datagram.sealing import RejectedError
+from services.runtime.loop.clock_offset import Exchange
 
 MS = 1_000_000
 REPORTED = REPORT.pack(1, 0, 0, 0, 0)
@@ -53,6 +57,7 @@ def test_a_sample_is_deflated_to_a_third_and_comes_back_as_it_was() -> None:
         parse(REPORTED).report,
         [(b"teleop/forward", FORWARD)],
         [HELLO],
+        0,
         0,
         False,
     )
@@ -171,17 +176,54 @@ def test_a_train_measures_what_the_line_carries_though_the_process_stood_still_f
     assert incoming.wants_train
 
 
-def test_a_queue_that_stands_is_told_once_and_its_end_as_well() -> None:
-    incoming, told = Incoming("slave"), []
-    for tick in range(200):
-        queue_ns = 50 * MS if 20 <= tick < 100 else 0
-        if text := incoming.told_of_queue(tick * 50 * MS, queue_ns):
-            told.append((tick, *text))
-    (begun, level, text), (ended, calm, _) = told
-    assert (level, calm) == ("warning", "info")
-    assert "a queue of 50 ms stands before it" in text
-    assert 40 <= begun < 45
-    assert ended == 100
+def test_a_line_that_is_full_carries_what_its_sender_says_and_not_what_an_old_train_showed(
+    ends: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends.joined()
+    ends.turns(100)
+    master, slave = (side.end for side in ends.sides)
+    trained = slave.incoming.capacity
+    assert trained > 1e7
+    monkeypatch.setattr(master.outgoing, "update", lambda *_: None)
+    master.outgoing.control.mode, master.outgoing.control.carried_bytes_per_s = "full", 32_000.0
+    master._report_ns = 0
+    master.maintain(ends.master.clock.monotonic_ns())
+    ends.turns(5)
+    assert slave.incoming.capacity == 256_000
+    slave._report_ns = 0
+    slave.maintain(ends.slave.clock.monotonic_ns())
+    assert ends.slave.outlet.last("link/network").capacity_bit_per_s == 256_000
+    with pytest.raises(RejectedError, match="count"):
+        parse(REPORTED + mark(CARRIES, bytes(8) + b"\xff" * 8))
+    # An earlier end says only what it measured.
+    assert parse(REPORTED + mark(CARRIES, (7).to_bytes(8, "big")))[3:5] == (7, 0)
+
+
+@pytest.mark.parametrize(
+    ("mode", "queue_ms", "levels"),
+    [
+        ("full", 50, ["warning", "info"]),
+        ("full", 9, []),
+        # It jitters in order, or others fill it: to send less does not lower the delay.
+        ("free", 50, []),
+        ("shared", 50, []),
+    ],
+)
+def test_only_its_sender_calls_a_line_full_and_names_what_it_carries_now(
+    mode: Mode, queue_ms: int, levels: list[str]
+) -> None:
+    outgoing, told = Outgoing(LinkTransport(), 0), []
+    outgoing.control.carried_bytes_per_s = 32_000.0
+    for tick in range(2000):
+        at_ns = 40 * MS + tick * 5 * MS
+        queue_ns = queue_ms * MS if 400 <= tick < 1600 else 0
+        outgoing.line.record(Exchange(at_ns - 40 * MS - queue_ns, at_ns - 20 * MS, at_ns - 20 * MS, at_ns))
+        outgoing.control.mode = mode if 400 <= tick < 1800 else "free"
+        if found := outgoing.told_of_queue(at_ns, "slave"):
+            told.append(found)
+    assert [level for level, _ in told] == levels
+    if levels:
+        assert "which carries 0.256 Mbit/s of the link's datagrams, is full: a queue of 50 ms stands" in told[0][1]
 
 
 # --- falling back ---

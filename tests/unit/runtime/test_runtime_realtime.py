@@ -20,7 +20,6 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import (
     RealtimeConfig,
     apply_realtime,
-    die_with_parent,
     freeze_garbage,
     lower_thread,
     may_use_fifo,
@@ -29,6 +28,7 @@ from services.runtime.loop.realtime import (
     processor_of,
     shallow_idle,
 )
+from services.signals.children import die_with_parent
 
 PR_GET_PDEATHSIG, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 2, 1, 29, 30
 

@@ -116,6 +116,7 @@ def test_the_verdicts_are_those_of_the_document_of_the_laws():
     assert run(run_of("wave", "touch", "transatlantic")).verdict == "stable"
 
 
+@pytest.mark.check("runs rows of the benchmark whole")
 def test_a_word_does_not_hide_the_force_that_it_stands_beside():
     """A late message that leaves 2.3 mN is no growth, and what came to rest after 20 N was not held."""
     quiet = run(run_of("passivity", "track", "wifi", "reacting", 7))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from experiment_tables import DELAYS_MS, LAWS, SLOPE, demo, trial
+from observer import Observer
 
 from proto.errors import ConfigError
 from services.viz_node.figure_style import figure_options
@@ -15,17 +16,16 @@ from studies.experiments.analyse import Choice, analyse
 from studies.experiments.effect_sizes import corrected, partial_eta2, sphericity
 from studies.experiments.effects import Effects
 from studies.experiments.psychophysics.function import Psychometric
-from studies.experiments.psychophysics.observer import Observer
 from studies.experiments.table import tidy
 
 pytest.importorskip("pandas")
 pytest.importorskip("statsmodels")
-TIME = Choice(measures=("time_s",))
+TIME = Choice(measures=("completion_time_s",))
 ANOVA = TIME._replace(test="anova")
 
 
 def of_time(records: list[dict[str, Any]], choice: Choice = TIME) -> Effects:
-    return analyse(tidy(records), choice).effects["touch_and_hold", "time_s"]
+    return analyse(tidy(records), choice).effects["touch_and_hold", "completion_time_s"]
 
 
 def test_the_mixed_model_finds_time_growing_with_delay() -> None:
@@ -151,8 +151,8 @@ def test_trials_that_do_not_count_change_nothing() -> None:
     plain = analyse(tidy(records), ANOVA)
     other = [dict(record) for record in records[:6]]
     for place, changes in enumerate(({"phase": "practice"}, {"status": "disturbed"}, {"status": "aborted"})):
-        other[place] |= {**changes, "measures": {"time_s": 99.0}, "attempt": 1}
-    out = [{**record, "participant": "P09", "measures": {"time_s": 99.0}} for record in records[:18]]
+        other[place] |= {**changes, "measures": {"completion_time_s": 99.0}, "attempt": 1}
+    out = [{**record, "participant": "P09", "measures": {"completion_time_s": 99.0}} for record in records[:18]]
     more = analyse(
         tidy([*records, *other[:3], *out, {"record": "excluded", "participant": "P09", "reason": "left"}]), ANOVA
     )
@@ -164,7 +164,7 @@ def test_trials_that_do_not_count_change_nothing() -> None:
 
 def test_the_cells_describe_every_condition() -> None:
     found = analyse(tidy(demo(1)), Choice(test="anova"))
-    cells = [cell for cell in found.cells if cell["measure"] == "time_s"]
+    cells = [cell for cell in found.cells if cell["measure"] == "completion_time_s"]
     assert [(cell["law"], cell["delay_ms"]) for cell in cells] == [(law, delay) for law in LAWS for delay in DELAYS_MS]
     assert all(cell["participants"] == 4 and cell["trials"] == 12 for cell in cells)
     assert all(cell["least"] <= cell["quarter"] <= cell["median"] <= cell["greatest"] for cell in cells)
@@ -180,7 +180,9 @@ def test_one_participant_is_described_and_not_tested() -> None:
 
 def test_a_difference_without_any_scatter_is_said_and_not_tested() -> None:
     records = [
-        trial(f"P{n}", k, {"law": law}, time_s=2.0 * k) for n in range(3) for k, law in enumerate(("wave", "passivity"))
+        trial(f"P{n}", k, {"law": law}, completion_time_s=2.0 * k)
+        for n in range(3)
+        for k, law in enumerate(("wave", "passivity"))
     ]
     found = of_time(records, ANOVA)
     assert not found.terms and not found.pairs
@@ -188,7 +190,7 @@ def test_a_difference_without_any_scatter_is_said_and_not_tested() -> None:
 
 
 def test_a_measure_that_never_changes_is_not_tested() -> None:
-    records = [trial(f"P{n}", n, {"delay_ms": float(10 * (n % 2))}, time_s=2.0) for n in range(8)]
+    records = [trial(f"P{n}", n, {"delay_ms": float(10 * (n % 2))}, completion_time_s=2.0) for n in range(8)]
     assert of_time(records).remarks == ("every trial has the same value: nothing is tested",)
 
 
@@ -215,8 +217,8 @@ def test_thresholds_are_fitted_for_each_participant_and_condition() -> None:
 def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="no trial counts"):
         analyse(tidy([]))
-    with pytest.raises(ConfigError, match=r"measure tine_s: known are .*did you mean time_s"):
-        analyse(tidy(demo(1)), Choice(measures=("tine_s",)))
+    with pytest.raises(ConfigError, match=r"measure completion_tine_s: known are .*did you mean completion_time_s"):
+        analyse(tidy(demo(1)), Choice(measures=("completion_tine_s",)))
     with pytest.raises(ConfigError, match="correction holms: known are holm"):
         analyse(tidy(demo(1)), Choice(correction="holms"))
     with pytest.raises(ConfigError, match="thresholds need a measure or an answer named `correct`"):
@@ -231,7 +233,7 @@ def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> None:
     from studies.experiments.analysis_page import write_analysis
 
-    tables = tidy(demo(1), lambda task: {"time_s": ("s", "Completion time")})
+    tables = tidy(demo(1), lambda task: {"completion_time_s": ("s", "Completion time")})
     found = analyse(tables, ANOVA)
     about = {"title": "Time and delay", "seed": 3, "order": "latin square", "apparatus": "lockstep", "digest": "ab12"}
     document = write_analysis(
@@ -246,7 +248,7 @@ def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> N
         "experiment.html",
         "methods.md",
     } <= names
-    assert {"touch_and_hold_time_s.png", "touch_and_hold_time_s.svg", "effect_sizes.png"} <= names
+    assert {"touch_and_hold_completion_time_s.png", "touch_and_hold_completion_time_s.svg", "effect_sizes.png"} <= names
     methods = (tmp_path / "methods.md").read_text()
     for words in (
         "4 participants completed 72 trials",
@@ -258,4 +260,4 @@ def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> N
         assert words in methods, words
     assert json.loads((tmp_path / "experiment.json").read_text()) == json.loads(json.dumps(document))
     terms = {row["term"]: row["f"] for row in document["terms"]}
-    assert terms == {term.term: term.f for term in found.effects["touch_and_hold", "time_s"].terms}
+    assert terms == {term.term: term.f for term in found.effects["touch_and_hold", "completion_time_s"].terms}

@@ -11,7 +11,7 @@ from experiment_tables import demo, trial
 from proto.errors import ConfigError
 from studies.experiments.table import FIXED, read_tables, tidy, write_tables
 
-UNITS = {"time_s": ("s", "Completion time"), "duration_s": ("s", "Duration of the touch")}
+UNITS = {"completion_time_s": ("s", "Completion time"), "duration_s": ("s", "Duration of the touch")}
 TLX = {
     "record": "asked",
     "participant": "P01",
@@ -23,7 +23,7 @@ TLX = {
 
 def test_every_attempt_is_a_row_with_its_conditions_measures_and_answers() -> None:
     records = [*demo(1), TLX, {"record": "break", "duration_s": 9.0}]
-    again = trial("P01", 3, {"law": "wave", "delay_ms": 0.0}, time_s=None)
+    again = trial("P01", 3, {"law": "wave", "delay_ms": 0.0}, completion_time_s=None)
     again |= {
         "attempt": 1,
         "status": "disturbed",
@@ -33,10 +33,18 @@ def test_every_attempt_is_a_row_with_its_conditions_measures_and_answers() -> No
     tables = tidy([*records, again], lambda task: UNITS)
     assert len(tables.trials) == 73
     assert {tuple(row) for row in tables.trials} == {
-        (*FIXED, "condition.law", "condition.delay_ms", "time_s", "force_error_n", "success", "answer.stiffer")
+        (
+            *FIXED,
+            "condition.law",
+            "condition.delay_ms",
+            "completion_time_s",
+            "force_error_n",
+            "success",
+            "answer.stiffer",
+        )
     }
     last = tables.trials[-1]
-    assert (last["trial"], last["attempt"], last["status"], last["time_s"], last["answer.stiffer"]) == (
+    assert (last["trial"], last["attempt"], last["status"], last["completion_time_s"], last["answer.stiffer"]) == (
         3,
         1,
         "disturbed",
@@ -56,7 +64,7 @@ def test_the_dictionary_describes_every_column_of_every_table() -> None:
     assert {name for table, name in described if table == "questionnaires"} == set(tables.questionnaires[0])
     delay = described["trials", "condition.delay_ms"]
     assert (delay.unit, delay.type, delay.levels) == ("ms", "number", (0.0, 40.0, 80.0))
-    assert described["trials", "time_s"][2:5] == ("s", "number", "Completion time")
+    assert described["trials", "completion_time_s"][2:5] == ("s", "number", "Completion time")
     assert described["trials", "force_error_n"].unit == "N"
     assert described["trials", "success"].type == "boolean"
     assert all(row.description or row.name in ("force_error_n", "success") for row in tables.dictionary)
@@ -77,10 +85,10 @@ def test_parquet_and_csv_hold_the_same_and_parquet_the_units(tmp_path: Path) -> 
     }  # fmt: skip
     parquet = pq.read_table(tmp_path / "trials.parquet")
     assert parquet.to_pylist() == tables.trials
-    assert parquet.schema.field("time_s").metadata[b"unit"] == b"s"
+    assert parquet.schema.field("completion_time_s").metadata[b"unit"] == b"s"
     with (tmp_path / "trials.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [float(row["time_s"]) for row in rows] == [row["time_s"] for row in tables.trials]
+    assert [float(row["completion_time_s"]) for row in rows] == [row["completion_time_s"] for row in tables.trials]
     assert [row["condition.law"] for row in rows] == [row["condition.law"] for row in tables.trials]
     assert len(json.loads((tmp_path / "dictionary.json").read_text())) == len(tables.dictionary)
     assert read_tables(tmp_path) == tables

@@ -153,7 +153,7 @@ def test_what_is_no_curve_and_no_spectrum_is_refused(tmp_path: Path) -> None:
         stiffness_of_spectrum(np.array([1.0, 0.5, 2.0]), np.ones(3), KNOWN)
     frequency, power = spectrum(1)
     for metre in (M_PER_V, 1e12 * M_PER_V):  # densities in m^2/Hz and in pm^2/Hz
-        with pytest.raises(ConfigError, match=r"N/m is that of no cantilever: a spectrum is needed in V\^2/Hz"):
+        with pytest.raises(ConfigError, match=r"N/m is that of no cantilever: look at the unit of the density"):
             stiffness_of_spectrum(frequency, power * metre**2, KNOWN)
     file = tmp_path / "s.txt"
     file.write_text("Hz;V2/Hz\n" + "".join(f"{n};1e-9\n" for n in range(20)) + "20;loud\n")
@@ -177,4 +177,35 @@ def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
     assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
     refused = run(app, own)
     assert refused.exit_code == 2
-    assert "--sensitivity: a spectrum in volts needs" in json.loads(refused.stdout)["error"]
+    assert "--sensitivity: what was measured in volts needs" in json.loads(refused.stdout)["error"]
+
+
+UNITS = {
+    "V^2/Hz": 1.0, "V²/Hz": 1.0, "V**2/Hz": 1.0, "mV^2/Hz": 1e6, "V/sqrt(Hz)": 0.5, "V/√Hz": 0.5, "V/Hz^0.5": 0.5,
+    "V/rtHz": 0.5, "m^2/Hz": M_PER_V**2, "pm^2/Hz": 1e24 * M_PER_V**2, "V/Hz": None, "V": None, "": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("where", ["head", "option"])
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_spectrum_is_read_in_its_unit_or_asked_for_it(unit: str, where: str, tmp_path: Path) -> None:
+    frequency, power = spectrum(1)
+    factor = UNITS[unit]
+    density = np.sqrt(power) if factor == 0.5 else power * (factor or 1.0)
+    path = tmp_path / "thermal.txt"
+    np.savetxt(path, np.column_stack([frequency, density]), header=f"Hz {unit}" if where == "head" else "f PSD")
+    words = ["calibrate", "stiffness", "--spectrum", str(path), "--temperature", "295", "--averages", "50", "--json"]
+    words += [] if unit.endswith("m^2/Hz") else ["--sensitivity", "60"]
+    found = CliRunner().invoke(app, [*words, *(["--unit", unit] if where == "option" else [])])
+    if factor is None:
+        assert found.exit_code == 2 and "--unit" in json.loads(found.stdout)["error"]
+        assert "V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz)" in json.loads(found.stdout)["error"]
+    else:
+        assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
+
+
+def test_a_stiffness_far_from_what_the_size_allows_is_said_to_be() -> None:
+    width, length = lever_of(K)
+    known = KNOWN._replace(averages=50, width_m=width, length_m=length, sensitivity_m_per_v=10.0 * M_PER_V)
+    found = stiffness_of_spectrum(*spectrum(0), known)
+    assert "a lever of this size cannot have it: the unit of the density" in (found.agreement or "")

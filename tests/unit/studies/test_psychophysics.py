@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from observer import Observer
 
 from proto.errors import ConfigError
 from studies.experiments.psychophysics import exact
 from studies.experiments.psychophysics.fit import fit
 from studies.experiments.psychophysics.function import Psychometric
 from studies.experiments.psychophysics.methods import Method, QuestPlus, make, most_trials, replay
-from studies.experiments.psychophysics.observer import Observer
 
 LINEAR = {"shape": "logistic", "axis": "linear", "guess": 0.5}
 RATIOS = {"shape": "weibull", "axis": "log", "guess": 0.5}

@@ -180,6 +180,7 @@ def test_the_innovations_are_those_of_the_whole_covariance() -> None:
         assert logs[i] == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1], rel=1e-10, abs=1e-12)
 
 
+@pytest.mark.check("fits from many starts")
 def test_a_fit_that_ends_at_a_bound_is_refused_and_the_bound_named(curve):
     for modulus in (1e4,):
         with pytest.raises(

@@ -32,7 +32,7 @@ def cell(hand: Any = "ordinary", **changes: Any) -> Cell:
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the loop without the compiler: no law has to be compiled into it."""
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
 
 
 @pytest.mark.parametrize("hand", ARMS)
@@ -62,6 +62,7 @@ def test_result_tells_force_peak_and_what_hand_and_tip_are_apart() -> None:
     assert CellResult.from_dict(result.as_dict()) == result
 
 
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("delay_s", [0.0, 0.2])
 def test_tuned_loop_bears_twice_the_delay(law: str, delay_s: float) -> None:

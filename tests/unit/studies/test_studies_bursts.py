@@ -37,6 +37,7 @@ def held(law: str, stiffness: float, direction: dict[str, Any], hand: str = "for
 
 
 # finding A: -44.3 mJ and 32.7 N at 80 N/m over slots of 30 ms, -10.2 mJ at 150 N/m over 60 ms
+@pytest.mark.check("a grid of slots and laws")
 @pytest.mark.parametrize("law", ["wave", "passivity"])
 @pytest.mark.parametrize(("stiffness", "slot_s"), [(40.0, 0.06), (80.0, 0.03), (80.0, 0.06), (150.0, 0.06)])
 def test_slots_make_no_energy_and_press_no_harder_than_the_hand(law: str, stiffness: float, slot_s: float) -> None:
@@ -56,6 +57,7 @@ def bursts(ticks: int, pause_ms: int, apart_ns: int) -> Schedule:
     return schedule_from(forward, sent, backward, np.arange(ticks, dtype=np.int64), ticks, PERIOD_NS)
 
 
+@pytest.mark.check("a grid of bursts and laws")
 @pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
 @pytest.mark.parametrize("apart_us", [20, 100, 300])
 @pytest.mark.parametrize(("stiffness", "pause_ms"), [(80.0, 60), (200.0, 40), (20.0, 120)])

@@ -1,11 +1,13 @@
 """Force curves against what the tip-sample force says about them, and in the field's own reader."""
 
 import dataclasses
+import importlib
 import json
 import math
 import zipfile
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -315,3 +317,26 @@ def test_samples_of_an_instrument_make_a_curve_without_what_came_before_and_afte
     assert (found.retract.base_m[0], found.retract.base_m[-1]) == pytest.approx((10e-9, -20e-9), rel=0, abs=0.11e-9)
     with pytest.raises(RigError, match="fewer than 10 samples"):
         curve_of_samples([-3e-8, 0.0, -3e-8], [0.0] * 3, [0.0] * 3, -2e-8, 1e-7)
+
+
+@pytest.mark.parametrize("mode", ["creep-compliance", "stress-relaxation"])
+@pytest.mark.parametrize(
+    "reader",
+    [
+        "studies.instrument.curve_files:load_hdf5",
+        "studies.instrument.curve_files:load_afmformats",
+        "studies.instrument.curve_files:load_deflections",
+        "services.afm_node.physics.sample.map_libraries:load_curves",
+    ],
+)
+def test_a_curve_of_creep_or_relaxation_is_refused_by_name(reader, mode, tmp_path):
+    pytest.importorskip("afmformats")
+    path = tmp_path / "curve.h5"
+    write_hdf5(path, force_curve(AfmConfig(), 10e-9, 10e-9, 200))
+    with h5py.File(path, "r+") as file:
+        file["0"].attrs["imaging mode"] = mode
+    module, _, name = reader.partition(":")
+    with (tmp_path / "report").open("wb") as report:
+        more = (None, None, report.fileno()) if name == "load_curves" else ()
+        with pytest.raises(ValueError, match=f"curves of {mode.replace('-', ' ')}, taken over time"):
+            getattr(importlib.import_module(module), name)(str(path), *more)

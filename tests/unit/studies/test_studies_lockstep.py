@@ -76,6 +76,7 @@ def test_contact_loop_is_the_loop_written_out(delay_ms: int) -> None:
 
 
 @pytest.mark.usefixtures("plain_loop")
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", list(LAWS))
 def test_every_law_holds_the_hand_against_the_spring(law: str) -> None:
     course = trajectory_of(cell(law, delay_ms=5.0, session_s=3.0))

@@ -34,6 +34,7 @@ def no_withdrawn_tip(session: SimulatedSession) -> None:
 
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_fig12_is_stable_without_delay_and_at_50_ms_as_theory_has_it(law: str, environment: str) -> None:
     at_once = telenano.simulate("fig12", law=law, environment=environment, round_trip_ms=0.0)
@@ -87,6 +88,7 @@ def test_a_spring_that_also_pulls_begins_at_its_rest_position_and_nowhere_else()
     assert given.verdict == "stable"
 
 
+@pytest.mark.check("compiles the loop of a law of its own")
 @pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 def test_a_law_that_moves_no_tip_is_said_to_have_lost_contact(environment: str) -> None:
@@ -110,6 +112,7 @@ def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:
 
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("scenario", ["touch", "image"])
+@pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_with_an_operator_that_can_be_simulated_so_can_the_others_on_a_spring(scenario: str, law: str) -> None:
     session = telenano.simulate(scenario, law=law, environment="spring", operator=PRESS, duration_s=4.0)
@@ -117,6 +120,7 @@ def test_with_an_operator_that_can_be_simulated_so_can_the_others_on_a_spring(sc
     no_withdrawn_tip(session)
 
 
+@pytest.mark.check("compiles the loop over two samples")
 def test_the_tip_meets_the_surface_of_the_scenario() -> None:
     """A ridge of the grating of 10 nm lies under the tip at rest, 10 nm above 0, as it does on the bus."""
     settings = {"afm_node.sample.name": "grating"}
@@ -134,6 +138,7 @@ def test_every_law_touches_the_sample_of_the_image(law: str) -> None:
     no_withdrawn_tip(session)
 
 
+@pytest.mark.check("runs ten seconds of the loop as plain Python")
 @pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("law", ["passivity", "model_mediated"])
 def test_a_session_over_dots_that_ends_soon_after_the_touch_is_judged_before_it_is_at_rest(law: str) -> None:
@@ -162,6 +167,7 @@ def test_a_disturbance_is_simulated_or_refused_and_never_left_out(settings: dict
         telenano.simulate(settings=settings)
 
 
+@pytest.mark.check("compiles the loop with the oscillating cantilever")
 @pytest.mark.usefixtures("plain_loop")
 def test_a_disturbed_cantilever_is_simulated() -> None:
     quiet = telenano.simulate(duration_s=0.5)

@@ -50,7 +50,7 @@ def held(law: str, stiffness: float, link: tuple[float, float, float], hand: Han
 
 def test_waves_keep_hand_and_tip_together_over_a_link_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
     # without the compiler: the law need not be compiled into the loop
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     held = run_cell(
         Cell(
             law="wave",

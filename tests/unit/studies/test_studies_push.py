@@ -68,6 +68,7 @@ def placed_by(seed: int, delay_ticks: int, **changes: float) -> tuple[float, np.
     return math.dist(moving[0, :2], goal), state, tick
 
 
+@pytest.mark.check("a simulated hand pushes for a minute, twice")
 def test_a_hand_places_a_particle_and_takes_longer_over_a_delay() -> None:
     near_m, state, soon = placed_by(1, 0)
     far_m, later_state, later = placed_by(1, 50)
@@ -89,7 +90,7 @@ def test_the_direction_of_a_steered_tip_turns_the_particle_to_the_goal() -> None
 
 def test_the_loop_carries_rates_to_the_tip_and_answers_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """Over 40 ms there and 40 ms back the tip begins to move after the first, and is seen after both."""
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     monkeypatch.setattr(push_study, "_TOUCHED_S", 0.1)
     courses: list[tuple[float, float]] = []
 
@@ -126,7 +127,7 @@ def test_a_person_who_steers_brings_the_stylus_to_where_the_tip_has_the_speed_wh
 
 def test_a_hand_that_steers_by_the_stylus_moves_the_tip_and_sees_it_later(monkeypatch: pytest.MonkeyPatch) -> None:
     """In lockstep the wanted speed becomes that of the tip, after the arm and the link."""
-    monkeypatch.setattr(lockstep, "compiled_form", lambda step: step)
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     seen: list[float] = []
 
     def moves(hand: push_hand.Hand, tick: int) -> tuple[float, float]:

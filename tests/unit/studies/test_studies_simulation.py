@@ -44,6 +44,16 @@ def test_delay_is_what_was_asked_for_there_and_back_or_one_way() -> None:
         assert np.array_equal(ringing[name], one_way[name], equal_nan=ringing[name].dtype.kind == "f")
 
 
+def test_a_network_that_jitters_is_named_with_the_round_trip_that_it_had() -> None:
+    jittery = telenano.simulate(
+        settings={"delay_node.forward.delay_s": 0.02, "delay_node.forward.jitter.scale_s": 0.002}
+    )
+    assert jittery.conditions.link_profile == "custom"
+    assert "link custom" in repr(jittery) and "round trip 0 ms" not in repr(jittery)
+    # newer signals overtake those that were held up, so that the mean of what is felt is less
+    assert 10.0 < jittery.conditions.round_trip_ms < 20.0
+
+
 @pytest.mark.parametrize(
     ("given", "text"),
     [

@@ -44,6 +44,7 @@ def with_ideal_device(cell: Cell) -> CellResult:
     return judged(cell, simulate(rig, link, settle))
 
 
+@pytest.mark.check("long sessions until a slow cycle shows")
 @pytest.mark.parametrize(("round_trip_ms", "swing_n"), [(50.0, 6.9), (120.0, 15.2)])
 def test_smith_cycles_on_a_wall_because_its_model_comes_back_slowly(round_trip_ms: float, swing_n: float) -> None:
     wall = cell_of("wall", 80.0, round_trip_ms)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -324,6 +325,27 @@ def test_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytes
     cell = Cell(law="virtual_impedance", environment="spring", round_trip_ms=10.0, stiffness_n_per_m=10.0)
     with pytest.raises(ConfigError, match="--scheduler tcp://h:1: no Dask scheduler answers there"):
         Sweep(Journal(tmp_path / "journal.jsonl"), 1, "tcp://h:1").run([cell])
+
+
+def test_a_cluster_without_a_worker_is_said_to_have_none_and_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    heard: list[str] = []
+    monkeypatch.setattr(sweep_module, "_WORKER_S", 0.2)
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster:
+
+        def warn(text: str) -> None:
+            heard.append(text)
+            # as a person starts one where the study says so
+            cluster.scale(1)
+
+        # results of numbers, which no worker has to compile anything for
+        kind: Any = SimpleNamespace(run=abs)
+        found = list(sweep_module._on_cluster(cluster.scheduler_address, [[-1, 2], [-3]], kind, warn))
+        assert sorted(found) == [[1, 2], [3]]
+        assert heard == [
+            f"--scheduler {cluster.scheduler_address}: it has no worker; the study begins when one is started: "
+            f"dask worker {cluster.scheduler_address}"
+        ]
 
 
 @pytest.mark.parametrize(("mode", "verdict"), [(MODE_HOLD, "stable"), (MODE_RETRACTING, "guarded")])

@@ -205,3 +205,11 @@ def test_an_arm_bears_more_delay_than_a_hand_of_constant_force(stiffness: float,
     device = Device(*closed_loop_coefficients(DeviceConfig().to_params()))
     response = arm_response(paper_loop(stiffness), config.force_gain, Arm(*ARMS[arm]), device)
     assert 1e3 * margin_of(response).delay_s == pytest.approx(delay_ms, rel=5e-3, abs=0.0)
+
+
+@pytest.mark.parametrize("stiffness_n_per_m", [10.0, 20.0, 38.0])
+def test_direct_reflection_bears_nearly_the_delay_of_the_papers_law(stiffness_n_per_m: float) -> None:
+    configs = {"virtual_impedance": VirtualImpedanceConfig(), "position_force": PositionForceConfig()}
+    loops = [loop_model(law, config, stiffness_n_per_m) for law, config in configs.items()]
+    papers, direct = (critical_delay_s(loop) for loop in loops if loop is not None)
+    assert direct == pytest.approx(papers, rel=0.06, abs=0.0)

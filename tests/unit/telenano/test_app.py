@@ -27,6 +27,8 @@ RUNNER = CliRunner()
 @pytest.fixture(autouse=True)
 def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+    # The rigs of others on this machine may hold its processors, which is said on the terminal.
+    monkeypatch.setattr("services.launcher.processors._SHARED", tmp_path)
 
 
 def run(*arguments: str) -> tuple[int, str, str]:

@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from presets import DEFAULT_SITE_FILE
+from services.controller.config import KNOWN_LAWS
 from services.runtime.bus.address_book import AddressBook, NodeEntry
 from services.runtime.security.keyring import Keyring
 from telenano.cli.root import app
@@ -550,3 +551,13 @@ def test_the_folder_of_compiled_code_is_the_one_in_use(monkeypatch: pytest.Monke
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
     finding = next(finding for finding in doctor.rig(DEFAULT_SITE_FILE) if finding.name == "compiled code")
     judged(finding, "problem", str(tmp_path / "file" / "cache"))
+
+
+def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from studies.loops import simulation
+
+    said: list[tuple[str, str]] = []
+    monkeypatch.setattr(simulation, "simulate_scenario", lambda name, law, duration_s: said.append((name, law)))
+    doctor.compile_models(as_json=True)
+    assert said == [("fig12", law) for law in KNOWN_LAWS]
+    assert list(json.loads(capsys.readouterr().out)["warmed_s"]) == list(KNOWN_LAWS)

@@ -128,7 +128,8 @@ def test_every_line_of_every_block_is_run_by_a_test_or_says_why_not() -> None:
 def test_the_tests_that_run_the_lines_exist() -> None:
     there = {
         f"{path.name}::{name}"
-        for path in (ROOT / "tests").rglob("test_*.py")
+        for folder in ("tests", "packages")
+        for path in (ROOT / folder).rglob("test_*.py")
         for name in re.findall(r"^def (test_\w+)\(", path.read_text(encoding="utf-8"), re.MULTILINE)
     }
     assert {rule.test for rule in RULES if rule.test} <= there

@@ -67,7 +67,7 @@ def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
     assert in_the_way.read_text() == "kept"
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5", "mcap-json", "mcap-protobuf"])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5", "mcap-json"])
 def test_an_export_that_cannot_be_written_names_its_target(make_file: MakeFile, in_the_way: Path, kind: str) -> None:
     for target in (in_the_way / "target", in_the_way / "deeper" / "target"):
         text = refused("bag", "export", make_file(), "--to", kind, "--out", target)
@@ -135,6 +135,18 @@ def test_a_session_goes_on_where_its_view_cannot_be_written(monkeypatch: pytest.
                 view.observe(None)  # type: ignore[arg-type]
             view.show("the session is over")
         assert full.tries >= 2
+
+
+def test_what_is_said_after_the_view_has_ended_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The report is made then, which takes seconds, and a terminal that shows nothing looks as if it hung."""
+    for make in (LineView, LiveView):
+        terminal = io.StringIO()
+        with make(Console(file=terminal, force_terminal=True)) as view:
+            view.show("the session is running")
+        before = len(terminal.getvalue())
+        view.show("making figure and summary")
+        view.show("1 of 4: reading [the] session")
+        assert terminal.getvalue()[before:] == "making figure and summary\n1 of 4: reading [the] session\n"
 
 
 def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words() -> None:

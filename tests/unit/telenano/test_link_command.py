@@ -35,7 +35,7 @@ def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled()
     ways = {"forward": forward, "backward": backward}
     rows = {row["what"]: (row["forward"], row["backward"]) for row in network_rows(ways)}
     assert rows["network: lost of settled [%]"] == ("10.0", "")
-    assert rows["network: queue [ms]"] == ("52.0: the line is full", "1.0")
+    assert rows["network: queue [ms]"] == ("52.0", "1.0")
     assert rows["network: line carries [Mbit/s]"] == ("1.04", "1.04")
     # the end that receives backward, at the master, is the one that sends forward
     assert rows["network: line"] == ("full", "free")

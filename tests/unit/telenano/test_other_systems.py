@@ -13,6 +13,7 @@ from proto.errors import ConfigError
 from services.runtime.loop import realtime
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import RealtimeConfig, RealtimeStatus, apply_realtime
+from services.signals import children
 
 ROOT = Path(__file__).parents[3]
 
@@ -62,7 +63,9 @@ def test_a_node_on_another_system_runs_without_real_time(monkeypatch: pytest.Mon
     monkeypatch.delattr(os, "sched_getaffinity")
     status = apply_realtime(RealtimeConfig(), StructuredLog("node"), "controller@master")
     assert status == RealtimeStatus(fifo=False, memory_locked=False)
-    realtime.die_with_parent(15)
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(sys, "platform", "darwin")
+        children.die_with_parent(15)
     realtime.lower_thread("io")
     assert realtime.use_huge_pages() == 0
     for asked in (RealtimeConfig(scheduler="fifo"), RealtimeConfig(memory_lock="on")):

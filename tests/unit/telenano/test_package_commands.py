@@ -245,3 +245,12 @@ def test_a_name_that_cannot_be_one_and_a_folder_that_is_there_are_refused(tmp_pa
     with pytest.raises(ConfigError, match="exists already"):
         new_package("law", "my_law", tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_beside_a_kind_of_driver_makes_a_package_with_one(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "fit.md").read_text(encoding="utf-8")
+    rows = re.findall(r"with an? `(\w+Driver)` \| `telenano new ([\w-]+) NAME`", text)
+    assert rows
+    for driver, kind in rows:
+        new_package(kind, "mine", tmp_path / kind)
+        assert f"`{driver}`" in (tmp_path / kind / "telenano_mine" / "__init__.py").read_text(encoding="utf-8")

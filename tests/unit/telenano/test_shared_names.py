@@ -51,7 +51,6 @@ def test_the_library_says_so_too(overwritten: dict[str, str]) -> None:
         ("matplotlib.pyplot", "viz"),
         ("serial", "haptic"),
         ("pymodbus", "afm"),
-        ("google.protobuf", "export"),
         ("starlette", "view"),
         ("gwyfile", "instrument"),
         ("cryptography", "delay"),

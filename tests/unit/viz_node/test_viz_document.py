@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from forged_files import copied, wide_index
 from made_sessions import Made
 
 from proto.errors import RefusedError
 from recording.arrays import columns
+from recording.indexed import IndexedRecording
 from recording.reader import Recording
-from recording.site_clock import Timeline
 from services.viz_node import document as document_module
 from services.viz_node import level_cache
 from services.viz_node.document import RecordingDocument
 from services.viz_node.level_cache import LevelCache
-from services.viz_node.levels import Levels, read_samples
+from services.viz_node.levels import Levels
 from services.viz_node.streams import STREAMS
 
 FORCE = [column.name for column in STREAMS[2].columns].index("force")
@@ -29,7 +30,8 @@ FORCE = [column.name for column in STREAMS[2].columns].index("force")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Return eight seconds of a session in which the tip is drawn to the sample for a moment."""
     made = Made(tip_n=lambda time_s: -1.25 if 1.0 <= time_s < 1.01 else math.sin(time_s))
-    return Recording(made.write(tmp_path_factory.mktemp("document")))
+    folder = tmp_path_factory.mktemp("document")
+    return Recording(copied(made.write(folder), folder / "chunks.mcap"))
 
 
 @pytest.fixture(scope="module")
@@ -97,10 +99,30 @@ def test_levels_of_an_hour_are_bounded_and_keep_a_single_sample() -> None:
     assert empty.between("tip", 0.0, 10.0, 10)[0].size == 0
 
 
-def test_a_part_before_the_first_message_has_no_samples(whole: Recording) -> None:
-    start_ns = whole.span_ns[0]
-    timeline = Timeline(whole)
-    assert list(read_samples(whole, timeline, start_ns - 20, start_ns - 10)) == []
+def test_a_part_before_the_first_message_has_no_samples(document: RecordingDocument) -> None:
+    streams = document.part(-2.0, -1.0, 0)["streams"]
+    assert all(stream["n"] == 0 for stream in streams.values())
+
+
+@pytest.mark.parametrize("first_ns", [0, 2**63])
+def test_no_piece_is_made_for_a_time_that_is_only_stated_and_each_chunk_is_read_once(
+    whole: Recording, tmp_path: Path, first_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "wide.mcap"
+    path.write_bytes(wide_index(whole.path.read_bytes(), first_ns, 2**64 - 2))
+    read: list[int] = []
+    inside = IndexedRecording._content
+    monkeypatch.setattr(IndexedRecording, "_content", lambda *given: read.append(given[2].offset) or inside(*given))
+    documents = [RecordingDocument(IndexedRecording(each)) for each in (whole.path, path)]
+    counts = []
+    for document in documents:
+        read.clear()
+        document.wait()
+        counts.append(len(read))
+        assert len(document._pieces) <= len(whole._layout.blocks)
+    assert counts[1] <= 3 * counts[0]
+    streams = [found.part(-1.0, 1e12, 10)["streams"] for found in documents]
+    assert all(streams[0][name]["n"] > 0 and streams[1][name]["n"] > 0 for name in ("hand", "tip"))
 
 
 def test_what_goes_wrong_in_the_judgement_is_said_and_the_curves_stay(whole: Recording) -> None:

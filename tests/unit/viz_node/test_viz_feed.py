@@ -44,7 +44,7 @@ def test_every_golden_message_of_a_shown_topic_is_understood(topic: str, case: s
     fields = golden(topic, case)
     for site in ("master", "slave"):
         feed.record(Seen(topic, f"node@{site}", START_NS, fields))
-    assert feed.unreadable == 0
+    assert feed.left_out.rejected == {}
     assert feed.take()
     assert feed.take() == {}
     # what a page is sent is msgpack
@@ -137,7 +137,7 @@ def test_lines_of_an_image_are_kept_for_a_page_that_comes_later_until_another_im
 def test_a_message_that_is_none_is_counted_and_stops_nothing(topic: str, fields: dict[str, Any]) -> None:
     feed = Feed()
     feed.record(Seen(topic, "haptic_node@master" if topic.startswith("haptic") else "afm_node@slave", START_NS, fields))
-    assert feed.unreadable == 1 or topic == "haptic/command"
+    assert feed.left_out.rejected == {"unreadable": 1} or topic == "haptic/command"
 
 
 def test_the_page_is_told_names_and_units_in_the_order_of_the_columns() -> None:
@@ -188,7 +188,7 @@ def test_no_value_of_a_frame_ends_what_makes_the_pages_frames(seed: int) -> None
         if i % 10 == 0:
             taken.append(msgpack.packb({"k": "tick", **feed.take()}))
             msgpack.packb({"k": "snapshot", "streams": described(), **feed.snapshot()})
-    assert feed.unreadable > 100
+    assert feed.left_out.rejected["unreadable"] > 100
     # what is as it should be is shown as before
     feed.record(seen("afm/state", "afm_node@slave", START_NS, mode="follow"))
     assert feed.snapshot()["state"]["afm/state/slave"]["mode"] == "follow"
@@ -199,7 +199,7 @@ def test_no_value_of_a_frame_ends_what_makes_the_pages_frames(seed: int) -> None
 def test_a_time_that_is_none_is_left_out(t_ns: Any) -> None:
     feed = Feed()
     feed.record(seen("haptic/state", "haptic_node@master", t_ns))
-    assert (feed.unreadable, feed.take()) == (1, {})
+    assert (feed.left_out.rejected, feed.take()) == ({"unreadable": 1}, {})
 
 
 @pytest.mark.parametrize(
@@ -229,16 +229,16 @@ def test_lines_of_an_image_are_kept_as_far_as_they_have_room() -> None:
         feed.record(seen("afm/scanline", "afm_node@slave", line=line, lines=100, height_m=heights))
     assert len(feed.snapshot()["lines"]) == 67
     feed.record(seen("afm/scanline", "afm_node@slave", line=0, height_m={**heights, "data": bytes(2_000_000)}))
-    assert feed.unreadable == 1
+    assert feed.left_out.rejected == {"unreadable": 1}
 
 
 def test_the_queue_of_a_line_is_a_fact_of_its_direction_and_an_earlier_end_has_none() -> None:
     feed = Feed()
-    line = {"direction": "forward", "queue_s": 0.0524, "capacity_bit_per_s": 10**6}
+    line = {"direction": "forward", "queue_s": 0.0524, "capacity_bit_per_s": 10**6, "line": "full"}
     feed.record(seen("link/network", "controller@slave", **line))
     feed.record(seen("link/network", "delay_node@master", START_NS + 1, direction="backward"))
     assert feed.snapshot()["state"] == {
-        "line/forward": {"queue_s": 0.052, "capacity_bit_per_s": 10**6},
-        "line/backward": {"queue_s": None, "capacity_bit_per_s": None},
+        "line/forward": {"queue_s": 0.052, "capacity_bit_per_s": 10**6, "sends": "full"},
+        "line/backward": {"queue_s": None, "capacity_bit_per_s": None, "sends": None},
     }
-    assert feed.unreadable == 0
+    assert feed.left_out.rejected == {}

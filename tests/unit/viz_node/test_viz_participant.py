@@ -265,6 +265,8 @@ def test_the_hand_is_held_and_answers_are_the_participants(rig: Rig, client: Tes
 
 def test_an_answer_is_sent_until_it_is_taken(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page, rig.takes = Page(stack, client), False
+    rig.cue()
+    page.take(stage("trial"))
     page.send(id="a-7", k="experiment", cue="c-1", values={"felt": "now"}, shown_s=0.0)
     end = time.monotonic() + 10.0
     while len(rig.answers) < 3 and time.monotonic() < end:
@@ -272,6 +274,32 @@ def test_an_answer_is_sent_until_it_is_taken(rig: Rig, client: TestClient, stack
     assert {answer["id"] for answer in rig.answers} == {"a-7"}
     rig.cue(answered=("a-7",))
     assert page.take(lambda frame: frame["k"] == "answer")["ok"] is True
+
+
+def test_a_participant_has_one_answer_under_way_to_the_cue_that_stands(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What is refused is said to nobody but the test, because a participant's answers are in words of their own.
+    said: list[bool] = []
+    monkeypatch.setattr(ParticipantPicture, "said", lambda self, *, is_ok: said.append(is_ok) or "said")
+    page, rig.takes = Page(stack, client), False
+    small = {"k": "experiment", "values": {"felt": "now"}, "shown_s": 0.0}
+    assert not page.answer(**small, cue="c-1")["ok"]
+    rig.cue()
+    page.take(stage("trial"))
+    assert not page.answer(**small, cue="c-0")["ok"]
+    assert not page.answer(**small | {"values": {f"n{n}": "x" * 250 for n in range(17)}}, cue="c-1")["ok"]
+    assert rig.answers == []
+    for number in range(100):
+        page.send(id=f"b-{number}", **small, cue="c-1")
+    refused = [page.take(lambda frame: frame["k"] == "answer") for _ in range(99)]
+    assert not any(frame["ok"] for frame in refused)
+    assert {answer["id"] for answer in rig.answers} == {"b-0"}
+    # An answer is not sent any longer once the cue has gone, and the page may answer the next one.
+    rig.cue(id="c-2")
+    assert page.take(lambda frame: frame["k"] == "answer")["ok"] is False
+    rig.takes = True
+    assert page.answer(**small, cue="c-2")["ok"] is True
 
 
 def test_who_answers_no_experiment_is_told_so(

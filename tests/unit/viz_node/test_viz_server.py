@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -177,6 +178,38 @@ def test_a_monitoring_system_reads_the_reports_and_a_stranger_none(rig: Rig, pag
     assert "# TYPE telenano_rate_hertz gauge" in answer.text
     with TestClient(server.make_app(rig.hub, ACCESS, page), client=("10.0.0.9", 5)) as stranger:
         assert stranger.get("/metrics").status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("token", "status"),
+    [
+        (ACCESS.observer_token, 200),
+        (ACCESS.operator_token, 200),
+        ("participant-token-01", 401),
+        ("wrong-token-0123456", 401),
+        ("\xb5", 401),
+        ("", 401),
+    ],
+)
+def test_from_another_machine_the_reports_need_a_token(
+    rig: Rig, page: Path, monkeypatch: pytest.MonkeyPatch, token: str, status: int
+) -> None:
+    monkeypatch.setattr(server, "_WRONG_TOKEN_S", 0.0)
+    access = replace(ACCESS, networks=("10.0.0.0/8",), participant_token="participant-token-01")
+    with TestClient(server.make_app(rig.hub, access, page), client=("10.0.0.9", 5)) as far:
+        answer = far.get("/metrics", headers={b"authorization": f"Bearer {token}".encode("latin-1")})
+        assert answer.status_code == status
+        assert ("# TYPE telenano_rate_hertz" in answer.text) is (status == 200)
+        assert far.get("/health").status_code == 200
+
+
+def test_the_reports_are_made_once_a_second_whatever_asks(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    monkeypatch.setattr(hubs, "metrics_text", lambda nodes, now_ns: f"{made.append(now_ns)}")
+    # 50 requests a tenth of a second for 3 s, and a clock that was set back
+    for now_ns in [*(n // 50 * 100_000_000 for n in range(1500)), 5]:
+        rig.hub.metrics(now_ns)
+    assert made == [0, 1_000_000_000, 2_000_000_000, 5]
 
 
 def test_a_page_of_another_server_cannot_open_the_socket(client: TestClient) -> None:

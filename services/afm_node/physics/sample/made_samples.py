@@ -22,7 +22,7 @@ from services.afm_node.physics.sample.surface import (
     plane_levelled,
 )
 from services.afm_node.physics.sample.surface_files import SHAPES, read_surface
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, refused_code
 
 _LEVELS: dict[str, Callable[[Surface], Surface]] = {
     "centre": centred,
@@ -44,7 +44,7 @@ class SampleConfig(Settings):
         "dots",
         min_length=1,
         description="flat, dots, grating, a file (.gsf, .gwy, .ibw, .npy; others with the extra images), or"
-        " module:function of x and y [m].",
+        " module:function of x and y [m], which only `--allow-code` runs.",
     )
     map: str | None = Field(
         None,
@@ -117,6 +117,8 @@ class SampleConfig(Settings):
 
     def _computed(self, size_m: float) -> Any:
         """Return the heights of a function of one's own, called once with all x (a row) and all y (a column)."""
+        if text := refused_code("sample.name", self.name):
+            raise ConfigError(text)
         module, _, name = self.name.partition(":")
         try:
             function: Callable[..., Any] = getattr(importlib.import_module(module), name)

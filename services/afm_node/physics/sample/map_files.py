@@ -277,9 +277,13 @@ def _on_one_grid(found: _Curves, wanted: Wanted, source: dict[str, Any]) -> Impo
     facts = {**source, **{key: value for key, value in found.facts.items() if value is not None}, **wanted.given}
     flat = [way for column in found.ways for curve in column for way in curve]
     for place, (z, _) in enumerate(flat):
-        if len(z) < _LEAST_POINTS or not z[-1] > z[0]:
+        if len(z) < _LEAST_POINTS:
             raise MapError(
                 f"value: way {place} of {len(flat)} has {len(z)} points that are numbers; it needs {_LEAST_POINTS}"
+            )
+        if not z[-1] > z[0]:
+            raise MapError(
+                f"z: way {place} of {len(flat)} stays at one height; a curve goes towards the sample or away"
             )
     if max(len(found.ways), len(found.ways[0])) > _MOST_SIDE:
         raise MapError(f"value: its grid is of {len(found.ways)} x {len(found.ways[0])}; a side has up to {_MOST_SIDE}")

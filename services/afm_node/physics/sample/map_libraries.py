@@ -5,6 +5,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,10 @@ _MOST_CURVES = 1 << 18
 # curves that are read at once
 _BLOCK = 64
 _MOST_UNPACKED_BYTES = 8 << 30
+# Curves pack to a third or a half, and an archive may be so large unpacked besides.
+_GREATEST_RATIO, _ORDINARY_BYTES = 32, 64 << 20
+# An entry of an archive has a head of so many bytes at least; what all curves share is copied for each block of them.
+_LEAST_HEAD, _MOST_SHARED_BYTES = 30, 4 << 20
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
@@ -45,7 +50,7 @@ def _plain(value: Any) -> Any:
 def load_curves(path: str, stiffness: str | None, sensitivity: str | None, report: int) -> Found:
     """Return the curves of a file that afmformats reads.
 
-    Facts: shape of the grid, its sides [m], spring constant [N/m] and imaging mode. Arrays: column and row of each
+    Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each
     curve, points of its approach and its retraction, and all heights [m] and forces [N], one after another.
 
     Args:
@@ -89,12 +94,17 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
 
 
 def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> None:
-    """Raise ValueError for an archive that unpacks to too many bytes; what is no archive is left to its reader."""
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            unpacked = sum(each.file_size for each in archive.infolist())
-        if unpacked > most_bytes:
-            raise ValueError(f"it unpacks to {unpacked} bytes, at most {most_bytes} are read")
+    """Raise ValueError for an archive that unpacks to too much, or names bytes twice; another file is no concern."""
+    if not zipfile.is_zipfile(path):
+        return
+    with zipfile.ZipFile(path) as archive:
+        found = sorted(archive.infolist(), key=lambda each: each.header_offset)
+    most_bytes = min(most_bytes, _ORDINARY_BYTES + _GREATEST_RATIO * Path(path).stat().st_size)
+    if (unpacked := sum(each.file_size for each in found)) > most_bytes:
+        raise ValueError(f"it unpacks to {unpacked} bytes, at most {most_bytes} are read")
+    for one, after in pairwise(found):
+        if one.header_offset + _LEAST_HEAD + one.compress_size > after.header_offset:
+            raise ValueError(f"its entries {one.filename!r} and {after.filename!r} lie over one another")
 
 
 def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:
@@ -113,8 +123,12 @@ def blocks_of(path: str, folder: Path) -> Iterator[tuple[str, float]]:
     if len(of_curve) <= _BLOCK:
         yield path, 1.0
         return
-    shared, found = [name for name, number in numbers.items() if number is None], sorted(of_curve)
+    # Images and settings of other programs are not looked at.
+    shared = [name for name, number in numbers.items() if number is None and name.endswith((".properties", "/"))]
+    found = sorted(of_curve)
     with zipfile.ZipFile(path) as archive:
+        if (size := sum(archive.getinfo(name).file_size for name in shared)) > _MOST_SHARED_BYTES:
+            raise ValueError(f"its curves share {size} bytes of properties, at most {_MOST_SHARED_BYTES} are read")
         for first in range(0, len(found), _BLOCK):
             chosen = found[first : first + _BLOCK]
             block = folder / f"{first}{Path(path).suffix}"
@@ -136,12 +150,26 @@ def _facts(metadata: Any) -> dict[str, Any]:
         "shape": [int(metadata.get(f"grid shape {axis}", 1)) for axis in "xy"],
         "sides": [float(metadata.get(f"grid size {axis}", 0.0)) for axis in "xy"],
         "stiffness_n_per_m": float(metadata["spring constant"]) if "spring constant" in metadata else None,
-        "mode": str(metadata.get("imaging mode", "")),
     }
 
 
+def require_force_curve(metadata: Any) -> None:
+    """Raise ValueError for a curve of another kind, which is no force against distance however its columns look."""
+    mode = str(metadata.get("imaging mode", "")) or "force-distance"
+    if mode != "force-distance":
+        raise ValueError(
+            f"it holds curves of {mode.replace('-', ' ')}, taken over time at a constant force or place, and no force "
+            "against distance: give a curve of an approach and a retraction without a pause"
+        )
+
+
 def ways_of(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
-    """Return heights [m] and forces [N] of the approach and of the retraction, with the points in order of height."""
+    """Return heights [m] and forces [N] of the approach and of the retraction, with the points in order of height.
+
+    Raises:
+        ValueError: The curve is one of creep or relaxation.
+    """
+    require_force_curve(curve.metadata)
     height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
     force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
     found = []

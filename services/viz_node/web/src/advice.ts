@@ -3,6 +3,14 @@ export interface Way {
   delay_mean_s?: number;
   delay_max_s?: number;
   delay_valid?: boolean;
+  profile?: string;
+  settings?: Record<string, unknown>;
+}
+
+/** The constant delay of one way that the link is set to [ms], as text; empty where the ways differ or say nothing. */
+export function delayText(ways: readonly (Way | undefined)[]): string {
+  const [there, back] = ways.map((way) => way?.settings && Number(way.settings["delay_s"] ?? 0));
+  return there !== undefined && there === back ? String(+(1e3 * there).toPrecision(6)) : "";
 }
 
 /** Round trips up to which a law holds the hold of Fig. 12 in the maps of docs/laws.md [s]. */
@@ -30,15 +38,13 @@ export function adviceFor(ways: readonly (Way | undefined)[], losses: readonly n
   return `${measured}: any law suits it.`;
 }
 
-/** A queue from which on the line counts as full [s], as in services/runtime/datagram/incoming.py. */
-const FULL_S = 0.01;
-
-/** The state of the line between two sites in one row: queue [s] and capacity [bit/s] of each way; empty if unknown. */
+/** The state of the line between two sites in one row: queue [s], capacity [bit/s] and what its receiver takes the
+ * other way for, of each way; empty if unknown. */
 export function lineText(ways: readonly (readonly unknown[])[]): string {
   const queues = ways.map(([queue]) => (typeof queue === "number" ? queue : NaN));
   if (!queues.some(Number.isFinite)) return "";
   const carried = ways.map(([, carries]) => (typeof carries === "number" ? (carries * 1e-6).toPrecision(2) : "?"));
   const shown = queues.map((queue) => (Number.isFinite(queue) ? (queue * 1e3).toFixed(0) : "?"));
-  const full = queues.some((queue) => queue > FULL_S) ? ": the line is full, and samples are that much older" : "";
+  const full = ways.some(([, , sends]) => sends === "full") ? ": the line is full, and samples are that much older" : "";
   return `Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
 }

@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { adviceFor, lineText } from "../src/advice";
+import { adviceFor, delayText, lineText } from "../src/advice";
 import { judged } from "../src/panels/nodes";
 
 const way = (delay_mean_s: number, delay_max_s = delay_mean_s): object => ({ delay_mean_s, delay_max_s, delay_valid: true });
@@ -15,10 +15,20 @@ it.each([
   expect(adviceFor(ways, losses, law)).toMatch(sentence);
 });
 
+it("shows the delay that the link is set to, where it is the same both ways", () => {
+  const at = (delay_s?: number): object => ({ settings: delay_s === undefined ? {} : { delay_s } });
+  expect(delayText([at(0.2), at(0.2)])).toBe("200");
+  expect(delayText([at(), at(0)])).toBe("0");
+  expect(delayText([at(0.2), at(0.1)])).toBe("");
+  expect(delayText([undefined, at(0.1)])).toBe("");
+});
+
 it("says in a row what the line between two sites does", () => {
   expect(lineText([[undefined, undefined], [undefined, undefined]])).toBe("");
   expect(lineText([[0.001, 1e7], [0, 1e6]])).toBe("Line: queue 1 and 0 ms, carries 10 and 1.0 Mbit/s");
-  expect(lineText([[0.052, 1e6], [undefined, null]])).toMatch(/52 and \? ms, carries 1\.0 and \? Mbit\/s: the line is full/);
+  expect(lineText([[0.052, 1e6], [undefined, null, "full"]])).toMatch(/52 and \? ms, carries 1\.0 and \? Mbit\/s: the line is full/);
+  // A delay that its sender does not take for a queue is none.
+  expect(lineText([[0.052, 1e6, "free"], [0.03, 1e6, "shared"]])).toBe("Line: queue 52 and 30 ms, carries 1.0 and 1.0 Mbit/s");
 });
 
 it("judges the numbers of a node in words", () => {

@@ -1,4 +1,4 @@
-import { adviceFor, lineText, type Way } from "../advice";
+import { adviceFor, delayText, lineText, type Way } from "../advice";
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { faultLine, faultOf, judge } from "../field";
@@ -14,7 +14,10 @@ export class LinkPanel implements Panel {
   private readonly fault = faultLine(this.delay);
   private readonly advice = make("div", { class: "quiet linkline", id: "advice" });
   private readonly line = make("div", { class: "quiet linkline", id: "line" });
+  /** What is in force but in no list of profiles, such as `custom`; it cannot be chosen. */
+  private readonly other = make("option", { disabled: true });
   private shown = "";
+  private delayShown = "";
 
   constructor(
     root: HTMLElement,
@@ -28,26 +31,37 @@ export class LinkPanel implements Panel {
 
   begin(): void {
     const { store, commands } = this.cockpit;
-    const profiles = ["custom", ...((store.forms["profiles"] ?? []) as string[])];
-    this.profile.replaceChildren(...[...new Set(profiles)].map((name) => make("option", { value: name, disabled: name === "custom" }, name)));
+    const profiles = (store.forms["profiles"] ?? []) as string[];
+    this.profile.replaceChildren(...profiles.map((name) => make("option", { value: name }, name)));
     for (const input of [this.profile, this.delay, this.set]) input.disabled = !commands.may;
-    this.shown = "";
+    this.shown = this.delayShown = "";
     this.write();
   }
 
   write(): void {
     const { store } = this.cockpit;
-    const ways = WAYS.map((way) => store.fact("link", way) as (Way & { profile?: string }) | undefined);
+    const ways = WAYS.map((way) => store.fact("link", way) as Way | undefined);
     const profile = ways[0]?.profile ?? "";
     if (profile && profile !== this.shown) {
       this.shown = profile;
+      this.other.remove();
+      if (![...this.profile.options].some((option) => option.value === profile)) {
+        this.other.value = this.other.textContent = profile;
+        this.profile.prepend(this.other);
+      }
       this.profile.value = profile;
     }
     const losses = ["forward_loss", "backward_loss"].map((column) => store.last("link", column));
     const text = adviceFor(ways, losses, String(store.fact("law/status/master", "law") ?? ""));
     if (this.advice.textContent !== text) this.advice.textContent = text;
-    const line = lineText(WAYS.map((way) => [store.fact(`line/${way}`, "queue_s"), store.fact(`line/${way}`, "capacity_bit_per_s")]));
+    const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends"].map((key) => store.fact(`line/${way}`, key))));
     if (this.line.textContent !== line) this.line.textContent = line;
+    // an empty field shows what is in force, as those of the settings do; what somebody is typing stays
+    const delay = delayText(ways);
+    if (delay === this.delayShown) return;
+    this.delayShown = delay;
+    this.delay.placeholder = delay || "one way";
+    if (document.activeElement !== this.delay) this.delay.value = "";
   }
 
   private check(): boolean {

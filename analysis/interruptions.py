@@ -1,0 +1,98 @@
+"""What interrupted the loop of a session: processes that ended, holds of the tip and of commands, a hand let go.
+
+A tip is held, and a hand let go, where no command came within the deadline of its guard. Both go on by themselves as
+soon as commands come again, so that no mode of a device shows it any more when the hold of the hand is over. The law
+is not to blame for what moves then: `analysis.holds` judges it by what it did before.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+InterruptionKind = Literal["process_ended", "tip_held", "hand_let_go"]
+# the reason that the instrument gives where it holds the tip for want of commands, and the hand's beginning of its own
+DEADLINE = "command_deadline"
+_HAND_DEADLINE = "no command within the deadline"
+# A report of a device belongs to what it did at most so long before or after [s].
+REPORTED_WITHIN_S = 0.2
+
+
+class Interruption(NamedTuple):
+    """A time in which the loop was open, or a process was away: from when to when in the session [s], and why."""
+
+    kind: InterruptionKind
+    start_s: float
+    end_s: float
+    reason: str
+
+    @property
+    def starved(self) -> bool:
+        """Whether a device went without commands, which is the fault of the network, a node or the machine."""
+        return self.kind == "tip_held" or self.reason.startswith(_HAND_DEADLINE)
+
+
+class Told(NamedTuple):
+    """What a device reported of its mode: when in the session [s], the mode, and why."""
+
+    time_s: float
+    mode: str
+    reason: str
+
+
+def interruptions_of(
+    kind: InterruptionKind,
+    time_s: npt.NDArray[np.float64],
+    is_open: npt.NDArray[np.bool_],
+    told: Sequence[Told],
+    anew: Iterable[int] = (),
+) -> list[Interruption]:
+    """Return each stretch in which a device was held or let go, but for one that the series begins with.
+
+    A tip that is held because somebody asked for it is no interruption.
+
+    Args:
+        kind: What the stretches are.
+        time_s: The times of the device's samples [s], shape (n,).
+        is_open: Whether the device was held, or let go, at those times.
+        told: The device's reports of modes held or let go.
+        anew: The indices of the first samples of processes that were started again, which begin with nothing.
+    """
+    begun_anew, found = set(anew), []
+    edges = np.flatnonzero(np.diff(is_open, prepend=False, append=False))
+    for first, after in edges.reshape(-1, 2).tolist():
+        if first == 0 or first in begun_anew:
+            continue
+        begins_s, ends_s = float(time_s[first]), float(time_s[min(after, len(time_s) - 1)])
+        near = [report for report in told if abs(report.time_s - begins_s) <= REPORTED_WITHIN_S]
+        reason = min(near, key=lambda report: abs(report.time_s - begins_s)).reason if near else ""
+        if kind == "hand_let_go" or reason in (DEADLINE, ""):
+            found.append(Interruption(kind, begins_s, ends_s, reason or (DEADLINE if kind == "tip_held" else "")))
+    return found
+
+
+def in_words(interruptions: Sequence[Interruption]) -> str:
+    """Return a sentence on all interruptions of a stretch, with the first of each kind by its time; empty for none."""
+    clauses = []
+    for kind in ("process_ended", "tip_held", "hand_let_go"):
+        of_kind = [one for one in interruptions if one.kind == kind]
+        if of_kind:
+            clauses.append(_clause(kind, of_kind))
+    return "; ".join(clauses)
+
+
+def _clause(kind: str, found: Sequence[Interruption]) -> str:
+    first, times = found[0], "once" if len(found) == 1 else f"{len(found)} times"
+    if kind == "process_ended":
+        more = f", and {len(found) - 1} more processes of the rig ended" if len(found) > 1 else ""
+        return f"at {first.start_s:.3f} s {first.reason}{more}"
+    longest_ms = 1e3 * max(one.end_s - one.start_s for one in found)
+    when = f"{'' if len(found) == 1 else 'first '}at {first.start_s:.3f} s, for {longest_ms:.0f} ms" + (
+        " at the longest" if len(found) > 1 else ""
+    )
+    if kind == "tip_held":
+        return f"the tip was held {times} because no command came ({DEADLINE}), {when}"
+    why = Counter(one.reason for one in found).most_common(1)[0][0]
+    return f"the hand was let go {times}, {when}" + (f" ({why})" if why else "")

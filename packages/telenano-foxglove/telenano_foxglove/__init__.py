@@ -1,0 +1,1 @@
+"""The bridge of telenano to Foxglove and Lichtblick."""

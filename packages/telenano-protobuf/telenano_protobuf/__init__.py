@@ -1,0 +1,1 @@
+"""Recordings of telenano as MCAP with protobuf."""

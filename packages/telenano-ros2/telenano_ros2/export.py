@@ -1,0 +1,45 @@
+"""A recording as a bag of ROS 2: MCAP with ros2msg schemas and CDR, which `ros2 bag` and the viewers of ROS read."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from telenano.extend.exports import (
+    CopyResult,
+    RawChannel,
+    RecordedChannel,
+    RecordedMessage,
+    Recording,
+    Selection,
+    plain,
+    write_mcap,
+)
+from telenano_ros2.crtk import TOPICS_IN, Encoder
+
+# Profile and QoS as `ros2 bag record` writes them: without, `ros2 bag play` takes its default.
+_PROFILE, _QOS = "ros2", (("offered_qos_profiles", ""),)
+
+
+def export_ros2(recording: Recording, target: Path, selection: Selection) -> CopyResult:
+    """Write the chosen channels of a recording as topics of ROS 2, each message with the time of its sending.
+
+    Of a topic that the link carries the first copy is taken, so that a state is one message; what has no counterpart
+    (`telenano_ros2.crtk`) is left out.
+
+    Raises:
+        RecordingError: The target cannot be written.
+    """
+    encoder = Encoder()
+    channels: dict[str, RawChannel] = {}
+
+    def wanted(channel: RecordedChannel) -> bool:
+        return channel.topic in TOPICS_IN and channel.topic == channel.channel_topic and selection(channel)
+
+    def encode(message: RecordedMessage) -> Iterator[tuple[RawChannel, bytes]]:
+        fields = plain(message)
+        for found in encoder.messages(message.topic, message.channel_topic, message.publish_ns, fields):
+            if found.topic not in channels:
+                schema = (found.kind, "ros2msg", encoder.definition(found.kind).encode())
+                channels[found.topic] = RawChannel(f"/{found.topic}", "cdr", _QOS, schema)
+            yield channels[found.topic], encoder.cdr(found)
+
+    return write_mcap(recording, target, wanted, encode, _PROFILE)

@@ -1,0 +1,67 @@
+"""The time that most of a recording covers, and what is dated so far from it that a clock was wrong."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+# Between two messages of one recording no more time passes [ns], because each node reports its health twice a second.
+LONGEST_PAUSE_NS = 86_400_000_000_000
+_NS = 1_000_000_000
+# The difference of two times before this has 63 bits [ns].
+_LATEST_NS = 2**62
+
+
+class Dated(NamedTuple):
+    """First and last time [ns] of messages without a long pause between them, and how much they are."""
+
+    first_ns: int
+    last_ns: int
+    amount: int
+
+
+class Dates:
+    """How much of a recording is dated to each day; its memory does not grow with the messages of a day."""
+
+    def __init__(self) -> None:
+        # Each day has its first and last time [ns], and its amount.
+        self._days: dict[int, list[int]] = {}
+
+    def add(self, first_ns: int, last_ns: int, amount: int) -> None:
+        """Add messages from one time to another [ns], which are no long pause apart, or a single one."""
+        found = self._days.setdefault(first_ns // LONGEST_PAUSE_NS, [first_ns, last_ns, 0])
+        if first_ns < found[0]:
+            found[0] = first_ns
+        if last_ns > found[1]:
+            found[1] = last_ns
+        found[2] += amount
+
+    def groups(self) -> list[Dated]:
+        """Return the messages between long pauses, in the order of time."""
+        found: list[Dated] = []
+        for _, (first_ns, last_ns, amount) in sorted(self._days.items()):
+            if found and first_ns - found[-1].last_ns <= LONGEST_PAUSE_NS:
+                before = found[-1]
+                found[-1] = Dated(before.first_ns, max(before.last_ns, last_ns), before.amount + amount)
+            else:
+                found.append(Dated(first_ns, last_ns, amount))
+        return found
+
+    def most(self) -> tuple[int, int]:
+        """Return first and last time of the group that is most [ns], after 2116 only where there is no other.
+
+        Zeros where nothing was added.
+        """
+        groups = self.groups()
+        found = max(groups, key=lambda each: (each.last_ns < _LATEST_NS, each[2], each[0]), default=Dated(0, 0, 0))
+        return found.first_ns, found.last_ns
+
+
+def odd_text(group: Dated, example: str, span_ns: Sequence[int]) -> str:
+    """Return a sentence on messages that are dated outside of the span of the others [ns], one of them by name."""
+    first, last = (datetime.fromtimestamp(at_ns // _NS, UTC).strftime("%Y-%m-%d %H:%M:%S") for at_ns in group[:2])
+    is_before = group.last_ns < span_ns[0]
+    away_ns = span_ns[0] - group.last_ns if is_before else group.first_ns - span_ns[1]
+    days = f"{away_ns / LONGEST_PAUSE_NS:.0f} days {'before' if is_before else 'after'} the others"
+    dated = f"{first} UTC" if group.first_ns == group.last_ns else f"{first} to {last} UTC"
+    count = "1 message is" if group.amount == 1 else f"{group.amount} messages are"
+    return f"{count} dated {dated}, {days} ({example}): start and duration are those of the others"

@@ -1,0 +1,80 @@
+"""The start of every other process: where a program starts is no program.
+
+Python puts the folder in which it is started first on its path, before the project and its libraries: a file
+`recording.py` or `numpy.py` of whoever works there would be imported in their place, and what lies in a stranger's
+folder would run. Every Python is therefore started with `-P`, and what it starts in turn has PYTHONSAFEPATH.
+"""
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, NoReturn
+
+SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+_PR_SET_PDEATHSIG = 1
+
+
+def start(command: Sequence[str], *, dies_with_parent: bool = False, **options: Any) -> "subprocess.Popen[Any]":
+    """Start a command; the options are those of `subprocess.Popen`.
+
+    Args:
+        command: The command and its arguments.
+        dies_with_parent: The process gets SIGTERM when this one ends, however it ends; on Linux only.
+        **options: Further options.
+    """
+    if dies_with_parent:
+        options["preexec_fn"] = partial(_tie_to, os.getpid())
+    return subprocess.Popen(_safe(command), **options | {"env": _environment(options.get("env"))})
+
+
+def run(command: Sequence[str], **options: Any) -> "subprocess.CompletedProcess[Any]":
+    """Run a command to its end; the options are those of `subprocess.run`."""
+    return subprocess.run(_safe(command), **options | {"env": _environment(options.get("env"))})
+
+
+def become(command: Sequence[str]) -> NoReturn:
+    """Let a command take the place of this process, so that signals reach it."""
+    os.execvpe(command[0], _safe(command), _environment(None))
+
+
+@contextlib.contextmanager
+def safe_path() -> Iterator[None]:
+    """Set PYTHONSAFEPATH while the workers of `multiprocessing` are spawned, which starts Python in its own way."""
+    before = {name: os.environ.get(name) for name in SAFE_PATH}
+    os.environ.update(SAFE_PATH)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def die_with_parent(signal_number: int) -> None:
+    """Ask the kernel to send this process a signal when its parent dies, so that no node outlives its supervisor."""
+    # On other systems only its supervisor ends a node.
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal_number, 0, 0, 0)
+
+
+def _tie_to(parent: int) -> None:
+    """Tie the new process to its parent from its first moment; its own --with-parent comes seconds later."""
+    die_with_parent(signal.SIGTERM)
+    if os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _safe(command: Sequence[str]) -> list[str]:
+    words = list(command)
+    return [words[0], "-P", *words[1:]] if words[0] == sys.executable and "-P" not in words[1:2] else words
+
+
+def _environment(given: Mapping[str, str] | None) -> dict[str, str]:
+    return {**(os.environ if given is None else given), **SAFE_PATH}

@@ -1,0 +1,18 @@
+"""A command of one's own: errors as sentences and exit codes, results as JSON, and the options that others share."""
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError, TelenanoError
+from telenano.cli.options import DurationOption, JsonOption, SiteFileOption, command_group
+from telenano.cli.output import print_json, report_errors
+
+__all__ = [
+    "DEFAULT_SITE_FILE",
+    "ConfigError",
+    "DurationOption",
+    "JsonOption",
+    "SiteFileOption",
+    "TelenanoError",
+    "command_group",
+    "print_json",
+    "report_errors",
+]

@@ -1,0 +1,108 @@
+"""Reads one file by one command in this process, and prints what it took: memory [MB], processor time [s], chunks read.
+
+python bounded_reading.py COMMAND FILE FOLDER
+"""
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from proto.errors import TelenanoError
+from recording import mcap_scan, reader, summary
+from recording.indexed import IndexedRecording, open_indexed
+from recording.reader import Recording
+
+# the process ends here rather than the machine
+_HIGHEST_BYTES = 6 << 30
+# the chunks that were unpacked, once for each time
+unpacked: list[int] = []
+
+
+def counted(data: Any, block: Any) -> bytes:
+    unpacked.append(block.offset)
+    return mcap_scan_unpack(data, block)
+
+
+mcap_scan_unpack = mcap_scan.unpack
+
+
+def bag(*words: str) -> Callable[[Path, Path], None]:
+    """Return what runs a command on a file, {out} for a file in the folder."""
+
+    def run(path: Path, folder: Path) -> None:
+        from telenano.cli.app import main
+
+        sys.argv = [
+            "telenano",
+            *(word.format(file=path, out=folder / "out.mcap", folder=folder, parent=path.parent) for word in words),
+        ]
+        main()
+
+    return run
+
+
+def view(path: Path, folder: Path) -> None:
+    """Do what `telenano view FILE` does until everything is read: the transport, the curves, the judgement, a part."""
+    from services.viz_node.document import RecordingDocument
+    from services.viz_node.playback import RecordingPlayback
+    from telenano.recording_document import judged_recording
+
+    recording = open_indexed([path])
+    playback = RecordingPlayback(recording, time.monotonic)
+    document = RecordingDocument(recording, lambda: judged_recording(open_indexed([path], in_order=True)))
+    document.wait()
+    list(playback.poll(watched=True))
+    document.part(0.0, 10.0, 100)
+
+
+def open_file(path: Path, folder: Path) -> None:
+    import telenano
+
+    telenano.open(path).summary  # noqa: B018
+
+
+COMMANDS: dict[str, Callable[[Path, Path], None]] = {
+    "bag info": bag("bag", "info", "{file}", "--json"),
+    "bag verify": bag("bag", "verify", "{file}", "--json"),
+    "bag list": bag("bag", "list", "{parent}", "--json"),
+    "bag cat": bag("bag", "cat", "{file}", "--count", "20"),
+    "bag filter": bag("bag", "filter", "{file}", "--out", "{out}"),
+    "bag recover": bag("bag", "recover", "{file}", "--out", "{out}"),
+    "bag split": bag("bag", "split", "{file}", "--out", "{folder}/parts", "--interval", "2"),
+    "bag export": bag("bag", "export", "{file}", "--to", "csv", "--out", "{folder}/csv"),
+    "report": bag("report", "{file}", "--out", "{folder}/report"),
+    "view": view,
+    "index": lambda path, folder: [None for _ in IndexedRecording(path).select()].clear(),
+    "whole": lambda path, folder: [None for _ in Recording(path).select()].clear(),
+}
+
+
+def read() -> dict[str, Any]:
+    command, path, folder = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
+    resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
+    for module in (reader, summary, sys.modules["recording.indexed"]):
+        module.unpack = counted  # type: ignore[attr-defined]
+    try:
+        COMMANDS[command](path, folder)
+        outcome = "read"
+    except SystemExit as end:
+        outcome = f"exit {end.code}"
+    except TelenanoError as error:
+        outcome = str(error)
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return {
+        "outcome": outcome,
+        # The largest memory by `getrusage` is that of the process which has started this one, where that was larger.
+        "peak_mb": int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024,
+        "processor_s": used.ru_utime + used.ru_stime,
+        "chunks": len(unpacked),
+    }
+
+
+if __name__ == "__main__":
+    found = read()
+    sys.stdout.write(f"\n{json.dumps(found)}\n")

@@ -1,0 +1,378 @@
+"""Compiled code is found again on unchanged sources and never after an edit."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.numerics.compiled import (
+    CACHE_DAYS,
+    SOURCES,
+    _source_files,
+    cache_directory,
+    clean_cache,
+    source_digest,
+)
+
+ROOT = Path(__file__).parents[3]
+# errors, models of settings and messages, and what loads packages: nothing of them is compiled
+NO_CONSTANTS = {
+    *("proto.errors", "presets.plugins"),
+    *("services.runtime.settings.config", "services.runtime.settings.option"),
+    # its functions reckon with results, and no step calls them
+    "analysis.intervals",
+}
+USERS_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+
+MODULE = """
+from typing import NamedTuple
+from services.numerics.compiled import compiled
+
+class State(NamedTuple):
+    position_m: float
+    steps: int
+
+@compiled
+def step(state: State, dt_s: float) -> State:
+    return State(state.position_m + 2.0 * dt_s, state.steps + 1)
+
+def unmarked(x):
+    return x
+
+@compiled
+def calls_unmarked(x):
+    return unmarked(x)
+"""
+PROGRAM = """
+import model
+from services.numerics.compiled import compiled_form
+step = compiled_form(model.step)
+assert step(model.State(1.0, 0), 0.25) == model.step(model.State(1.0, 0), 0.25) == (1.5, 1)
+print(type(model.step).__name__, type(step).__name__)
+"""
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    for name in ("services/afm_node/forces.py", "services/controller/law.py", "studies/loops/loop.py"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True)
+        path.write_text("A = 1\n")
+    return tmp_path
+
+
+def test_the_digest_is_the_same_on_unchanged_sources(tree: Path) -> None:
+    first = source_digest(tree)
+    (tree / "studies" / "loops" / "loop.py").touch()
+    assert source_digest(tree) == first
+    assert len(first) == 16
+    assert int(first, 16) >= 0
+
+
+def test_every_edit_of_a_source_gives_another_digest(tree: Path) -> None:
+    seen = {source_digest(tree)}
+    law = tree / "services" / "controller" / "law.py"
+    law.write_text("A = 2\n")
+    seen.add(source_digest(tree))
+    law.rename(law.with_name("wave.py"))
+    seen.add(source_digest(tree))
+    deep = tree / "services" / "afm_node" / "contact"
+    deep.mkdir()
+    (deep / "dugdale.py").write_text("")
+    seen.add(source_digest(tree))
+    (deep / "dugdale.py").unlink()
+    assert source_digest(tree) in seen
+    assert len(seen) == 4
+
+
+def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
+    first = source_digest(tree)
+    shells = ("services/afm_node/node.py", "services/controller/slave_half.py", "services/controller/__main__.py")
+    for name in (*shells, "services/afm_node/notes.md", "studies/figures.py"):
+        (tree / name).write_text("B = 1\n")
+    assert source_digest(tree) == first
+
+
+def test_the_folder_lies_in_the_cache_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert cache_directory().parent == tmp_path / "cache" / "telenano"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache_directory().parent == tmp_path / ".cache" / "telenano"
+
+
+def install(folder: Path, package: str) -> None:
+    """Make a module in a folder that of an installed package with an entry."""
+    facts = folder / f"{package}-1.0.dist-info"
+    facts.mkdir(exist_ok=True)
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text(f"[telenano.laws]\n{package} = {package}:LAW\n")
+
+
+def run_step(folder: Path, program: str = PROGRAM, *, installed: bool = True, **environment: str) -> str:
+    (folder / "model.py").write_text(MODULE)
+    if installed:
+        install(folder, "model")
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    paths = os.pathsep.join((str(folder), str(ROOT)))
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**kept, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(folder), **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
+    assert run_step(tmp_path) == "function InterruptibleDispatcher"
+    folder = tmp_path / "telenano" / cache_directory().name
+    assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
+    assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
+
+
+# spoils each file of the cache in each way, and runs the step as a process that starts then would
+SPOIL = """
+import logging, os, pathlib, model
+from numba.core import config
+from services.numerics import compile_cache
+from services.numerics.compiled import cache_directory, compiled, compiled_form
+
+def run():
+    said.clear()
+    compile_cache._warn.cache_clear()
+    # as a process that starts now: it has loaded nothing
+    step = compiled_form(compiled(model.step))
+    assert step(model.State(1.0, 0), 0.25) == (1.5, 1)
+    return sum(step.stats.cache_hits.values()), list(said)
+
+said = []
+handler = logging.Handler()
+handler.emit = lambda record: record.getMessage().startswith("compiling") or said.append(record.getMessage())
+logging.getLogger().addHandler(handler)
+print(run())
+(kept,) = cache_directory().rglob("*.nb?")
+content = kept.read_bytes()
+middle = len(content) // 2
+flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1:]
+for spoiled in (content[:middle], b"", flipped, bytes(len(content)), content + b"x"):
+    kept.write_bytes(spoiled)
+    hits, texts = run()
+    assert (hits, texts) == (0, [f"the compiled code in {cache_directory()} was damaged, and is compiled again"])
+    # and is sound afterwards
+    assert run() == (1, [])
+
+# A file that others can write is never unpickled, and one that only this user can write takes its place.
+for spoil in (lambda: kept.chmod(0o666), lambda: os.chown(kept, 12345, -1) if os.getuid() == 0 else kept.chmod(0o662)):
+    spoil()
+    hits, texts = run()
+    text = f"the compiled code in {cache_directory()} can be written by others, and is compiled again"
+    assert (hits, texts) == (0, [text])
+    assert kept.stat().st_mode & 0o777 == 0o600 and kept.stat().st_uid == os.getuid()
+    assert run() == (1, [])
+
+# code that checks its indices is neither found as the other, nor left for it
+config.BOUNDSCHECK = 1
+assert [run(), run()] == [(0, []), (1, [])]
+config.BOUNDSCHECK = None
+assert run() == (1, [])
+
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+kept.unlink()
+compile_cache.CheckedCacheFile._open_for_write = full
+assert run() == (0, [f"compiled code cannot be kept in {cache_directory()}: No space left on device"])
+print("all")
+"""
+
+
+def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
+    assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
+
+
+FORCE = """
+from typing import NamedTuple
+from services.numerics.compiled import compiled
+
+class Spring(NamedTuple):
+    k: float
+    b: float
+
+@compiled
+def spring(params, x):
+    return params.k * x
+"""
+LOOP = """
+from pack import force
+from services.numerics.compiled import chosen_step, compiled
+
+STEPS = {force.Spring: force.spring}
+step = chosen_step(lambda kind: STEPS[kind])
+
+@compiled
+def loop(params, count):
+    x = 1.0
+    for _ in range(count):
+        x = step(params, x)
+    return x
+"""
+RUN = """
+import os, pathlib
+from pack import force, loop
+from services.numerics.compiled import compiled_form
+for line in os.environ.get("EDIT", "").splitlines():
+    pathlib.Path(force.__file__).write_text(line)
+loop = compiled_form(loop.loop)
+print(loop(force.Spring(k=2.0, b=5.0), 2), sum(loop.stats.cache_hits.values()))
+"""
+
+
+def write_package(folder: Path, force: str) -> None:
+    pack = folder / "pack"
+    pack.mkdir(exist_ok=True)
+    for name, text in (("__init__", ""), ("force", force), ("loop", LOOP)):
+        (pack / f"{name}.py").write_text(text)
+
+
+@pytest.mark.check("compiles in a folder of its own, several times")
+def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path) -> None:
+    install(tmp_path, "pack")
+    edits = (FORCE, FORCE.replace("params.k", "10.0 * params.k"), FORCE.replace("k: float\n    b", "b: float\n    k"))
+    for edited, expected in zip(edits, ("4.0", "400.0", "4.0"), strict=True):
+        write_package(tmp_path, edited)
+        # the time of a file is no evidence: it can be set back
+        os.utime(tmp_path / "pack" / "force.py", (1e9, 1e9))
+        assert run_step(tmp_path, RUN) == f"{expected} 0"
+        assert run_step(tmp_path, RUN) == f"{expected} 1"
+
+
+def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: Path) -> None:
+    install(tmp_path, "pack")
+    write_package(tmp_path, FORCE)
+    # the process has imported what the file no longer says
+    assert run_step(tmp_path, RUN, EDIT="raise SystemExit") == "4.0 0"
+    assert not list((tmp_path / "telenano").rglob("loop*.nbc"))
+
+
+def test_what_is_of_no_package_is_compiled_by_each_process(tmp_path: Path) -> None:
+    for _ in range(2):
+        run_step(tmp_path, PROGRAM + "assert not step.stats.cache_hits", installed=False)
+    assert not list((tmp_path / "telenano").rglob("*.nbc"))
+
+
+def test_what_steps_import_from_the_project_is_in_the_digest() -> None:
+    """A constant from elsewhere would be compiled in, and an edit of it would not be noticed."""
+    outside = set()
+    for path in _source_files(ROOT):
+        text = path.read_text()
+        if "numerics.compiled import" in text and path.parent.name != "numerics":
+            outside |= set(
+                re.findall(r"^from ((?:proto|presets|recording|services|analysis)[\w.]*) import", text, re.M)
+            )
+    known = tuple(source.removesuffix(".py").replace("/", ".") for source in SOURCES)
+    assert {name for name in outside if not name.startswith(known)} <= NO_CONSTANTS
+
+
+def test_without_the_compiler_a_step_is_plain_python_with_the_same_result(tmp_path: Path) -> None:
+    assert run_step(tmp_path, NUMBA_DISABLE_JIT="1") == "function function"
+    assert not list(tmp_path.rglob("*.nb?"))
+
+
+def test_nodes_compile_nothing_and_need_no_compiler(tmp_path: Path) -> None:
+    nodes = "services.haptic_node, services.controller, services.afm_node, services.delay_node, services.recorder"
+    imports = ", ".join(f"{name.strip()}.__main__" for name in nodes.split(","))
+    program = f"import sys, {imports}; print(sorted({{'numba', 'scipy', 'llvmlite'}} & set(sys.modules)))"
+    assert run_step(tmp_path, program) == "[]"
+    assert not list(tmp_path.rglob("*.nb?"))
+
+
+LOCKSTEP = """
+import hashlib, telenano
+done = telenano.simulate(duration_s=1.0)
+print(hashlib.sha256(done["scaled_tip_force_n"].tobytes() + done["time_s"].tobytes()).hexdigest())
+"""
+
+
+def run_simulation(folder: Path, before: str = "") -> str:
+    """Run a simulation after something, without a package: with one its compiled code would replace that of others."""
+    return run_step(folder, f"{before}\n{LOCKSTEP}", installed=False, XDG_CACHE_HOME=USERS_CACHE)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return the digest of a simulation in a process of its own."""
+    return run_simulation(tmp_path_factory.mktemp("simulated"))
+
+
+@pytest.mark.check("compiles the loop in a folder of its own, once for each import")
+@pytest.mark.parametrize(
+    "before",
+    [
+        "import studies",
+        "from services.controller.law_rules import known_law",
+        "import services.afm_node.physics.cantilever",
+    ],
+)
+def test_a_simulation_does_not_depend_on_what_was_imported_before(tmp_path: Path, simulated: str, before: str) -> None:
+    assert run_simulation(tmp_path, before) == simulated
+
+
+def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path, simulated: str) -> None:
+    program = "import sys; sys.modules['numba'] = None\n" + LOCKSTEP
+    assert run_step(tmp_path, program) == simulated
+
+
+def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
+    program = """
+import model
+from services.numerics.compiled import compiled_form
+try:
+    compiled_form(model.calls_unmarked)(1.0)
+except Exception as error:
+    print("unmarked" in str(error))
+"""
+    assert run_step(tmp_path, program) == "True"
+
+
+def test_a_model_that_cannot_be_compiled_is_a_sentence_before_anything_ran(tmp_path: Path) -> None:
+    program = """
+import logging, model
+from proto.errors import ConfigError
+from services.numerics.compiled import compiled_call
+said = []
+handler = logging.Handler()
+handler.emit = said.append
+logging.getLogger("studies").addHandler(handler)
+try:
+    compiled_call(model.calls_unmarked, (1.0,))
+except ConfigError as error:
+    text = str(error)
+assert text.startswith("a model of this session cannot be compiled: ") and "NUMBA_DISABLE_JIT=1" in text, text
+assert "unmarked" in text and "model.py" in text and "\\x1b" not in text and "\\n" not in text, text
+assert [record.getMessage()[:16] for record in said] == ["compiling models"]
+print("said")
+"""
+    assert run_step(tmp_path, program) == "said"
+
+
+def test_compiled_code_that_nobody_has_used_for_long_is_deleted(tmp_path: Path) -> None:
+    here = tmp_path / "numba-now"
+    old_s, new_s = 1e9 - (CACHE_DAYS + 1) * 86_400.0, 1e9
+    for name, time_s in (("numba-old", old_s), ("numba-new", new_s), ("keys", old_s), ("numba-now/afm_1", old_s)):
+        (tmp_path / name).mkdir(parents=True)
+        for kept, kept_s in (("old.nbc", old_s), ("new.nbc", new_s)):
+            (tmp_path / name / kept).write_bytes(b"1")
+            os.utime(tmp_path / name / kept, (kept_s, kept_s))
+        os.utime(tmp_path / name, (time_s, time_s))
+    assert clean_cache(here, 1e9) == [tmp_path / "numba-old", here / "afm_1" / "old.nbc"]
+    assert {path.name for path in tmp_path.iterdir()} == {"keys", "numba-new", "numba-now"}
+    # once a day, for it looks at every file
+    os.utime(here / "afm_1" / "new.nbc", (old_s, old_s))
+    assert clean_cache(here, 1e9 + 3600.0) == []
+    assert clean_cache(here, 1e9 + 90_000.0) == [here / "afm_1" / "new.nbc"]

@@ -1,0 +1,227 @@
+"""What a package adds to the command line and to the doctor, and what its being there must not change."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from presets import plugins
+from proto.errors import ConfigError
+from recording.export import export_recording
+from services.recorder.provenance import plugin_facts
+from telenano.cli import lazy_commands
+from telenano.cli.root import app
+from telenano.doctor.report import checks_of_packages, stale
+from telenano.extend.exports import write_recording
+from telenano.extend.messages import example, recorded
+
+RUNNER = CliRunner()
+ROOT = Path(__file__).parents[3]
+
+
+class Made:
+    """Puts packages with entries on the path, as an installation by pip does."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __call__(self, name: str, files: dict[str, str], entries: dict[str, str], requires: str = "telenano") -> None:
+        (self.folder / name).mkdir()
+        for file, text in {"__init__.py": "", **files}.items():
+            (self.folder / name / file).write_text(text)
+        facts = self.folder / f"{name}-1.2.dist-info"
+        facts.mkdir()
+        (facts / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.2\nRequires-Dist: {requires}\n"
+        )
+        groups = "".join(f"[telenano.{kind}]\n{line}\n" for kind, line in entries.items())
+        (facts / "entry_points.txt").write_text(groups)
+        forget()
+
+
+def forget() -> None:
+    plugins.installed.cache_clear()
+    plugins._digest.cache_clear()
+    lazy_commands.package_commands.cache_clear()
+
+
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    folder = tmp_path / "site"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setattr(plugins, "_problems", {})
+    forget()
+    before = set(sys.modules)
+    yield Made(folder)
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(folder)):
+            del sys.modules[name]
+    forget()
+
+
+COMMAND = """
+import typer
+def greet(name: str = "you") -> None:
+    "Greet somebody."
+    typer.echo(f"hello {name}")
+group = typer.Typer()
+@group.callback()
+def of_group() -> None:
+    "Two commands."
+@group.command()
+def first() -> None:
+    "The first."
+    typer.echo("first")
+"""
+
+
+def rows(**commands: str) -> str:
+    return f"ROWS = { {words.replace('__', ' '): (target, 'Greet somebody.') for words, target in commands.items()} }\n"
+
+
+def said(*words: str, code: int = 0) -> str:
+    result = RUNNER.invoke(app, words)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def test_a_package_adds_commands_to_the_root_and_to_groups_at_any_depth(make: Any) -> None:
+    files = {"rows.py": rows(greet="greeter.cli:greet", bag__greet="greeter.cli:greet", bag__more="greeter.cli:group"),
+             "cli.py": COMMAND}  # fmt: skip
+    make("greeter", files, {"commands": "greeter = greeter.rows:ROWS"})
+    make("deeper", {"rows.py": rows(bag__more__greet="greeter.cli:greet")}, {"commands": "deeper = deeper.rows:ROWS"})
+    sys.modules.pop("greeter.cli", None)
+    help_text = said("--help")
+    assert "Packages" in help_text and "greet" in help_text.partition("Packages")[2]
+    assert "Greet somebody." in said("bag", "--help")
+    # what is only listed is not imported
+    assert "greeter.cli" not in sys.modules
+    assert said("greet", "--name", "hand") == said("bag", "greet", "--name", "hand") == "hello hand\n"
+    assert said("bag", "more", "first") == "first\n"
+    assert "no such command 'greed'; did you mean greet?" in said("greed", code=2)
+
+
+@pytest.mark.parametrize(
+    ("table", "problem"),
+    [
+        (rows(up="taker.cli:greet"), "there is a command 'up' already"),
+        (rows(fine="taker.cli"), "'fine': 'taker.cli' is not words and module:function"),
+        ("ROWS = 3", "AttributeError"),
+    ],
+)
+def test_a_table_of_commands_that_cannot_be_used_is_a_problem_and_hinders_nothing(
+    make: Any, table: str, problem: str
+) -> None:
+    make("taker", {"rows.py": table, "cli.py": COMMAND}, {"commands": "taker = taker.rows:ROWS"})
+    assert "Packages" not in said("--help")
+    (text,) = plugins.known_problems()
+    assert text.startswith("taker of the package taker 1.2 cannot be used: ") and problem in text
+    assert "--scenario" in said("up", "--help")
+
+
+def test_a_package_for_another_version_is_named_and_not_used(make: Any) -> None:
+    make(
+        "older", {"rows.py": rows(greet="older.cli:greet")}, {"commands": "older = older.rows:ROWS"}, "telenano==0.0.*"
+    )
+    assert "Packages" not in said("--help")
+    (text,) = plugins.known_problems()
+    own = version("telenano")
+    assert f"it needs telenano ==0.0.*, and this is {own}: install its release for {own}" in text
+    make("fits", {"rows.py": rows(greet="fits.cli:greet")}, {"commands": "fits = fits.rows:ROWS"}, "telenano>=0.1,<9")
+    assert "Packages" in said("--help")
+
+
+def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_adds_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(lazy_commands, "package_commands", dict)
+    text = said("bridge", "lsl", code=2)
+    assert "the command 'lsl' is in the package telenano-lsl: pip install" in text
+    assert "packages/telenano-lsl" in text or "telenano_lsl-" in text
+
+
+def test_packages_without_names_for_scenarios_change_no_digest_and_no_recording(make: Any) -> None:
+    before = plugins.digest_of_all(), plugin_facts(), plugins.modules(), plugins.package_files()
+    make("tool", {"rows.py": rows(greet="tool.cli:greet")}, {"commands": "tool = tool.rows:ROWS"})
+    assert (plugins.digest_of_all(), plugin_facts(), plugins.modules(), plugins.package_files()) == before
+    make("laws_too", {"law.py": "LAW = 1"}, {"laws": "mine = laws_too.law:LAW", "commands": "laws_too = laws_too:X"})
+    assert plugins.digest_of_all() != before[0] and "laws.mine" in plugin_facts()
+    assert not any(name.startswith("commands") for name in plugin_facts())
+
+
+def test_checks_of_packages_are_findings_and_one_that_fails_is_one_too(make: Any) -> None:
+    sound = "def check():\n    return [('cable', 'ok', 'it is plugged in')]\nBAD = 3\ndef broken():\n    return 1 / 0\n"
+    lines = "cable = checker.all:check\nbroken = checker.all:broken\nbad = checker.all:missing"
+    make("checker", {"all.py": sound}, {"checks": lines})
+    found = {finding.name: finding for finding in checks_of_packages()}
+    assert found["cable"].level == "ok" and found["cable"].advice == ""
+    assert found["broken"].level == "warning" and "ZeroDivisionError" in found["broken"].found
+    assert any("bad of the package checker" in text for text in plugins.known_problems())
+
+
+def test_an_environment_older_than_the_settings_of_its_checkout_is_stale(tmp_path: Path) -> None:
+    checkout, environment = tmp_path / "checkout", tmp_path / "environment"
+    (checkout / "packages" / "telenano-x").mkdir(parents=True)
+    environment.mkdir()
+    for file in ("pyproject.toml", "requirements.lock", "packages/telenano-x/pyproject.toml"):
+        (checkout / file).touch()
+    # an environment that something else made says nothing about itself
+    assert stale(environment, checkout) == []
+    (environment / ".complete").touch()
+    assert stale(environment, checkout) == []
+    newer = (environment / ".complete").stat().st_mtime + 10.0
+
+    os.utime(checkout / "packages/telenano-x/pyproject.toml", (newer, newer))
+    (finding,) = stale(environment, checkout)
+    assert finding.found == "stale: older than packages/telenano-x/pyproject.toml" and finding.advice == "make setup"
+
+
+IMPORTED = """
+import json, sys
+from proto.nodes import SERVICES
+from services.runtime.loop.main import node_kind
+for name in SERVICES:
+    node_kind(name)
+import telenano.cli.root, telenano.cli.commands.up
+print(json.dumps(sorted(name for name in sys.modules if name.startswith("telenano_"))))
+"""
+
+
+def test_nodes_and_commands_import_no_package_that_nothing_names() -> None:
+    done = subprocess.run([sys.executable, "-P", "-c", IMPORTED], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert json.loads(done.stdout) == []
+
+
+def test_a_format_of_a_package_exports_a_recording_and_one_that_is_missing_is_named(
+    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = """
+from telenano.extend.exports import CopyResult, plain
+def names(recording, target, selection):
+    found = [plain(message)["src"] for message in recording.select(selection)]
+    target.write_text(" ".join(found))
+    return CopyResult(path=str(target), messages=len(found), skipped=())
+"""
+    make("namer", {"all.py": source}, {"exports": "names = namer.all:names\ncsv = namer.all:names\nbad = namer.all:no"})
+    told = [recorded("session/event", example("session/event", seq=seq), 10**18 + seq) for seq in range(3)]
+    recording = write_recording(tmp_path / "recorded", told)
+    export_recording(recording, tmp_path / "names.txt", "names")
+    assert len((tmp_path / "names.txt").read_text().split()) == 3
+    with pytest.raises(ConfigError, match=r"bad of the package namer 1\.2 cannot be used: AttributeError"):
+        export_recording(recording, tmp_path / "x", "bad")
+    # a name of the project's own stays its own
+    export_recording(recording, tmp_path / "tables", "csv")
+    assert (tmp_path / "tables" / "columns.csv").is_file()
+    with pytest.raises(ConfigError, match=r"'nams' is no format; did you mean names\?; known are parquet, csv"):
+        export_recording(recording, tmp_path / "x", "nams")
+    monkeypatch.setattr(plugins, "load", lambda *_: plugins.Loaded({}, {}))
+    with pytest.raises(ConfigError, match="the format ros2 is in the package telenano-ros2: pip install"):
+        export_recording(recording, tmp_path / "x", "ros2")
+    assert not (tmp_path / "x").exists()
