@@ -25,8 +25,6 @@ from services.runtime.loop.realtime import on_time, shallow_idle
 
 # One message of each channel is tried in so much of the beginning; the first of most comes within a second.
 _TRIED_NS = 5_000_000_000
-# at every message the loop would spin through the gap to the next; these few µs are what a sleep is late by
-_SPIN_S = 20e-6
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def run_replay(
         player = PlayerNode(
             participant.context(bus), playback, plan, publishers, request.settings, observe=observe, warnings=warnings
         )
-        run_loop(player, bus, signals, spin_s=_SPIN_S)
+        run_loop(player, bus, signals)
     return Replayed(plan.nodes, player.sent, playback.time_s, warnings)
 
 

@@ -40,7 +40,6 @@ class PageNode(Node):
     """Serves the page of a rig; its steps are those in which the pages are told what has changed."""
 
     inputs: ClassVar[tuple[str, ...]] = ()
-    has_precise_deadlines = False
 
     def __init__(self, context: NodeContext, hub: Hub, server: PageServer) -> None:
         super().__init__(context)

@@ -34,28 +34,6 @@ def _quantile(ordered: npt.NDArray[np.float64], share: float) -> float:
     return low + (place - i) * (high - low)
 
 
-class SpinMargin:
-    """How long before a deadline a loop wakes up for a busy wait: the 99 % quantile of the lateness of wake-ups.
-
-    The quantile is tracked step by step: up by a step where a wake-up was later than the margin, down by a 99th of one
-    where it was not. It begins at the greatest value allowed.
-    """
-
-    _STEP_NS = 2000
-    _SHARE = 99
-
-    def __init__(self, most_ns: int) -> None:
-        self.ns = most_ns
-        self._most_ns = most_ns
-
-    def record(self, late_ns: int) -> None:
-        """Record by how much [ns] a wait that nothing else ended was longer than requested."""
-        if late_ns > self.ns:
-            self.ns = min(self.ns + self._STEP_NS, self._most_ns)
-        else:
-            self.ns = max(self.ns - self._STEP_NS // self._SHARE, 0)
-
-
 class PeriodicDeadline:
     """A grid of absolute deadlines: a late step does not move later ones; missed deadlines are skipped and counted."""
 

@@ -174,5 +174,5 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         with ordinary_scheduling():
             huge_pages = use_huge_pages() if loaded.scenario.realtime.huge_pages else 0
         log.info("ready", realtime=status.fifo, memory_locked=status.memory_locked, huge_pages=huge_pages)
-        run_loop(node, bus, signals, status, spin_s=wanted.spin_s, freeze=not kind.observer, guarded=kind.realtime)
+        run_loop(node, bus, signals, status, freeze=not kind.observer, guarded=kind.realtime)
     log.info("stopped")

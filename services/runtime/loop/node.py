@@ -102,8 +102,6 @@ class Node(ABC):
     state_version: ClassVar[int] = 1
     # node/health of others is a turn as well, and not only for `admits`
     acts_on_health: ClassVar[bool] = False
-    # its deadlines are worth a busy wait
-    has_precise_deadlines = True
     # A tick of the control loop comes to the node with this topic before the idle gap in which deferred tasks are run;
     # "" is the node's own deadline. None is for a node that carries no ticks on and defers nothing.
     idle_after: ClassVar[str | None] = None

@@ -15,7 +15,7 @@ from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
-from services.runtime.loop.deadlines import LatenessWindow, SpinMargin
+from services.runtime.loop.deadlines import LatenessWindow
 from services.runtime.loop.deferred import Deferred, Task
 from services.runtime.loop.freshness import LOOP_DEADLINE_NS
 from services.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
@@ -36,7 +36,6 @@ class NodeLoop:
         bus: NodeBus,
         realtime: RealtimeStatus,
         *,
-        spin_s: float = 0.0,
         starting_period_ns: int = HEALTH_PERIOD_NS,
         note_alive: Callable[[], None] = lambda: None,
     ) -> None:
@@ -47,7 +46,6 @@ class NodeLoop:
         self._bus = bus
         self._clock = node.context.clock
         self._realtime = realtime
-        self._spin = SpinMargin(round(spin_s * 1e9) if node.has_precise_deadlines else 0)
         self._commands = CommandHandler(
             node.context.key,
             node.commands,
@@ -63,8 +61,6 @@ class NodeLoop:
         self._limited_log = RateLimitedLog(node.context.log, self._clock)
         self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
         self._deferred = node.context.deferred
-        # threads of equal priority share its processor
-        self._yields = realtime.fifo
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
         self._last_cpu_s, self._receives_all = time.process_time(), False
         self._health: dict[str, Any] = {}
@@ -99,8 +95,7 @@ class NodeLoop:
 
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
-        wanted = self.node.deadline_ns() - self._spin.ns
-        self._bus.wait(min(wanted, self._health_ns, self._deferred.due_ns))
+        self._bus.wait(min(self.node.deadline_ns(), self._health_ns, self._deferred.due_ns))
         woken = self._note_awake()
         if self._may_be_kept:
             self._take_kept_stop()
@@ -111,14 +106,10 @@ class NodeLoop:
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
         event = taken[-1].topic if taken else None
-        if deadline - self._spin.ns <= now:
-            if not taken and woken >= wanted:
-                self._spin.record(woken - wanted)
-            now, deadline = self._await(deadline)
-            if deadline <= now:
-                self._lateness.record((now - deadline) * 1e-9)
-                self._act_on_deadline(now)
-                event = ""
+        if deadline <= now:
+            self._lateness.record((now - deadline) * 1e-9)
+            self._act_on_deadline(now)
+            event = ""
         if event is not None and self.node.idle_after is not None:
             self._note_event(event, woken)
         if now >= self._health_ns:
@@ -127,22 +118,6 @@ class NodeLoop:
             self._run_deferred()
         if self._journal is not None and self._journal.full:
             self._end_batch()
-
-    def _await(self, deadline_ns: int) -> tuple[int, int]:
-        """Wait busily for a deadline; return the time and the deadline [ns], later where a message has moved it.
-
-        Others have this processor meanwhile, for what they have to say to this node before its deadline: kept from
-        them it would come a period later.
-        """
-        while (now := self._clock.monotonic_ns()) < deadline_ns:
-            if self._yields:
-                os.sched_yield()
-                if self._bus.has_arrived():
-                    self._take(self._note_awake())
-                    deadline_ns = self.node.deadline_ns()
-                    if now < deadline_ns - self._spin.ns:
-                        break
-        return now, deadline_ns
 
     def _take(self, woken_ns: int) -> list[Received]:
         """Act on what has arrived."""
@@ -206,7 +181,7 @@ class NodeLoop:
     def _run_deferred(self) -> None:
         """Run the tasks that are due."""
         while (now_ns := self._clock.monotonic_ns()) >= self._deferred.due_ns:
-            for task in self._deferred.take(now_ns, self.node.deadline_ns() - self._spin.ns):
+            for task in self._deferred.take(now_ns, self.node.deadline_ns()):
                 self._run_task(task)
 
     def _run_task(self, task: Deferred) -> None:

@@ -212,7 +212,6 @@ def run_loop(
     signals: StopSignals,
     realtime: RealtimeStatus = NO_REALTIME,
     *,
-    spin_s: float = 0.0,
     freeze: bool = True,
     guarded: bool = False,
 ) -> None:
@@ -223,14 +222,13 @@ def run_loop(
         bus: The bus of the node.
         signals: The signals that request a stop.
         realtime: The scheduling that the process has.
-        spin_s: The longest busy wait before a deadline [s].
         freeze: False for a process that needs the garbage collector for work after the loop.
         guarded: Whether the process is ended when it computes without end.
     """
     guard = HangGuard()
     note_alive = guard.renew if guarded else lambda: None
     starting_ns = STARTING_PERIOD_NS
-    loop = NodeLoop(node, bus, realtime, spin_s=spin_s, starting_period_ns=starting_ns, note_alive=note_alive)
+    loop = NodeLoop(node, bus, realtime, starting_period_ns=starting_ns, note_alive=note_alive)
     signals.interrupt(node)
     if freeze:
         # The garbage collector looks at every object of the process, and the others on its processor have their periods

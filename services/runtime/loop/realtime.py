@@ -50,10 +50,6 @@ class RealtimeConfig(BaseModel):
     )
     priority: Annotated[int, Field(ge=1, le=98)] = Field(default=50, description="Priority under SCHED_FIFO")
     memory_lock: Literal["auto", "on", "off"] = Field(default="auto", description="Lock the memory of the process")
-    spin_s: Annotated[float, Field(ge=0.0, le=0.001)] = Field(
-        default=100e-6,
-        description="Longest busy wait before a deadline [s]; as much of it is used as wake-ups are late by",
-    )
     cpus: Literal["auto", "link_at_master", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
         default="auto",
         description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from test_runtime_node import GRANTED, MS, Rig, Ticking, busy_rig, journalled_rig
+from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig
 
 from proto import encode
 from proto.messages import SessionControl
@@ -105,21 +105,6 @@ def test_whoever_drives_a_loop_learns_when_a_report_or_a_piece_of_one_is_due() -
     assert rig.loop.health_due_ns == 505 * MS + 250_000
     rig.run_until(519 * MS)
     assert rig.loop.health_due_ns == 1005 * MS
-
-
-def test_the_margin_of_the_busy_wait_follows_the_waits_that_nothing_ended() -> None:
-    rig, _ = busy_rig()
-    rig.loop.turn()
-    before_ns = rig.loop._spin.ns
-    rig.loop.turn()
-    after_ns = rig.loop._spin.ns
-    assert after_ns < before_ns
-    # a message that came at about the same time may be what ended the wait
-    rig.bus.oversleep_ns = 50_000
-    rig.bus.arrives(rig.node.deadline_ns() - after_ns + 20_000, "haptic/state")
-    rig.loop.turn()
-    assert len(rig.node.messages) == 1
-    assert rig.loop._spin.ns == after_ns
 
 
 def test_the_first_mean_age_of_a_device_has_its_first_samples_alone() -> None:

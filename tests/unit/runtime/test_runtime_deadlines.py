@@ -1,11 +1,9 @@
-import random
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.runtime.loop.deadlines import LatenessWindow, PeriodicDeadline, SpinMargin
+from services.runtime.loop.deadlines import LatenessWindow, PeriodicDeadline
 from tests.doubles.virtual_clock import VirtualClock
 
 MS = 1_000_000
@@ -77,26 +75,3 @@ def test_a_long_interval_keeps_its_newest_samples() -> None:
     newest = samples[-8192:]
     expected = [*np.percentile(newest, [50.0, 99.0]), newest.max()]
     np.testing.assert_allclose(window.take(), expected, rtol=1e-12, atol=0)
-
-
-def test_the_spin_is_as_long_as_wakeups_are_late_and_never_longer_than_allowed() -> None:
-    margin = SpinMargin(100_000)
-    assert margin.ns == 100_000
-    draw = random.Random(1)
-    late_ns = [int(draw.gauss(20_000, 5_000)) for _ in range(20_000)]
-    for late in late_ns:
-        margin.record(late)
-    covered = sum(late <= margin.ns for late in late_ns) / len(late_ns)
-    assert 0.97 < covered < 0.999
-    for _ in range(10_000):
-        margin.record(10**9)
-    assert margin.ns == 100_000
-    for _ in range(10_000):
-        margin.record(0)
-    assert 0 <= margin.ns < 4_000
-
-
-def test_without_leave_there_is_no_spin() -> None:
-    margin = SpinMargin(0)
-    margin.record(10**6)
-    assert margin.ns == 0

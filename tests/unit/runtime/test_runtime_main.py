@@ -34,7 +34,7 @@ SCENARIO = """
 name: test
 description: a node that stops itself
 duration_s: 1.0
-realtime: {scheduler: normal, memory_lock: off, spin_s: 0.0}
+realtime: {scheduler: normal, memory_lock: off}
 controller: {gain: 2.0}
 """
 

@@ -6,7 +6,7 @@ import os
 import select
 import signal
 from bisect import bisect_right, insort
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from operator import itemgetter
 from typing import Any, ClassVar
 
@@ -158,11 +158,11 @@ class Probe(Node):
 
 
 class Rig:
-    def __init__(self, period_ns: int = 0, key: str = "controller@master", spin_s: float = 0.0) -> None:
+    def __init__(self, period_ns: int = 0, key: str = "controller@master") -> None:
         self.clock = VirtualClock(start_ns=5 * MS, epoch_offset_ns=10**18)
         self.bus = FakeBus(self.clock)
         self.node = Probe(NodeContext(key, self.clock, self.bus, StructuredLog(key)), period_ns)
-        self.loop = NodeLoop(self.node, self.bus, GRANTED, spin_s=spin_s)
+        self.loop = NodeLoop(self.node, self.bus, GRANTED)
 
     def run_until(self, t_ns: int) -> None:
         while self.clock.monotonic_ns() < t_ns:
@@ -302,67 +302,6 @@ def test_a_message_that_moves_the_deadline_is_obeyed_in_the_same_turn() -> None:
     rig.loop.turn()
     rig.loop.turn()
     assert rig.node.ticks == [20 * MS]
-
-
-def busy_rig() -> tuple[Rig, Callable[[], int]]:
-    """Return a rig whose clock goes on by 10 us with each look at it, and what reads it without that."""
-    rig = Rig(period_ns=MS, spin_s=100e-6)
-    reading = rig.clock.monotonic_ns
-
-    def passing() -> int:
-        rig.clock.advance_ns(10_000)
-        return reading()
-
-    rig.clock.monotonic_ns = passing
-    return rig, reading
-
-
-def test_the_loop_spins_to_the_deadline_and_never_past_it() -> None:
-    rig, _ = busy_rig()
-    for _ in range(50):
-        rig.loop.turn()
-    assert len(rig.node.ticks) > 10
-    for step, tick in enumerate(rig.node.ticks):
-        assert (6 + step) * MS <= tick <= (6 + step) * MS + 20_000
-    assert min(deadline % MS for deadline in rig.bus.waits[1:]) == 900_000
-
-
-def test_a_message_that_comes_during_the_busy_wait_is_acted_on_before_the_deadline() -> None:
-    rig, reading = busy_rig()
-    seen: list[tuple[str, int]] = []
-    on_deadline = rig.node.on_deadline
-    rig.node.on_message = lambda received: seen.append(("message", reading()))
-
-    def noted(now_ns: int) -> None:
-        seen.append(("deadline", now_ns))
-        on_deadline(now_ns)
-
-    rig.node.on_deadline = noted
-    # the wait ends 0.1 ms before the deadline at 6 ms
-    rig.loop.turn()
-    rig.bus.wait = lambda deadline_ns: rig.clock.advance_ns(max(0, deadline_ns - reading()))
-    rig.bus.arrives(5 * MS + 950_000, "haptic/state")
-    rig.loop.turn()
-    assert [kind for kind, _ in seen] == ["message", "deadline"]
-    assert 5 * MS + 950_000 <= seen[0][1] < 6 * MS <= seen[1][1] <= 6 * MS + 20_000
-
-
-def test_a_message_in_the_busy_wait_that_moves_the_deadline_ends_it() -> None:
-    rig, reading = busy_rig()
-    rig.loop.turn()
-    rig.bus.wait = lambda deadline_ns: rig.clock.advance_ns(max(0, deadline_ns - reading()))
-
-    def postpone(received: Received) -> None:
-        rig.node.grid = PeriodicDeadline(6 * MS, 2 * MS)
-
-    rig.node.on_message = postpone
-    rig.bus.arrives(5 * MS + 950_000, "haptic/state")
-    rig.loop.turn()
-    assert rig.node.ticks == []
-    assert reading() < 6 * MS
-    rig.loop.turn()
-    assert len(rig.node.ticks) == 1
-    assert 8 * MS <= rig.node.ticks[0] <= 8 * MS + 20_000
 
 
 class Ticking(Probe):
@@ -718,10 +657,10 @@ class Journalled(Probe):
         self.read.append((self.clock.monotonic_ns(), self.clock.now_ns()))
 
 
-def journalled_rig(period_ns: int = 0, spin_s: float = 0.0) -> Rig:
+def journalled_rig(period_ns: int = 0) -> Rig:
     rig = Rig()
     rig.node = Journalled(rig.node.context, period_ns)
-    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED, spin_s=spin_s)
+    rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
     return rig
 
 

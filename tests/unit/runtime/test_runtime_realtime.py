@@ -319,9 +319,9 @@ def test_shallow_idle_without_permission_changes_nothing(monkeypatch: pytest.Mon
     [
         {"priority": 0},
         {"priority": 99},
-        {"spin_s": -1e-6},
-        {"spin_s": 0.002},
-        {"spin_s": float("nan")},
+        {"rate_hz": 49.0},
+        {"rate_hz": 10_001.0},
+        {"rate_hz": float("nan")},
         {"cpus": {"test": -1}},
         {"cpus": "two"},
     ],

@@ -13,7 +13,7 @@ GOOD = """
 name: fig12
 description: press and release
 duration_s: 8.0
-realtime: {scheduler: normal, spin_s: 5e-5, memory_lock: off}
+realtime: {scheduler: normal, memory_lock: off}
 afm_node: {gap_m: 1e-8}
 """
 
@@ -41,7 +41,7 @@ def path(tmp_path: Path) -> Path:
 def test_a_scenario_and_its_sections(path: Path) -> None:
     loaded = load_scenario(path)
     assert (loaded.scenario.name, loaded.scenario.duration_s, loaded.origin) == ("fig12", 8.0, str(path))
-    assert loaded.scenario.realtime == RealtimeConfig(scheduler="normal", spin_s=5e-5, memory_lock="off")
+    assert loaded.scenario.realtime == RealtimeConfig(scheduler="normal", memory_lock="off")
     assert loaded.section("afm_node", Section) == Section(gap_m=1e-8)
     assert loaded.document["afm_node"] == {"gap_m": 1e-8}
 
@@ -107,9 +107,9 @@ def test_the_dynamic_cantilever_has_the_processor_of_the_slave_without_the_link(
         ("dynamic", "free", "free"),
         ("quasi_static", "auto", "auto"),
     ):
-        document = {**facts, "afm_node": {"model": model}, "realtime": {"cpus": cpus, "spin_s": 5e-5}}
+        document = {**facts, "afm_node": {"model": model}, "realtime": {"cpus": cpus}}
         found = Scenario.model_validate(document).realtime_in_force()
-        assert (found.cpus, found.spin_s) == (expected, 5e-5)
+        assert found.cpus == expected
 
 
 class Period(BaseModel):
