@@ -87,25 +87,23 @@ class DeferredTasks:
         if self._waiting:
             self._schedule(end_ns)
 
-    def take(self, now_ns: int, next_ns: int = NEVER_NS) -> list[Deferred]:
-        """Return what is to be run now: what has waited for too long, or else the first task if it fits into the gap.
+    def take(self, now_ns: int, next_ns: int = NEVER_NS) -> Deferred | None:
+        """Return what is to be run now: the first task if one has waited for too long, or if it fits into the gap.
+
+        The others still wait while it runs, because the task that ends a batch of the journal asks which ones do.
 
         Args:
             now_ns: The time on the monotonic clock.
             next_ns: When the next deadline of the node comes, before which the task has to be over.
         """
         self._next_ns = next_ns
-        overdue = [place for place, task in enumerate(self._waiting) if task.latest_ns <= now_ns]
-        if overdue:
-            count = overdue[-1] + 1
-            taken, self._waiting = self._waiting[:count], self._waiting[count:]
-        else:
-            taken = [task for task in (self._next(),) if task is not None and self._fits_at(now_ns) == now_ns]
-            for task in taken:
-                self._waiting.remove(task)
-                self._is_used |= task.latest_ns < NEVER_NS
+        is_overdue = any(task.latest_ns <= now_ns for task in self._waiting)
+        task = self._waiting[0] if is_overdue else self._next() if self._fits_at(now_ns) == now_ns else None
+        if task is not None:
+            self._waiting.remove(task)
+            self._is_used |= not is_overdue and task.latest_ns < NEVER_NS
         self._schedule(now_ns)
-        return taken
+        return task
 
     def take_turn(self) -> Task | None:
         """Return the first task that is a turn of the node, whatever the time is; None if there is none."""

@@ -181,7 +181,7 @@ class NodeLoop:
     def _run_deferred(self) -> None:
         """Run the tasks that are due."""
         while (now_ns := self._clock.monotonic_ns()) >= self._deferred.due_ns:
-            for task in self._deferred.take(now_ns, self.node.deadline_ns()):
+            if (task := self._deferred.take(now_ns, self.node.deadline_ns())) is not None:
                 self._run_task(task)
 
     def _run_task(self, task: Deferred) -> None:

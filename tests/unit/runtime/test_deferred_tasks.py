@@ -47,9 +47,13 @@ class Loop:
         self.tasks.note_run(self.named(name), now_ns - duration_ns, now_ns, met=met)
 
     def take(self, next_ns: int = NEVER_NS) -> list[str]:
-        taken = self.tasks.take(self.clock.monotonic_ns(), next_ns)
-        names = {task: name for name, task in self._named.items()}
-        return [names[task.run] for task in taken]
+        """Give what is run now: all that have waited for too long, and those before them, or else one."""
+        now_ns, names, taken = self.clock.monotonic_ns(), {task: name for name, task in self._named.items()}, list[str]()
+        while (task := self.tasks.take(now_ns, next_ns)) is not None:
+            taken.append(names[task.run])
+            if not any(waiting.latest_ns <= now_ns for waiting in self.tasks._waiting):
+                break
+        return taken
 
     @property
     def due_in_ns(self) -> int:

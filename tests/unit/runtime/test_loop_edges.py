@@ -1,11 +1,13 @@
 """When the loop looks for a stop that was kept, what a stop of its own and a failure say, and when a report is due."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
-from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig
+from test_runtime_node import GRANTED, MS, Rig, Ticking, journalled_rig, turns_of
 
 from proto import encode
+from proto.journal_messages import NodeJournal
 from proto.messages import SessionControl
 from services.runtime.loop.commands import stop_of
 from services.runtime.loop.journal import DEFERRED
@@ -149,6 +151,18 @@ def test_a_task_that_the_outputs_depend_on_is_a_turn_of_the_journal(is_full: boo
     else:
         rig.loop._run_deferred()
     assert (ran, kinds) == (["task"], [DEFERRED])
+
+
+def test_a_batch_of_the_journal_does_not_end_while_a_task_waits_although_all_are_overdue() -> None:
+    rig, ran = journalled_rig(), list[str]()
+    # nothing has happened for a while, so that all of them are due at once
+    rig.loop._deferred.add(rig.loop._complete_batch)
+    for name in ("forward", "backward"):
+        rig.node.defer(partial(ran.append, name))
+    rig.loop._run_deferred()
+    assert ran == ["forward", "backward"]
+    (batch,) = rig.bus.of(NodeJournal)
+    assert [kind for kind, *_ in turns_of(batch)] == [DEFERRED, DEFERRED]
 
 
 def test_a_message_of_the_journal_that_leaves_some_is_followed_by_the_next() -> None:
