@@ -51,7 +51,7 @@ class Following:
         return self
 
     def messages(self, channel_topic: str, since_ns: int = 0) -> list[RecordedMessage]:
-        """Give what was recorded of a channel from a time of reception on [ns]."""
+        """Give what was recorded of all that was sent on a channel from a time on [ns], however late it came."""
         received = self._received.setdefault(channel_topic, [])
         for number, channel in self._channels.items():
             if channel.channel_topic == channel_topic:
@@ -65,7 +65,8 @@ class Following:
                     for _, offset in _INDEX_ENTRY.iter_unpack(index)
                 ]
         received.sort(key=lambda message: message.log_ns)
-        return received[bisect_left(received, since_ns, key=lambda message: message.log_ns) :]
+        later = received[bisect_left(received, since_ns, key=lambda message: message.log_ns) :]
+        return [message for message in later if message.publish_ns >= since_ns]
 
     def _enter_index(self, body: bytes) -> None:
         number, size = _INDEX_HEAD.unpack_from(body)

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,9 @@ class Rig:
         self.process: subprocess.Popen[str] | None = None
         self._recorded = Recorded()
 
-    def start(self, *arguments: str, scenario: str = "fig12") -> None:
+    def start(self, *arguments: str, scenario: str = "fig12", rate: Sequence[str] = machine.LOWER_RATE) -> None:
         # a test that runs a session again, because the machine held it up, keeps the last one
-        command = ["up", "--scenario", scenario, "--out", str(self.out), "--overwrite", "--json", *arguments]
+        command = ["up", "--scenario", scenario, "--out", str(self.out), "--overwrite", "--json", *rate, *arguments]
         self.process = subprocess.Popen(
             self.command(*command),
             env=self.environment,
@@ -65,8 +65,8 @@ class Rig:
         return self.finish()
 
     def run(self, *arguments: str, scenario: str = "fig12") -> dict[str, Any]:
-        """Run a session from beginning to end and give its summary."""
-        self.start(*arguments, scenario=scenario)
+        """Run a session from beginning to end, at the rate of its scenario, and give its summary."""
+        self.start(*arguments, scenario=scenario, rate=())
         code, summary, err = self.finish()
         assert code == 0, err + self.logs()
         return summary

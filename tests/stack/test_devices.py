@@ -322,7 +322,9 @@ def held_session(tmp_path: Path, scenario: Path, delay_ms: float, declared_ms: f
         folder.mkdir()
         devices, rig = Devices(folder, scenario, ("--travel", str(FINE_M_PER_V))), Rig(folder)
         try:
-            rig.start(*devices.options, "--round-trip-ms", f"{delay_ms:.3f}", "--headless", scenario=str(scenario))
+            rig.start(
+                *devices.options, "--round-trip-ms", f"{delay_ms:.3f}", "--headless", scenario=str(scenario), rate=()
+            )
             code, summary, err = rig.finish()
             assert code == 0, err + rig.logs()
             recording = Recording(rig.out / "session.mcap")

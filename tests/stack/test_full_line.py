@@ -36,6 +36,7 @@ def start(sites: TwoSites, duration_s: float) -> None:
     """Start both sites under the law of waves."""
     for site in (sites.slave, sites.master):
         chosen = ["--set", "controller.law=wave", "--set", f"recorder.exclude={json.dumps(LEAN[site.name])}"]
+        site.rate = ()
         site.start(*chosen, *(("--duration", str(duration_s)) if site is sites.master else ()))
 
 

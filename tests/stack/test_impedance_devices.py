@@ -33,7 +33,7 @@ def coupling_of(recording: Recording) -> float:
 @pytest.mark.parametrize(("kind", "rate_hz"), [("haply", 1000), ("dhd", 1000), ("dhd", 4000), ("hd", 1000)])
 def test_fig12_is_that_of_theory(kind: str, rate_hz: int, rig: Rig, tmp_path: Path) -> None:
     with LiveDevice(kind, tmp_path) as device:
-        rig.start(*device.options, "--set", f"haptic_node.{kind}.rate_hz={rate_hz}", "--headless")
+        rig.start(*device.options, "--set", f"haptic_node.{kind}.rate_hz={rate_hz}", "--headless", rate=())
         code, summary, err = rig.finish()
     assert code == 0, err + rig.logs()
     recording = Recording(rig.out / "session.mcap")

@@ -123,7 +123,7 @@ def test_no_frame_ends_a_live_node_and_the_loops_keep_their_rate(
     # publisher that is less than a second ahead of it holds what it really sends back for as long
     fuzz = Frames(f"{given.get('TELENANO_FUZZ_SEED', 'live')} {part}", time.time_ns(), gentle=True)
     frames = list(stream(fuzz, list(TOPICS), count))
-    rig.start("--site-file", str(site_file), "--duration", "600", "--set", CONSTANT_PUSH)
+    rig.start("--site-file", str(site_file), "--duration", "600", "--set", CONSTANT_PUSH, rate=())
     rig.wait_until(rig.running, "a running session")
     pids = {node: rig.process_of(node) for node in (*START_ORDER, "recorder@master")}
     assert None not in pids.values()

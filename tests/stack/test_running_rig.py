@@ -75,6 +75,13 @@ def decoded(rig: Rig, topic: str, since_ns: int = 0) -> list[Any]:
     return [message.decode() for message in rig.recording().messages(topic, since_ns)]
 
 
+def wait_for_the_recorder(rig: Rig, *channels: str) -> None:
+    """Wait until all that was sent on some channels until now is in the recording: something later is."""
+    now_ns = time.time_ns()
+    for channel in channels or ("afm/state", "haptic/state", "teleop/forward", "teleop/backward"):
+        rig.wait_until(lambda c=channel: newest(rig, c).t_ns > now_ns, f"{channel} recorded")
+
+
 @pytest.fixture(scope="module")
 def figure(shared_rig: Rig) -> Path:
     """Give the recording of the programme of Fig. 12, cut from that of the rig while this is being written."""
@@ -119,6 +126,7 @@ def test_a_replay_does_not_take_the_place_of_a_node_that_runs(rig: Rig, figure: 
     played = rig.telenano("replay", str(figure), "--nodes", "controller@slave")
     assert played.returncode == 1
     assert f"/controller@slave is in use by process {rig.process_of('controller@slave')}: stop it" in played.stderr
+    wait_for_the_recorder(rig)
     # nothing of it came to a device, which went on following
     assert not any(rig.log_has(node, "come from a recording") for node in (TIP, HAND))
     assert {state.mode for state in decoded(rig, "afm/state", begin_ns)} == {"follow"}
@@ -141,6 +149,7 @@ def test_second_rig_of_the_same_name_names_who_has_it(rig: Any, tmp_path: Any) -
     assert second.returncode != 0
     assert "in use by process" in second.stderr
     assert second.stdout == "" or '"error"' in second.stdout
+    wait_for_the_recorder(rig)
     numbers = [message.seq for message in rig.recording().messages("session/event") if message.src == "launcher@master"]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
@@ -153,6 +162,7 @@ def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
         assert switched.returncode == 0, switched.stdout + switched.stderr
         rig.wait_until(lambda law=law: newest(rig, "teleop/backward").law == law, f"{law} on the bus")
     time.sleep(0.5)
+    wait_for_the_recorder(rig)
     forward, tip = decoded(rig, "teleop/forward", begin_ns), decoded(rig, "afm/state", begin_ns)
     switches = [after.t_ns for before, after in pairwise(forward) if before.law != after.law]
     assert len(switches) == 2
@@ -198,10 +208,7 @@ def test_link_is_shown_changed_refused_and_cleared(rig: Any) -> None:
     assert abs(shown["clock"]["offset_s"]) <= shown["clock"]["uncertainty_s"]
     assert rig.telenano("link", "profile", "lan").returncode == 0
     assert rig.telenano("link", "clear").returncode == 0
-    end_ns = time.time_ns()
-    # everything that was sent until now is in the file once something later is
-    for channel in ("teleop/backward", "teleop/backward@master", "link/fates"):
-        rig.wait_until(lambda c=channel: rig.recording().messages(c)[-1].publish_ns > end_ns, f"{channel} recorded")
+    wait_for_the_recorder(rig, "teleop/backward", "teleop/backward@master", "link/fates")
     lost = [fate for message in decoded(rig, "link/fates", begin_ns) for fate in message.fates if fate.dropped]
     assert {fate.dropped for fate in lost} == {"loss"}
     # what the ground truth calls lost is what did not come out at the other site
@@ -298,8 +305,8 @@ def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatc
     assert re.fullmatch(
         r"arm is refused: it does not refer to the newest emergency stop, which came \d+\.\d s ago", text
     )
-    end_ns = time.time_ns()
-    rig.wait_until(lambda: rig.recording().messages("afm/state")[-1].publish_ns > end_ns + 10**8, "what came of it")
+    time.sleep(0.1)
+    wait_for_the_recorder(rig)
     states = decoded(rig, "afm/state", begin_ns)
     assert {state.mode for state in states} == {"estop"}
     base_m = [state.base_position_m[2] for state in states]

@@ -14,9 +14,6 @@ from services.launcher.processors import FOR_A_RIG, held, shared_folder
 from services.runtime.loop.realtime import may_use_fifo
 
 pytestmark = pytest.mark.stack
-# What `up` advises where no processors are free for a second rig: at full rate both would run into the kernel's bound
-# of real-time processes, which then stand still for 50 ms of each second.
-SLOWER = ("--set", "realtime.rate_hz=250")
 
 
 @pytest.fixture
@@ -47,7 +44,7 @@ def has_room() -> bool:
 def test_two_that_are_started_at_once_run_each_by_itself(rigs: list[Rig]) -> None:
     room = has_room()
     for rig in rigs:
-        rig.start("--duration", "300", *(() if room else SLOWER))
+        rig.start("--duration", "300")
     for rig in rigs:
         rig.wait_until(rig.running, "the session")
     found = listed(rigs[0])
@@ -95,9 +92,9 @@ def test_a_rig_that_is_killed_leaves_its_name_to_the_next(rigs: list[Rig]) -> No
 
 
 def test_an_emergency_stop_reaches_every_rig(rigs: list[Rig]) -> None:
-    room = has_room()
+    has_room()
     for rig in rigs:
-        rig.start("--duration", "60", *(() if room else SLOWER))
+        rig.start("--duration", "60")
     for rig in rigs:
         rig.wait_until(rig.running, "the session")
     stopped = rigs[0].telenano("estop", "--json")

@@ -118,6 +118,7 @@ class Site:
         self.out = folder / name
         self.keyring = Keyring(folder / f"keys-{name}")
         self.lean = False
+        self.rate: Sequence[str] = machine.LOWER_RATE
         self.cable = cable
         self.starts = 0
         # socket paths are short by law, pytest's folders are not
@@ -141,7 +142,7 @@ class Site:
         """Start this site of the rig; each start has an output folder of its own."""
         self.out = self.out.parent / (self.name if not self.starts else f"{self.name}-{self.starts}")
         self.starts += 1
-        common = ["up", "--site", self.name, "--site-file", str(self.site_file), "--scenario", "fig12"]
+        common = ["up", "--site", self.name, "--site-file", str(self.site_file), "--scenario", "fig12", *self.rate]
         if self.lean:
             common += ["--set", f"recorder.exclude={json.dumps(NOT_NEEDED[self.name])}"]
         with self.log.open("a") as log:

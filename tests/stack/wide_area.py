@@ -223,6 +223,7 @@ def fig12(
     if probe_into is not None:
         # its imports take longer than the programme where the rig has the processors
         assert rig.master.keys_command("show").returncode == 0
+    rig.slave.rate = rig.master.rate = ()
     try:
         rig.slave.start(*chosen["slave"])
         rig.master.start(

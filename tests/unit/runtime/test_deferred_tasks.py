@@ -48,7 +48,11 @@ class Loop:
 
     def take(self, next_ns: int = NEVER_NS) -> list[str]:
         """Give what is run now: all that have waited for too long, and those before them, or else one."""
-        now_ns, names, taken = self.clock.monotonic_ns(), {task: name for name, task in self._named.items()}, list[str]()
+        now_ns, names, taken = (
+            self.clock.monotonic_ns(),
+            {task: name for name, task in self._named.items()},
+            list[str](),
+        )
         while (task := self.tasks.take(now_ns, next_ns)) is not None:
             taken.append(names[task.run])
             if not any(waiting.latest_ns <= now_ns for waiting in self.tasks._waiting):
