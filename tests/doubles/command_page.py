@@ -1,0 +1,115 @@
+"""The list of commands in docs/cli.md, from their options: `python tests/doubles/command_page.py` rewrites it."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from telenano.cli.lazy_commands import LAZY_COMMANDS, load
+from telenano.cli.root import app
+
+PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
+START, END = "<!-- commands: written by tests/doubles/command_page.py -->\n", "<!-- end of commands -->\n"
+# An option that so many commands have, with the same words, is described once.
+SHARED = 4
+# What typer adds to the text of an option.
+_ADDED = re.compile(r"\s*\[(?:default: ([^];]*)[^]]*|[^]]*[<>]=[^]]*|required)\]$")
+
+
+def commands() -> dict[str, Any]:
+    """Return the commands of the core by their words, groups included; packages describe theirs."""
+    found = dict([next(_with_inner(typer.main.get_command(app), "telenano"))])
+    for name in LAZY_COMMANDS:
+        found.update(_with_inner(load(name), f"telenano {name}"))
+    return found
+
+
+def groups(found: dict[str, Any]) -> set[str]:
+    """Return the words after which another has to follow."""
+    return {
+        path
+        for path, command in found.items()
+        if getattr(command, "commands", None) is not None and not command.invoke_without_command and len(path) > 8
+    }
+
+
+def page() -> str:
+    """Return the list in Markdown."""
+    found = commands()
+    for path in groups(found):
+        del found[path]
+    written = {path: [_line(command, option) for option in options(command)] for path, command in found.items()}
+    times = Counter(line for lines in written.values() for line in lines)
+    # the rarer first, so that of two texts of one option the more frequent stays
+    often = {_flag(line): line for line, count in reversed(times.most_common()) if count >= SHARED}
+    shared = sorted(often.values())
+    parts = ["## Options of many commands\n", *shared]
+    for path, command in found.items():
+        parts.append(f"\n## {path}\n\n{_about(command)}\n\n`{_call(path, command)}`")
+        if own := [line for line in written[path] if line not in shared]:
+            parts += ["", *own]
+        if known := [_flag(line) for line in written[path] if line in shared]:
+            parts.append(f"{'' if own else chr(10)}- and {', '.join(f'`{name}`' for name in known)}")
+    return "\n".join(parts) + "\n"
+
+
+def options(command: Any) -> list[Any]:
+    """Return the options of a command, in the order of its help."""
+    return [one for one in command.params if one.param_type_name == "option" and one.name != "help"]
+
+
+def with_page(text: str) -> str:
+    """Return docs/cli.md with the list in its place."""
+    head, _, rest = text.partition(START)
+    _, end, tail = rest.partition(END)
+    assert end, f"cli.md needs the lines {START!r} and {END!r}"
+    return f"{head}{START}\n{page()}\n{end}{tail}"
+
+
+def _with_inner(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    yield path, command
+    for name, child in (getattr(command, "commands", None) or {}).items():
+        yield from _with_inner(child, f"{path} {name}")
+
+
+def _about(command: Any) -> str:
+    return "\n\n".join(" ".join(part.split()) for part in (command.help or "").split("\n\n"))
+
+
+def _call(path: str, command: Any) -> str:
+    words = [_named(one) + ("..." if one.nargs == -1 else "") for one in command.params if one not in options(command)]
+    words += [_flags(command, one) for one in options(command) if one.required]
+    return " ".join([path, *words])
+
+
+def _named(argument: Any) -> str:
+    name = argument.metavar or argument.name.upper()
+    return name if argument.required else f"[{name}]"
+
+
+def _flags(command: Any, option: Any) -> str:
+    flags, _ = option.get_help_record(_context(command))
+    return re.sub(r"[<>]", "", flags.split(", ")[-1])
+
+
+def _line(command: Any, option: Any) -> str:
+    _, text = option.get_help_record(_context(command))
+    added, about = _ADDED.search(text), _ADDED.sub("", text)
+    if added and added[1] and "default:" not in about:
+        about = f"{about.removesuffix('.')}; default: {added[1]}."
+    return f"- `{_flags(command, option)}`: {about}"
+
+
+def _flag(line: str) -> str:
+    return line.split("`")[1].split()[0]
+
+
+def _context(command: Any) -> Any:
+    return typer.Context(command, info_name=command.name or "telenano")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
