@@ -91,7 +91,9 @@ def _other_version(package: Distribution | None) -> str:
     return ""
 
 
-def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = ()) -> Loaded[T]:
+def load(
+    kind: str, check: Callable[[str, Any], T | None], taken: Collection[str] = (), only: str | None = None
+) -> Loaded[T]:
     """Import the entries of a kind.
 
     Args:
@@ -99,9 +101,12 @@ def load(kind: str, check: Callable[[str, Any], T | None], taken: Collection[str
         check: Returns what is used of an entry, None if it is for something else, and raises TypeError or ValueError
             that says what is wrong with it.
         taken: The names that the project uses itself.
+        only: The name of the one entry that is wanted; None for all of them.
     """
     loaded: Loaded[T] = Loaded({}, {})
     for name, row in installed(kind).items():
+        if only not in (None, name):
+            continue
         problem = row.problem or (f"{name} is a name of telenano's own" if name in taken else "")
         if not problem:
             problem = _tried(row, check, loaded.found)

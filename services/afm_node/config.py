@@ -48,7 +48,7 @@ from services.afm_node.section_config import (
     TipSampleConfig,
 )
 from services.runtime.settings.config import Settings
-from services.runtime.settings.device_drivers import drivers_of
+from services.runtime.settings.device_drivers import Drivers
 
 if TYPE_CHECKING:
     from services.afm_node.physics.dynamic_plant import DynamicPlant
@@ -119,13 +119,7 @@ class _OwnSections(Settings):
     @property
     def simulated(self) -> bool:
         """Whether the readings of the instrument follow from what it was sent alone."""
-        return self.driver == "simulated" or (self.driver in DRIVERS.found and DRIVERS.found[self.driver].simulated)
-
-    @field_validator("driver", mode="before")
-    @classmethod
-    def _usable_driver(cls, value: Any) -> Any:
-        refuse(DRIVERS, value)
-        return value
+        return self.driver == "simulated" or DRIVERS.is_simulated(self.driver)
 
     @field_validator("environment", mode="before")
     @classmethod
@@ -184,6 +178,7 @@ class _OwnSections(Settings):
     def _buildable(self) -> Self:
         if self.driver in _REAL_DRIVERS and getattr(self, self.driver) is None:
             raise ValueError(f"driver: {self.driver} needs a section {self.driver} with calibration")
+        DRIVERS.require_section(self, self.driver)
         if self.model == "dynamic":
             self._check_dynamic()
         if self.sample is not None and self.sample.particles is not None:
@@ -361,7 +356,7 @@ _OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", *_REAL_DRIVERS), ("tip_sample", 
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields, *dir(_OwnSections)})
 SAMPLES = load("samples", checked_sample, TAKEN)
-DRIVERS = drivers_of("afm_node", TAKEN | SAMPLES.found.keys())
+DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys())
 
 if TYPE_CHECKING:
     DriverName = str
@@ -371,15 +366,12 @@ if TYPE_CHECKING:
         """The sections of drivers and samples of other packages."""
 
 else:
-    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
+    DriverName = DRIVERS.name_type()
     EnvironmentName = Literal[(*_OWN_ENVIRONMENTS, *SAMPLES.found)]
     _PackageSections = create_model(
         "_PackageSections",
         __base__=_OwnSections,
-        **{
-            name: (driver.config | None, Field(None, description=f"Settings of driver {name}."))
-            for name, driver in DRIVERS.found.items()
-        },
+        **DRIVERS.sections(),
         **{
             name: (sample.config, Field(sample.config(), description=f"The sample, for environment {name}."))
             for name, sample in SAMPLES.found.items()

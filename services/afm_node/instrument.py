@@ -27,9 +27,9 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     if config.driver in CONTROLLERS:
         limits, section = config.to_params().safety, getattr(config, config.driver)
         return controller_driver(config.driver, section, limits, period_s, attended=config.attended)
-    if config.driver in DRIVERS.found:
-        driver = DRIVERS.found[config.driver]
-        device: AfmDriver = driver.build(getattr(config, driver.name) or driver.config(), config.to_params().safety)
+    if (driver := DRIVERS.find(config.driver)) is not None:
+        section, limits = getattr(config, driver.name), config.to_params().safety
+        device: AfmDriver = driver.device(section, limits, period_s=period_s, attended=config.attended)
         return device
     if config.environment in SAMPLES.found:
         return SimulatedInstrument(config.to_sample_params())

@@ -25,9 +25,8 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
 
 
 def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
-    if config.driver in DRIVERS.found:
-        driver = DRIVERS.found[config.driver]
-        device: HapticDevice = driver.build(getattr(config, driver.name) or driver.config(), config.limits)
+    if (driver := DRIVERS.find(config.driver)) is not None:
+        device: HapticDevice = driver.device(getattr(config, driver.name), config.limits, period_s=period_s)
         return device
     if config.driver in WIRES:
         from services.haptic_node.devices.servo_process import link_of

@@ -5,9 +5,8 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from pydantic import Field, create_model, field_validator, model_validator
+from pydantic import Field, create_model, model_validator
 
-from presets.plugins import refuse
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
 from proto.topics import deadline_of
@@ -21,7 +20,7 @@ from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_lo
 from services.haptic_node.safety import SafetyParams
 from services.haptic_node.wire_config import WIRES, DhdConfig, HaplyConfig, HdConfig
 from services.runtime.settings.config import Settings, validate
-from services.runtime.settings.device_drivers import drivers_of
+from services.runtime.settings.device_drivers import Drivers
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
 SERVO_GAINS_V_PER_M: dict[str, float] = {"paper_bandwidth": 1.917e5, "paper_gain": 1.0e4}
@@ -210,18 +209,13 @@ class _OwnSections(Settings):
     @property
     def simulated(self) -> bool:
         """Whether the readings of the device follow from what it was sent alone."""
-        return self.driver in _SIMULATED or (self.driver in DRIVERS.found and DRIVERS.found[self.driver].simulated)
-
-    @field_validator("driver", mode="before")
-    @classmethod
-    def _usable_driver(cls, value: Any) -> Any:
-        refuse(DRIVERS, value)
-        return value
+        return self.driver in _SIMULATED or DRIVERS.is_simulated(self.driver)
 
     @model_validator(mode="after")
     def _serial_is_described(self) -> Self:
         if self.driver == "serial" and self.serial is None:
             raise ValueError("driver: serial needs a section serial with port and calibration")
+        DRIVERS.require_section(self, self.driver)
         return self
 
     @model_validator(mode="after")
@@ -268,7 +262,7 @@ _SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
 _OWN_DRIVERS = (*_SIMULATED, "serial", *WIRES)
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
-DRIVERS = drivers_of("haptic_node", TAKEN)
+DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN)
 
 if TYPE_CHECKING:
     DriverName = str
@@ -277,15 +271,8 @@ if TYPE_CHECKING:
         """The sections of drivers of other packages."""
 
 else:
-    DriverName = Literal[(*_OWN_DRIVERS, *DRIVERS.found)]
-    _DriverSections = create_model(
-        "_DriverSections",
-        __base__=_OwnSections,
-        **{
-            name: (driver.config | None, Field(default=None, description=f"Settings of driver {name}"))
-            for name, driver in DRIVERS.found.items()
-        },
-    )
+    DriverName = DRIVERS.name_type()
+    _DriverSections = create_model("_DriverSections", __base__=_OwnSections, **DRIVERS.sections())
 
 
 class HapticConfig(_DriverSections):

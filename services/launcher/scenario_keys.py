@@ -8,6 +8,7 @@ from proto.nodes import SERVICES
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.main import node_kind
 from services.runtime.settings.config import merge
+from services.runtime.settings.device_drivers import core_only
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 
 _LONGEST_DEFAULT = 40
@@ -25,8 +26,11 @@ class Key(NamedTuple):
     about: str
 
 
-def scenario_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a scenario file, the sections of all nodes included."""
+def scenario_schema(*, core: bool = False) -> dict[str, Any]:
+    """Return the JSON Schema of a scenario file, the sections of all nodes included; core: no driver of a package."""
+    if core:
+        with core_only():
+            return scenario_schema()
     schema = Scenario.model_json_schema()
     definitions: dict[str, Any] = dict(schema.pop("$defs", {}))
     for name in SERVICES:
@@ -47,9 +51,9 @@ def site_schema() -> dict[str, Any]:
     return {**schema, "$schema": _DIALECT, "title": "Site file of telenano"}
 
 
-def all_keys() -> list[Key]:
+def all_keys(*, core: bool = False) -> list[Key]:
     """Return every key of a scenario that has a value of its own, in the order of its sections."""
-    schema = scenario_schema()
+    schema = scenario_schema(core=core)
     return list(_keys(schema, "", schema["$defs"]))
 
 

@@ -120,7 +120,8 @@ def _package_drivers() -> tuple[dict[str, Any], dict[str, str]]:
     from services.afm_node.config import DRIVERS as INSTRUMENTS
     from services.haptic_node.config import DRIVERS as HANDLES
 
-    return {**HANDLES.found, **INSTRUMENTS.found}, {**HANDLES.problems, **INSTRUMENTS.problems}
+    handles, instruments = HANDLES.all(), INSTRUMENTS.all()
+    return {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
 
 
 def _opened_of_package(name: str, settings: list[str]) -> tuple[Any, Tick]:
@@ -142,8 +143,7 @@ def _opened_of_package(name: str, settings: list[str]) -> tuple[Any, Tick]:
     else:
         config = validate(AfmConfig, given[driver.node], "--set", driver.node)
         limits = config.to_params().safety
-    section = getattr(config, name) or validate(driver.config, {}, "--set", f"{driver.node}.{name}")
-    device = driver.build(section, limits)
+    device = driver.device(getattr(config, name), limits, period_s=_PERIOD_S, attended=True)
     device.open()
     return device, _reads_handle(device) if driver.node == "haptic_node" else _reads_instrument(device)
 

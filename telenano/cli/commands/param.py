@@ -8,7 +8,7 @@ import yaml
 from presets import find_scenario
 from proto.errors import ConfigError, probably_meant
 from telenano.cli.completion import scenario_names, scenario_sections
-from telenano.cli.options import JsonOption, SettingsOption, command_group
+from telenano.cli.options import CoreOption, JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 
 app = command_group()
@@ -30,13 +30,14 @@ def list_all(
         ),
     ] = "",
     as_page: Annotated[bool, typer.Option("--markdown", help="Print them as the page docs/scenarios.md.")] = False,
+    core: CoreOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the keys of a scenario with default, range and unit: whatever `--set` can change."""
     with report_errors(as_json):
         from services.launcher.scenario_keys import all_keys, markdown
 
-        keys = [key for key in all_keys() if key.name.startswith(prefix)]
+        keys = [key for key in all_keys(core=core) if key.name.startswith(prefix)]
         if not keys:
             parts = {".".join(key.name.split(".")[: prefix.count(".") + 1]) for key in all_keys()}
             near = probably_meant(prefix, parts)

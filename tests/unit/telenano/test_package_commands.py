@@ -43,7 +43,14 @@ from msgspec import msgpack
 from services.haptic_node.driver import DriveCommand
 from services.runtime.loop.node_state import Part, part
 
+import sys
+
+imported = [sorted(name for name in ("telenano_stub_handle", "telenano_stub_afm") if name in sys.modules)]
+HapticConfig.model_validate({"driver": "stub_handle"})
+imported.append(sorted(name for name in ("telenano_stub_handle", "telenano_stub_afm") if name in sys.modules))
+
 found = {"laws": [name for name in LAWS if name not in OWN_LAWS], "broken": broken_rules("filtered")}
+found["imported"] = imported
 config = ControllerConfig.model_validate({"law": "filtered", "filtered": {"filter_s": 0.0}})
 found["kept_share"] = config.params().kept_share
 state = LAWS["filtered"].master_start(config.params(), HandSample(1e-3, 0.0, 0.5, True))
@@ -76,6 +83,30 @@ own = driver_of(AfmConfig.model_validate({"driver": "stub_afm", "stub_afm": {"st
 own.open()
 found["own_instrument_n"] = own.exchange(5e-9).force_n
 own.close()
+
+from services.launcher.scenario_keys import scenario_schema
+
+def sections(core):
+    found = scenario_schema(core=core)
+    parts = [found["properties"][node]["properties"] for node in ("haptic_node", "afm_node")]
+    return [[name for name in NAMES if name in where] for part in parts for where in (part, part["driver"]["enum"])]
+
+NAMES = ("stub_handle", "stub_afm")
+found["sections"] = {"core": sections(True), "all": sections(False)}
+
+found["messages"] = []
+from proto.errors import ConfigError
+from services.runtime.settings.config import validate
+for model, document in (
+    (AfmConfig, {"stub_handle": {}}),
+    (AfmConfig, {"driver": "stub_handle"}),
+    (AfmConfig, {"driver": "stub_amf"}),
+    (AfmConfig, {"stub_afm": {"stiffness_n_per_m": "stiff"}}),
+):
+    try:
+        validate(model, document, "file", "afm_node")
+    except ConfigError as error:
+        found["messages"].append(str(error))
 
 found["refused"] = []
 for model, document in ((ControllerConfig, {"filtered": {"filter_s": -1.0}}), (AfmConfig, {"layered": {"k": 1.0}})):
@@ -141,6 +172,10 @@ def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str
     assert found["state_survives"]
 
 
+def test_a_driver_is_imported_when_a_section_names_it(found: dict[str, Any]) -> None:
+    assert found["imported"] == [[], ["telenano_stub_handle"]]
+
+
 def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found: dict[str, Any]) -> None:
     assert found["forces"] == pytest.approx([0.5, 1.5], rel=1e-3)
     # 2 N/m over the layer of 1 nm, then 20 N/m
@@ -174,6 +209,16 @@ def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, An
         assert watched["driver_p99_s"] >= watched["driver_p50_s"] > 0.0
     assert "sample_age_p50_s" in found["monitor"][1]
     assert "sample_age_p50_s" not in found["monitor"][0]
+
+
+def test_a_driver_is_no_name_of_the_other_node(found: dict[str, Any]) -> None:
+    assert found["sections"] == {"core": 4 * [[]], "all": 2 * [["stub_handle"]] + 2 * [["stub_afm"]]}
+    section, driver, misspelt, soft = found["messages"]
+    assert section.startswith("file: afm_node.stub_handle: unknown key, known are ")
+    known = "Input should be 'simulated', 'modbus', 'gwyscope', 'nanonis' or 'stub_afm', got "
+    assert driver == f"file: afm_node.driver: {known}'stub_handle'"
+    assert misspelt == f"file: afm_node.driver: {known}'stub_amf'; did you mean stub_afm?"
+    assert soft.startswith("file: afm_node.stub_afm.stiffness_n_per_m: Input should be a valid number")
 
 
 def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:

@@ -12,12 +12,12 @@ from services.afm_node import config as afm
 from services.afm_node.physics.sample_models import checked_sample
 from services.controller import config as controller
 from services.haptic_node import config as haptic
-from services.runtime.settings.device_drivers import drivers_of
+from services.runtime.settings.device_drivers import Drivers
 from telenano.cli.new_package import new_package
 
 MODELS = (
-    (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | afm.DRIVERS.found.keys()),
-    (haptic.HapticConfig, haptic.TAKEN, haptic.DRIVERS.found.keys()),
+    (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | set(afm.DRIVERS.names)),
+    (haptic.HapticConfig, haptic.TAKEN, set(haptic.DRIVERS.names)),
     (controller.ControllerConfig, controller.TAKEN, controller.PACKAGE_LAWS.found.keys()),
 )
 
@@ -59,7 +59,7 @@ def test_an_installed_one_is_refused_where_it_is_loaded(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(plugins, "installed", installed)
     words = "friction of the package telenano-friction 1.0 cannot be used: friction is a name of telenano's own"
-    for loaded in (plugins.load("samples", checked_sample, afm.TAKEN), drivers_of("afm_node", afm.TAKEN)):
+    for loaded in (plugins.load("samples", checked_sample, afm.TAKEN), Drivers("afm_node", (), afm.TAKEN).all()):
         assert loaded.found == {}
         assert loaded.problems == {"friction": words}
         with pytest.raises(ValueError, match="is a name of telenano's own"):
