@@ -3,7 +3,7 @@
 A node writes down in which order it took its messages and deadlines, and what state it was in (`node/journal`,
 ADR 0012). The re-run builds the node, puts it into that state, and repeats the turns one by one. The keys that were
 recorded are compared: an optional key that a node has learned to say since leaves older recordings equal. What the link
-sends on beside that is compared with what came out of it at either site (ADR 0019).
+sends on beside that is compared with what came out of it at either site (ADR 0012).
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What `borrowed` is in compiled code: the value, with arrays that have no owner (ADR 0115)."""
+"""What `borrowed` is in compiled code: the value, with arrays that have no owner (ADR 0010)."""
 
 from typing import Any
 

@@ -9,7 +9,7 @@ imported first.
 Compiled forms are `numba.njit` with a cache on disk. Numba notices a change of the file that a function is in, but not
 of the functions that it calls from other files, so a plain cache would go on running an old model after an edit. This
 one keeps the digest of every source that may hold a step (`source_digest`), and compiles again after an edit of any of
-them (ADR 0072).
+them (ADR 0010).
 """
 
 import contextlib

@@ -3,7 +3,7 @@
 Python runs the handler of a signal between two of its own instructions. Compiled code calls Python to make the tuples
 that it returns, and does not look whether that has failed: a KeyboardInterrupt raised there is a segmentation fault. A
 signal that arrives within a compiled call is therefore kept until the call is over, and raised then
-([ADR 0064](../../docs/decisions/0064-signals-are-raised-between-compiled-calls.md)).
+([ADR 0064](../../docs/decisions/0064-raise-signals-between-compiled-calls.md)).
 """
 
 import contextlib

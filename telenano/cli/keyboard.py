@@ -22,7 +22,7 @@ _NAMED_KEYS = {b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[A": "up", b"\x1b[B"
 class RawKeyboard:
     """Single keys of standard input and a status line on standard error, each only where that is a terminal.
 
-    Ctrl-C stays a signal, and waiting is left to the caller, whose loop has more than keys to wait for (ADR 0013).
+    Ctrl-C stays a signal, and waiting is left to the caller, whose loop has more than keys to wait for.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The part of the dynamic cantilever of `dynamic`, in the time of the node (ADR 0044); made only where numba is.
+"""The part of the dynamic cantilever of `dynamic`, in the time of the node (ADR 0010); made only where numba is.
 
 The cantilever goes through the time that passes, in whole periods of its drive. Most of a millisecond is known before
 the next command, since the base stands: `settle` goes through that while nothing waits for it. A step has what is left:
