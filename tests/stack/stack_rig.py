@@ -39,7 +39,10 @@ class Rig:
         self.process: subprocess.Popen[str] | None = None
         self._recorded = Recorded()
 
-    def start(self, *arguments: str, scenario: str = "fig12", rate: Sequence[str] = machine.LOWER_RATE) -> None:
+    def start(self, *arguments: str, scenario: str = "fig12", rate: Sequence[str] | None = None) -> None:
+        # the dwell of an image asks for the rate of its scenario
+        if rate is None:
+            rate = machine.LOWER_RATE if scenario == "fig12" else ()
         # a test that runs a session again, because the machine held it up, keeps the last one
         command = ["up", "--scenario", scenario, "--out", str(self.out), "--overwrite", "--json", *rate, *arguments]
         self.process = subprocess.Popen(

@@ -52,7 +52,7 @@ def test_a_live_image_that_is_ended_keeps_its_lines_and_the_instrument_does_not_
     assert f"interrupted: {document['partial']} are kept" in stderr
     assert sorted(path.name for path in out.iterdir()) == ["scan.gsf", "scan.gwy", "scan.nxs", "scan.png"]
     assert read_surface(out / "scan.gsf").height_m.shape == (document["lines"], 16)
-    assert states_of_programs(rig)[-1] == "ended"
+    rig.wait_until(lambda: states_of_programs(rig)[-1] == "ended", "the end of the program in the recording")
     rig.wait_until(lambda: is_away(rig), "a retracted tip")
     rig.stop()
 
@@ -78,6 +78,6 @@ def test_after_an_image_that_was_ended_the_next_is_not_refused_and_a_curve_is_en
     stdout, stderr = curve.communicate(timeout=60.0)
     assert (curve.returncode, list(json.loads(stdout))) == (130, ["error"]), stderr
     assert not (tmp_path / "curve").exists()
-    assert states_of_programs(rig)[-1] == "ended"
+    rig.wait_until(lambda: states_of_programs(rig)[-1] == "ended", "the end of the program in the recording")
     rig.wait_until(lambda: is_away(rig), "a retracted tip")
     rig.stop()

@@ -694,5 +694,5 @@ def test_the_new_session_is_the_experiment_and_nobody_can_read_it(rig: TwoSites,
     assert summary["contact_x_cm"] == pytest.approx(0.703, abs=0.010)
     assert abs(summary["release_force_nn"]) < 0.02
     # the loop in both directions went by, and nothing of it could be read
-    assert len(seen) > 250_000 * LISTENED_S
+    assert len(seen) > 50_000 * LISTENED_S
     assert [text for text in IN_THE_CLEAR if text in seen] == []
