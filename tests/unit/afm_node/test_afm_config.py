@@ -1,11 +1,8 @@
 import math
-from pathlib import Path
 
 import pytest
-import yaml
 from pydantic import ValidationError
 
-from services.afm_node import config
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.section_config import CantileverConfig, SafetyConfig, TipSampleConfig
@@ -80,15 +77,6 @@ def test_zero_is_legal_where_it_means_something():
         AfmConfig(tip_sample=TipSampleConfig(liquid_energy_j_per_m2=0.0)).to_params().plant.tip.capillary_force_n == 0.0
     )
     assert CantileverConfig(stiffness_n_per_m=1).stiffness_n_per_m == 1.0
-
-
-def test_the_readme_shows_every_key_with_its_default():
-    text = (Path(config.__file__).parent / "README.md").read_text(encoding="utf-8")
-    shown = yaml.safe_load(text.split("```yaml")[1].split("```")[0])["afm_node"]
-    defaults = AfmConfig().model_dump()
-    assert defaults["tip_sample"].pop("relative_humidity") is None
-    assert shown == defaults
-    assert AfmConfig.model_validate(shown).to_params().safety == AfmConfig().to_params().safety
 
 
 def test_material_that_contradicts_itself_is_doubted_and_table_2_is_not():
