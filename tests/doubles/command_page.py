@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ from telenano.cli.root import app
 
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
 START, END = "<!-- commands: written by tests/doubles/command_page.py -->\n", "<!-- end of commands -->\n"
-# An option that so many commands have, with the same words, is described once.
-SHARED = 4
+# An option that so many commands have, with the same words but for its default, is described once.
+SHARED = 3
 # What typer adds to the text of an option.
 _ADDED = re.compile(r"\s*\[(?:default: ([^];]*)[^]]*|[^]]*[<>]=[^]]*|required)\]$")
 
@@ -42,17 +42,23 @@ def page() -> str:
     for path in groups(found):
         del found[path]
     written = {path: [_line(command, option) for option in options(command)] for path, command in found.items()}
-    times = Counter(line for lines in written.values() for line in lines)
+    times = Counter(about for lines in written.values() for about, _ in lines)
     # the rarer first, so that of two texts of one option the more frequent stays
-    often = {_flag(line): line for line, count in reversed(times.most_common()) if count >= SHARED}
-    shared = sorted(often.values())
-    parts = ["## Options of many commands\n", *shared]
+    often = {_flag(about): about for about, count in reversed(times.most_common()) if count >= SHARED}
+    defaults = {about: _most(written.values(), about) for about in often.values()}
+    shared = sorted(defaults)
+    parts = ["## Options of many commands\n", *(f"{about}{_default(defaults[about])}." for about in shared)]
     for path, command in found.items():
-        parts.append(f"\n## {path}\n\n{_about(command)}\n\n`{_call(path, command)}`")
-        if own := [line for line in written[path] if line not in shared]:
+        call = _call(path, command)
+        parts.append(f"\n## {path}\n\n{_about(command)}" + (f"\n\n`{call}`" if call != path else ""))
+        if own := [f"{about}{_default(default)}." for about, default in written[path] if about not in shared]:
             parts += ["", *own]
-        if known := [_flag(line) for line in written[path] if line in shared]:
-            parts.append(f"{'' if own else chr(10)}- and {', '.join(f'`{name}`' for name in known)}")
+        if known := [
+            f"`{_flag(about)}`{'' if default == defaults[about] else _default(default)}"
+            for about, default in written[path]
+            if about in shared
+        ]:
+            parts.append(f"{'' if own else chr(10)}- and {', '.join(known)}")
     return "\n".join(parts) + "\n"
 
 
@@ -95,12 +101,21 @@ def _flags(command: Any, option: Any) -> str:
     return re.sub(r"[<>]", "", flags.split(", ")[-1])
 
 
-def _line(command: Any, option: Any) -> str:
+def _line(command: Any, option: Any) -> tuple[str, str]:
+    """Return an option with its text, and its default apart."""
     _, text = option.get_help_record(_context(command))
     added, about = _ADDED.search(text), _ADDED.sub("", text)
-    if added and added[1] and "default:" not in about:
-        about = f"{about.removesuffix('.')}; default: {added[1]}."
-    return f"- `{_flags(command, option)}`: {about}"
+    about, _, default = about.removesuffix(".").rpartition("; default: ") if "; default: " in about else (about, "", "")
+    return f"- `{_flags(command, option)}`: {about.removesuffix('.')}", default or (added[1] if added else None) or ""
+
+
+def _most(written: Iterable[list[tuple[str, str]]], about: str) -> str:
+    """Return the default that an option has most often, given its text."""
+    return Counter(default for lines in written for text, default in lines if text == about).most_common(1)[0][0]
+
+
+def _default(default: str) -> str:
+    return f" (default: {default})" if default else ""
 
 
 def _flag(line: str) -> str:
