@@ -5,7 +5,6 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import BaseModel
 
 from proto.errors import ConfigError
 from services.delay_node.config import (
@@ -291,22 +290,6 @@ def test_flat_form_holds_only_what_a_message_can_carry():
     assert {type(value) for value in flat.values()} <= {float, int, str, bool}
     assert flat["forward.topics.a.delay_s"] == 1.0
     assert "forward.topics.a.order" not in flat
-
-
-def _keys(model: type[BaseModel], prefix: str = "") -> list[str]:
-    keys: list[str] = []
-    for name, field in model.model_fields.items():
-        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
-            keys += _keys(field.annotation, f"{prefix}{name}.")
-        else:
-            keys.append(f"{prefix}{name}")
-    return keys
-
-
-def test_documentation_has_every_key_and_no_other():
-    text = (REPOSITORY / "docs" / "link.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| `([a-z0-9_.]+)` \|", text, flags=re.MULTILINE)
-    assert sorted(listed) == sorted(["profile", "seed", *_keys(DirectionSettings)])
 
 
 def test_examples_of_the_documentation_run():

@@ -7,7 +7,6 @@ import typer
 from typer.main import get_command
 
 from services.player.node import SETTERS
-from services.recorder.config import RecorderConfig
 from services.recorder.node import ACTIONS
 from telenano.cli.commands.bag import app
 from telenano.cli.commands.record import record
@@ -49,8 +48,3 @@ def test_every_parameter_is_in_the_guide_and_none_is_made_up() -> None:
 
 def test_the_table_has_all_twenty_one_points() -> None:
     assert [int(number) for number in re.findall(r"^\| ([0-9]+) \|", GUIDE, flags=re.MULTILINE)] == list(range(1, 22))
-
-
-def test_the_readme_has_every_setting_of_the_recorder() -> None:
-    readme = (ROOT / "services" / "recorder" / "README.md").read_text(encoding="utf-8")
-    assert {name for name in RecorderConfig.model_fields if f"`{name}`" not in readme} == set()
