@@ -3,8 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
+from presets.known_packages import KNOWN_PACKAGES
 from presets.plugins import installed
 from proto.errors import ConfigError
+from proto.extras import how_to_add_package
 from recording.multi_file import RecordingSource
 from services.runtime.settings.scenario import named_in
 
@@ -31,10 +33,10 @@ def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
         row = installed(kind).get(name)
         what = f"{kind.removesuffix('s')} {name} of {facts['package']}"
         if row is None:
-            raise ConfigError(
-                f"the session used the {what} {facts['version']}, which is not installed here: "
-                f"pip install {facts['package']}=={facts['version']}"
-            )
+            package = facts["package"]
+            own = package in KNOWN_PACKAGES.values()
+            how = how_to_add_package(package) if own else f"pip install {package}=={facts['version']}"
+            raise ConfigError(f"the session used the {what} {facts['version']}, which is not installed here: {how}")
         if row.digest != facts["digest"]:
             texts.append(f"the {what} was {facts['version']} with other files, and is {row.version} here")
     return texts

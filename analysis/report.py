@@ -44,7 +44,7 @@ from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
 from services.afm_node.section_config import SafetyConfig
-from services.haptic_node.config import HapticConfig
+from services.haptic_node.config import recorded_hand
 from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
 from services.runtime.settings.config import parse_yaml, validate
 from services.runtime.settings.scenario import Scenario
@@ -309,7 +309,7 @@ def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, 
     Raises:
         ConfigError: A key of the scenario cannot be read; the message names it.
     """
-    operator = validate(HapticConfig, scenario.haptic_node, "scenario.yaml", "haptic_node").operator
+    operator, _ = recorded_hand(scenario.haptic_node, "scenario.yaml")
     if not isinstance(operator, ForceProfileConfig):
         return []
     corners = [(point.time_s, point.force_n) for point in operator.points]
@@ -333,8 +333,8 @@ def is_by_hand(scenario: Scenario) -> bool:
     Raises:
         ConfigError: A key of the scenario cannot be read; the message names it.
     """
-    config = validate(HapticConfig, scenario.haptic_node, "scenario.yaml", "haptic_node")
-    return isinstance(config.operator, InteractiveConfig) or not config.simulated
+    operator, simulated = recorded_hand(scenario.haptic_node, "scenario.yaml")
+    return isinstance(operator, InteractiveConfig) or not simulated
 
 
 class _Reported(NamedTuple):

@@ -20,7 +20,7 @@ from side_by_side import figures
 
 from services.signals import children
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "doubles"))
+sys.path.append(str(Path(__file__).resolve().parents[1] / "packages" / "telenano-haptic-devices" / "tests"))
 
 BASELINE = "simulated"
 CASES = {"simulated": 1000, "haply": 1000, "dhd": 1000, "dhd at 4 kHz": 4000, "hd": 1000}

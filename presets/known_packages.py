@@ -5,6 +5,10 @@ KNOWN_PACKAGES = {
     "bridge foxglove": "telenano-foxglove",
     "bridge lsl": "telenano-lsl",
     "bridge ros2": "telenano-ros2",
+    "device simulate haply": "telenano-haptic-devices",
+    "driver dhd": "telenano-haptic-devices",
+    "driver haply": "telenano-haptic-devices",
+    "driver hd": "telenano-haptic-devices",
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
 }

@@ -11,10 +11,8 @@ from pathlib import Path
 
 from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
 from services.haptic_node.driver import HapticDevice
-from services.haptic_node.impedance import ImpedanceDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.physics.disturbances import DisturbedHaptic
-from services.haptic_node.wire_config import WIRES
 from services.runtime.loop.main import NodeKind, ordinary, run_node
 from services.runtime.loop.node import LOOP_PERIOD_S, NodeContext
 
@@ -26,12 +24,9 @@ def build(context: NodeContext, config: HapticConfig) -> HapticNode:
 
 def _device(config: HapticConfig, period_s: float = LOOP_PERIOD_S) -> HapticDevice:
     if (driver := DRIVERS.find(config.driver)) is not None:
-        device: HapticDevice = driver.device(getattr(config, driver.name), config.limits, period_s=period_s)
+        told = {"period_s": period_s, "coupling": config.coupling}
+        device: HapticDevice = driver.device(getattr(config, driver.name), config.limits, **told)
         return device
-    if config.driver in WIRES:
-        from services.haptic_node.devices.servo_process import link_of
-
-        return ImpedanceDevice(link_of(config), config.coupling, period_s)
     if config.serial is None or config.driver in ("simulated", SIMULATED_IMPEDANCE):
         declared = config.impedance.capabilities() if config.driver == SIMULATED_IMPEDANCE else None
         return DisturbedHaptic(

@@ -18,7 +18,6 @@ from services.haptic_node.physics.disturbances import HandDisturbanceConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.safety import SafetyParams
-from services.haptic_node.wire_config import WIRES, DhdConfig, HaplyConfig, HdConfig
 from services.runtime.settings.config import Settings, validate
 from services.runtime.settings.device_drivers import Drivers
 
@@ -173,8 +172,7 @@ class SerialConfig(Settings):
 _DRIVER: Any = Field(
     default="simulated",
     description="simulated: device and operator below; simulated_impedance: a simulated device of three axes that takes"
-    " a force; serial: a real handle; haply: an Inverse3; dhd: a device of Force Dimension; hd: a Touch; or the driver"
-    " of another package",
+    " a force; serial: a real handle; or the driver of a package",
 )
 
 
@@ -190,9 +188,6 @@ class _OwnSections(Settings):
     coupling: CouplingConfig = Field(
         default=CouplingConfig(), description="Spring and damper between the law and a device that takes a force"
     )
-    haply: HaplyConfig = Field(default=HaplyConfig(), description="The Haply Inverse3, for driver haply")
-    dhd: DhdConfig = Field(default=DhdConfig(), description="The device of Force Dimension, for driver dhd")
-    hd: HdConfig = Field(default=HdConfig(), description="The Touch, for driver hd")
     limits: LimitsConfig = Field(default=LimitsConfig(), description="The guard in front of the device")
     operator: OperatorConfig = Field(
         default=ForceProfileConfig(kind="force_profile"), description="The simulated hand; Fig. 12 if not given"
@@ -259,7 +254,7 @@ class _OwnSections(Settings):
 
 SIMULATED_IMPEDANCE = "simulated_impedance"
 _SIMULATED = ("simulated", SIMULATED_IMPEDANCE)
-_OWN_DRIVERS = (*_SIMULATED, "serial", *WIRES)
+_OWN_DRIVERS = (*_SIMULATED, "serial")
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields, *dir(_OwnSections)})
 DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN)
@@ -279,6 +274,23 @@ class HapticConfig(_DriverSections):
     """Section `haptic_node` of a scenario."""
 
     driver: DriverName = _DRIVER
+
+
+def recorded_hand(section: Mapping[str, Any], origin: str) -> tuple[OperatorConfig, bool]:
+    """Return the simulated hand of a section, and whether it was at a simulated device.
+
+    The package that has the driver of a recorded section is not needed: one that is missing drove a real device.
+
+    Raises:
+        ConfigError: The hand cannot be read; the message names the key.
+    """
+    given = {key: value for key, value in section.items() if key == "operator"}
+    driver = str(section.get("driver", "simulated"))
+    try:
+        simulated = driver in _SIMULATED or DRIVERS.is_simulated(driver)
+    except ValueError:
+        simulated = False
+    return validate(HapticConfig, given, origin, "haptic_node").operator, simulated
 
 
 def changed_operator(config: HapticConfig, parameters: Mapping[str, Scalar]) -> HapticConfig:

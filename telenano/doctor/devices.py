@@ -11,7 +11,6 @@ from telenano.doctor.checks import Finding
 _TTYS = ("ttyACM", "ttyUSB")
 _GOOD_LATENCY_MS = 1
 _PATIENCE_S = 2.0
-_SERVICE_PATIENCE_S = 0.3
 _USB_SERIAL = Path("/sys/bus/usb-serial/devices")
 # programs that open ports by themselves, and what they do there
 _INTRUDERS = {
@@ -29,37 +28,6 @@ def check_serial_ports(
     if not ports:
         return []
     return [_access(ports), *_held(ports, processes), *_latency(ports, usb), *_intruders(processes)]
-
-
-def check_impedance_devices(service: str = "", folders: Sequence[Path] | None = None) -> list[Finding]:
-    """Check what the drivers of devices that take a force need: Haply's service, and the libraries of two vendors.
-
-    Whoever has none of these devices lacks nothing, so that each is a finding without a level above ok.
-
-    Args:
-        service: The address of the Inverse Service; empty for the one of the settings.
-        folders: Where to look for libraries instead of their own folders.
-    """
-    from services.haptic_node.devices.haply import INSTALL, SERVICE
-    from services.haptic_node.devices.vendor_library import DHD, HD, find
-
-    findings = [_inverse_service(service or SERVICE, INSTALL)]
-    for name, library in (("dhd", DHD), ("hd", HD)):
-        at = find(library if folders is None else library._replace(folders=tuple(map(str, folders))))
-        missing = f"{library.what} is not installed, which haptic_node.driver {name} needs"
-        advice = "" if at else library.install
-        findings.append(Finding(name, "ok", f"{library.what}: {at}" if at else missing, advice))
-    return findings
-
-
-def _inverse_service(service: str, install: str) -> Finding:
-    host, _, port = service.removeprefix("ws://").partition(":")
-    try:
-        with socket.create_connection((host, int(port)), timeout=_SERVICE_PATIENCE_S):
-            return Finding("haply", "ok", f"something answers at {service}: ask it by `telenano device probe`")
-    except OSError:
-        found = f"no Inverse Service answers at {service}, which haptic_node.driver haply needs"
-        return Finding("haply", "ok", found, install)
 
 
 def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Finding:

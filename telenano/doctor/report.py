@@ -28,7 +28,7 @@ from telenano.cli.output import console, fail, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.datagrams import check_datagrams
-from telenano.doctor.devices import check_impedance_devices, check_instrument, check_serial_ports
+from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.doctor.relay import check_relay
 from telenano.shared_names import explanation, shared_with
 
@@ -114,7 +114,6 @@ def machine(*, container: bool) -> list[Finding]:
         checks.check_open_files(_limit(resource.RLIMIT_NOFILE)),
         checks.check_disk(here, shutil.disk_usage(here).free),
         *check_serial_ports(),
-        *check_impedance_devices(),
     ]
 
 

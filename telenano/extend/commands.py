@@ -2,6 +2,7 @@
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, TelenanoError
+from telenano.cli.commands.device_files import run_ahead, section_of
 from telenano.cli.options import DurationOption, JsonOption, SiteFileOption, command_group
 from telenano.cli.output import print_json, report_errors
 
@@ -15,4 +16,6 @@ __all__ = [
     "command_group",
     "print_json",
     "report_errors",
+    "run_ahead",
+    "section_of",
 ]

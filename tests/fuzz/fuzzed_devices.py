@@ -12,14 +12,16 @@ from controller_line import Gwyscope, Nanonis
 from handle_line import Line
 from servo_bench import MemoryConversation, VirtualTime
 from stage_line import StageLine
+from telenano_haptic_devices import dhd, haply, hd
+from telenano_haptic_devices.arm_model import INVERSE3
+from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano_haptic_devices.haply_service import HaplyService
 
 from services.afm_node.devices import gwyscope_wire, nanonis_wire
 from services.afm_node.driver import DeviceError as InstrumentError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings
-from services.haptic_node.devices import dhd, haply, hd, wire
-from services.haptic_node.devices.emulated_arm import INVERSE3, EmulatedArm
-from services.haptic_node.devices.haply_service import HaplyService
+from services.haptic_node.devices import wire
 from services.haptic_node.devices.servo_process import ServoLoop, SharedServo
 from services.haptic_node.driver import DeviceError, DriveCommand
 from services.haptic_node.safety import MODE_POSITION

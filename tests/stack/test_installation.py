@@ -267,18 +267,20 @@ def test_an_extra_alone_does_what_it_is_for(
     assert done.returncode == 0, done.stderr
 
 
-def test_the_driver_of_the_inverse3_works_with_the_extra_of_the_haptic_node_and_names_it(
-    installed: Installation, request: pytest.FixtureRequest
-) -> None:
+def test_the_driver_of_the_inverse3_is_in_its_package_which_the_wheel_names(wheel: Path, tmp_path: Path) -> None:
+    installation = Installation(tmp_path, wheel, ())
+    probe = ("device", "probe", "--device", "haply")
+    probed, simulated = installation.telenano(*probe), installation.telenano("device", "simulate", "haply")
+    hint = "is in the package telenano-haptic-devices: pip install telenano_haptic_devices-"
+    assert f"--device haply: the driver haply {hint}" in probed.stderr
+    assert f"the command 'haply' {hint}" in simulated.stderr
+    installation.add(wheel_of(ROOT / "packages" / "telenano-haptic-devices", tmp_path / "package"))
     nowhere = "haptic_node.haply.service=ws://127.0.0.1:1"
-    probed = installed.telenano("device", "probe", "--device", "haply", "--set", nowhere)
-    simulated = installed.telenano("device", "simulate", "haply", "--host", "no.such.host.invalid")
+    probed = installation.telenano(*probe, "--set", nowhere)
+    simulated = installation.telenano("device", "simulate", "haply", "--host", "no.such.host.invalid")
     for done in (probed, simulated):
         assert done.returncode not in (0, 3)
         assert "Traceback" not in done.stderr
-    if {"haptic", "studies"} & set(request.node.callspec.params["installed"]):
-        assert "no Inverse Service answers" in probed.stderr
-        assert "websockets is not installed" not in simulated.stderr
-    else:
-        assert re.search(r"needs websockets: pip install '[^']+\[haptic\]'", probed.stderr)
-        assert re.search(r"websockets is not installed: pip install '[^']+\[haptic\]'", simulated.stderr)
+    # what the package depends on is not there
+    assert "the Haply Inverse3 needs websockets: pip install 'websockets>=15'" in probed.stderr
+    assert "websockets is not installed: pip install" in simulated.stderr

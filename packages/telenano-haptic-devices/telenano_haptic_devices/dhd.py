@@ -11,12 +11,20 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.impedance_wire import Turn, quaternion_of
-from services.haptic_node.devices.vendor_library import DHD, declare, is_double, load, tell_session
-from services.haptic_node.driver import UPRIGHT, Capabilities, DeviceError, Quaternion
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.haptic_node.servo import DeviceSample
+from telenano.extend.impedance import (
+    MODE_OFF,
+    MODE_POSITION,
+    UPRIGHT,
+    ZERO,
+    Capabilities,
+    DeviceError,
+    DeviceSample,
+    Quaternion,
+    Turn,
+    Vector,
+    quaternion_of,
+)
+from telenano_haptic_devices.vendor_library import DHD, declare, is_double, load, tell_session
 
 _ID, _REAL, _INT, _BYTE = ctypes.c_byte, ctypes.c_double, ctypes.c_int, ctypes.c_ubyte
 _REALS, _INTS = ctypes.POINTER(_REAL), ctypes.POINTER(_INT)

@@ -8,39 +8,15 @@ for emulators, not measured. The drive may be late.
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.physics.operator import OperatorInputs
-from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
+from telenano.extend.emulators import HandMotion, OperatorInputs, operator_at_rest, operator_step
+from telenano.extend.impedance import ZERO, Vector
+from telenano_haptic_devices.arm_model import ArmModel
 
 _SUBSTEP_S = 0.25e-3
 # A process that stood still for longer goes on from now, as the emulated handle does.
 _LONGEST_S = 0.05
-
-
-class ArmModel(NamedTuple):
-    """m [kg], b [N s/m], Coulomb friction c [N], radius of the workspace [m], step of the encoder [m], 0 for none."""
-
-    mass_kg: float
-    damping_n_s_per_m: float
-    friction_n: float = 0.0
-    radius_m: float = 0.15
-    resolution_m: float = 0.0
-
-
-INVERSE3 = ArmModel(0.20, 0.20, radius_m=0.10, resolution_m=1e-6)
-
-
-class HandMotion(NamedTuple):
-    """What the hand does at a time [s]: where it means to be, its spring and damper, a force besides, and buttons."""
-
-    place_m: Vector = ZERO
-    stiffness_n_per_m: float = 0.0
-    damping_n_s_per_m: float = 0.0
-    force_n: Vector = ZERO
-    buttons: int = 0
-    plugged: bool = True
 
 
 class EmulatedArm:

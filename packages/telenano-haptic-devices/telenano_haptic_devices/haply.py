@@ -19,14 +19,20 @@ from typing import Any
 
 import msgspec
 
-from proto.extras import how_to_install
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.emulated_arm import INVERSE3
-from services.haptic_node.devices.impedance_wire import Turn
-from services.haptic_node.driver import UPRIGHT, Capabilities, DeviceError, Quaternion
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.haptic_node.servo import DeviceSample
-from services.runtime.loop.log import StructuredLog
+from telenano.extend.impedance import (
+    MODE_OFF,
+    MODE_POSITION,
+    UPRIGHT,
+    ZERO,
+    Capabilities,
+    DeviceError,
+    DeviceSample,
+    Quaternion,
+    StructuredLog,
+    Turn,
+    Vector,
+)
+from telenano_haptic_devices.arm_model import INVERSE3
 
 SERVICE = "ws://127.0.0.1:10001"
 INSTALL = "start Haply's Inverse Service (Haply Hub, docs.haply.co), or run `telenano device simulate haply`"
@@ -154,7 +160,7 @@ class Conversation:
             from websockets.exceptions import InvalidHandshake, InvalidURI
             from websockets.uri import parse_uri
         except ImportError as error:
-            raise DeviceError(f"the Haply Inverse3 needs websockets: {how_to_install('haptic')}") from error
+            raise DeviceError("the Haply Inverse3 needs websockets: pip install 'websockets>=15'") from error
         self._service = service
         try:
             uri = parse_uri(service)

@@ -13,9 +13,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.emulated_arm import EmulatedArm, HandMotion
-from services.haptic_node.devices.haply import BUTTONS, EMULATED, SESSION_RUNS
+from telenano.extend.emulators import HandMotion
+from telenano.extend.impedance import ZERO, Vector
+from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano_haptic_devices.haply import BUTTONS, EMULATED, SESSION_RUNS
 
 FORCE_HOLD_S = 0.05
 PROJECT_VERSION = "3.5.0"

@@ -11,12 +11,19 @@ import ctypes
 import time
 from collections.abc import Callable
 
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.impedance_wire import Turn, quaternion_of
-from services.haptic_node.devices.vendor_library import HD, declare, is_double, load, tell_session
-from services.haptic_node.driver import Capabilities, DeviceError, Quaternion
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.haptic_node.servo import DeviceSample
+from telenano.extend.impedance import (
+    MODE_OFF,
+    MODE_POSITION,
+    ZERO,
+    Capabilities,
+    DeviceError,
+    DeviceSample,
+    Quaternion,
+    Turn,
+    Vector,
+    quaternion_of,
+)
+from telenano_haptic_devices.vendor_library import HD, declare, is_double, load, tell_session
 
 _BUTTONS, _POSITION, _TRANSFORM, _FORCE = 0x2000, 0x2050, 0x2052, 0x2700
 _MODEL, _SERIAL, _USABLE, _STYLE = 0x2501, 0x2504, 0x2551, 0x2555

@@ -1,10 +1,10 @@
-"""Settings of the drivers of devices of impedance type: their services and libraries. The coupling has its own."""
+"""Settings of the drivers: their services and libraries. The coupling has a section of its own."""
 
 from typing import Literal
 
 from pydantic import Field
 
-from services.runtime.settings.config import Settings
+from telenano.extend.impedance import Settings
 
 
 class HaplyConfig(Settings):
@@ -56,6 +56,3 @@ class HdConfig(Settings):
     deadman_button: int | None = Field(
         default=None, ge=0, le=3, description="Number of the button that has to be held for any force; none: no button"
     )
-
-
-WIRES = ("haply", "dhd", "hd")

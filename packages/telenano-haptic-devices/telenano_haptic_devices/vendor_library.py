@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from services.haptic_node.driver import DeviceError
-from services.runtime.settings.config import refused_code
+from telenano.extend.impedance import DeviceError, refused_code
 
 
 class VendorLibrary(NamedTuple):

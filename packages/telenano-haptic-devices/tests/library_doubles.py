@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from services.haptic_node.devices.firmware import compiled
+from telenano.extend.emulators import compile_library
 
 FOLDER = Path(__file__).parent
 # Scenarios of these tests name the doubles, and the processes of their rigs inherit that they may.
@@ -21,7 +21,7 @@ def build(name: str) -> Path:
     """Return the double of `dhd` or `hd`, compiled unless that was done before."""
     source, header = FOLDER / f"{name}.c", FOLDER / "arm.h"
     flags = ["-std=gnu99", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", str(source), "-lm", "-pthread"]
-    return compiled(f"double-{name}", [source, header], flags, "the double of a vendor's library needs")
+    return compile_library(f"double-{name}", [source, header], flags, "the double of a vendor's library needs")
 
 
 class Double:

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import library_doubles
 
-from services.haptic_node.devices.emulated_arm import HandMotion
+from telenano.extend.emulators import HandMotion
 
 # What a test does, in the words of the doubles: that of the emulated service, for each.
 _LINES: dict[str, Callable[[float], str]] = {

@@ -8,19 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import library_doubles
+from telenano_haptic_devices import haply
+from telenano_haptic_devices.arm_model import INVERSE3
+from telenano_haptic_devices.dhd import DhdWire
+from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano_haptic_devices.haply import HaplyWire
+from telenano_haptic_devices.haply_service import HaplyService
+from telenano_haptic_devices.hd import HdWire
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, CouplingSettings
-from services.haptic_node.devices import haply
-from services.haptic_node.devices.dhd import DhdWire
-from services.haptic_node.devices.emulated_arm import INVERSE3, EmulatedArm
-from services.haptic_node.devices.haply import HaplyWire
-from services.haptic_node.devices.haply_service import HaplyService
-from services.haptic_node.devices.hd import HdWire
-from services.haptic_node.devices.impedance_wire import ImpedanceWire
-from services.haptic_node.devices.servo_process import ServoLoop, SharedServo
-from services.haptic_node.driver import DeviceError
-from services.haptic_node.servo import ServoCommand, ServoSample
+from telenano.extend.emulators import (
+    GATE_ACTIVE,
+    GATE_READY,
+    CouplingSettings,
+    ServoCommand,
+    ServoLoop,
+    ServoSample,
+    SharedServo,
+    hand_of,
+)
+from telenano.extend.impedance import DeviceError, ImpedanceWire
 
 DEVICES = ("haply", "dhd", "hd")
 MS = 1_000_000
@@ -91,7 +97,7 @@ class Emulated:
         clock = {"now_ns": time.now_ns, "sleep": time.sleep}
         self.wire: ImpedanceWire
         if kind == "haply":
-            self.service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+            self.service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
 
             def connect(address: str) -> Any:
                 if getattr(self.service, "killed", False):

@@ -19,16 +19,23 @@ if shutil.which("cc") is None:
 from live_devices import write_hand
 from servo_bench import DEVICES, Emulated, VirtualTime
 
-from services.haptic_node.acceptance.checks import Verdict, overall, verdicts_of
-from services.haptic_node.acceptance.simulated_person import person, reach_of
-from services.haptic_node.acceptance.take import Take, record_take, steps_of
-from services.haptic_node.coupling import Vector
-from services.haptic_node.devices.emulated_arm import HandMotion
-from services.haptic_node.devices.impedance_wire import Turn
-from services.haptic_node.devices.servo_process import ServoLoop, SharedServo
-from services.haptic_node.driver import Capabilities, Quaternion
-from services.haptic_node.impedance_config import CouplingConfig
-from services.haptic_node.servo import DeviceSample, ServoCommand, ServoSample
+from telenano.extend.emulators import (
+    CouplingConfig,
+    HandMotion,
+    ServoCommand,
+    ServoLoop,
+    ServoSample,
+    SharedServo,
+    Take,
+    Verdict,
+    overall,
+    person,
+    reach_of,
+    record_take,
+    steps_of,
+    verdicts_of,
+)
+from telenano.extend.impedance import Capabilities, DeviceSample, Quaternion, Turn, Vector
 
 PACE, MASS_KG = 0.15, 0.05
 STEPS = steps_of(MASS_KG, PACE)

@@ -15,15 +15,14 @@ from typing import Any
 
 import pytest
 from servo_bench import ServoBench
+from telenano_haptic_devices.arm_model import INVERSE3
+from telenano_haptic_devices.emulated_arm import EmulatedArm
+from telenano_haptic_devices.haply import HaplyWire
+from telenano_haptic_devices.haply_service import HaplyService, obey, serve_haply
+from telenano_haptic_devices.simulate import whole_lines
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.coupling import GATE_ACTIVE
-from services.haptic_node.devices.emulated_arm import INVERSE3, EmulatedArm
-from services.haptic_node.devices.haply import HaplyWire
-from services.haptic_node.devices.haply_service import HaplyService, obey, serve_haply
-from services.haptic_node.driver import DeviceError
-from services.haptic_node.servo import DeviceSample
-from telenano.cli.commands.device_impedance import whole_lines
+from telenano.extend.emulators import GATE_ACTIVE, hand_of
+from telenano.extend.impedance import DeviceError, DeviceSample
 
 # The coupling takes so much for silence.
 SILENCE_S = 0.05
@@ -33,7 +32,7 @@ class Served:
     """A service on a port of its own, in a thread."""
 
     def __init__(self) -> None:
-        self.service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+        self.service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
         self.port = 0
         self._ready = threading.Event()
         self._loop = asyncio.new_event_loop()
@@ -162,7 +161,7 @@ def test_version_is_told_over_http(served: Served) -> None:
 def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.haptic_node.devices.haply._OPEN_S", 0.3)
+    monkeypatch.setattr("telenano_haptic_devices.haply._OPEN_S", 0.3)
     with pytest.raises(DeviceError, match=r"no Inverse Service answers at ws://127.0.0.1:1 "):
         HaplyWire("ws://127.0.0.1:1").open()
     with pytest.raises(DeviceError, match="is no address such as ws://"):
@@ -171,13 +170,12 @@ def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
         HaplyWire(served.address, device_id="FFFF").open()
 
 
-def test_without_websockets_the_driver_names_the_extra_that_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_websockets_the_driver_names_what_it_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "websockets.client", None)
-    with pytest.raises(DeviceError, match=r"the Haply Inverse3 needs websockets: pip install .*\[haptic\]'"):
+    with pytest.raises(DeviceError, match=r"the Haply Inverse3 needs websockets: pip install 'websockets>=15'"):
         HaplyWire("ws://127.0.0.1:1").open()
-    with (Path(__file__).parents[3] / "pyproject.toml").open("rb") as file:
-        extras = tomllib.load(file)["project"]["optional-dependencies"]
-    assert any(text.startswith("websockets") for text in extras["haptic"])
+    document = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())
+    assert "websockets>=15" in document["project"]["dependencies"]
 
 
 @pytest.mark.parametrize("spelling", ["vector", "values"])
@@ -221,7 +219,7 @@ def test_grip_buttons_come_at_50_hz_and_a_sleeping_grip_is_not_a_loss(tmp_path: 
 
 
 def test_lines_of_a_person_break_the_service_and_mend_it() -> None:
-    service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+    service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
     for line in ("pull", "freeze", "nan", "jump 0.01", "sign", "late 0.1", "sleep", "press a", "lose-home"):
         assert "is not known" not in obey(service, line)
     assert (service.plugged, service.calibrated, service.sign, service.late_s) == (False, False, -1.0, 0.1)
@@ -233,7 +231,7 @@ def test_lines_of_a_person_break_the_service_and_mend_it() -> None:
 
 
 def test_other_hands_and_a_late_drive_are_put_in_by_a_line() -> None:
-    service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+    service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
     arm = service.arm
     arm.start_session(True)
     assert "5 N" not in obey(service, "push x")

@@ -15,7 +15,7 @@ if shutil.which("cc") is None:
 
 from servo_bench import DEVICES, MS, STIFFNESS_N_PER_M, Emulated, ServoBench, VirtualTime
 
-from services.haptic_node.coupling import (
+from telenano.extend.emulators import (
     GATE_ACTIVE,
     GATE_DEADMAN,
     GATE_DEVICE_SILENT,
@@ -29,6 +29,7 @@ from services.haptic_node.coupling import (
     GATE_SILENT,
     GATES,
 )
+from telenano.extend.impedance import DeviceError
 
 HAND_N = 1.0
 # The hand pushes, something breaks, the hand holds the arm, it is mended, and the hand pushes again.
@@ -271,8 +272,6 @@ def test_error_of_a_call_is_a_loss_in_its_words_and_is_got_over(kind: str, call:
     ("kind", "call"), [*(("dhd", call) for call in DHD_START), *(("hd", call) for call in HD_START)]
 )
 def test_error_at_the_start_is_a_sentence_and_leaves_the_device_closed(kind: str, call: str, tmp_path: Path) -> None:
-    from services.haptic_node.driver import DeviceError
-
     device = Emulated(kind, VirtualTime(), tmp_path)
     code, text = COMMUNICATION[kind]
     device.double.fail(call, code)

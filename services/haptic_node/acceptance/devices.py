@@ -7,14 +7,9 @@ from typing import Any, NamedTuple
 from proto.errors import ConfigError
 from services.haptic_node.acceptance.simulated_person import person, reach_of
 from services.haptic_node.acceptance.take import Step, Take, record_take
-from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
-from services.haptic_node.devices.servo_process import link_of
+from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
+from services.haptic_node.devices.servo_process import ProcessLink
 from services.haptic_node.devices.simulated_link import DeviceFaults, SimulatedLink
-from services.haptic_node.servo import ServoLink
-from services.haptic_node.wire_config import WIRES
-
-# Each makes the link to a real device, or to its emulator, of a section `haptic_node`.
-LINKS: dict[str, Callable[[HapticConfig], ServoLink]] = dict.fromkeys(WIRES, link_of)
 
 
 class Circumstances(NamedTuple):
@@ -48,10 +43,12 @@ def make_take(
         return _simulated(config, steps, said, say, faults or {})
     if faults:
         raise ConfigError(f"faults can be put into {SIMULATED_IMPEDANCE} only, not into {config.driver}")
-    if config.driver not in LINKS:
-        known = ", ".join((SIMULATED_IMPEDANCE, *LINKS))
+    driver = DRIVERS.find(config.driver)
+    if driver is None or driver.wire is None:
+        known = ", ".join((SIMULATED_IMPEDANCE, *(name for name, one in DRIVERS.all().found.items() if one.wire)))
         raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
-    link = LINKS[config.driver](config)
+    settings_of_driver = getattr(config, driver.name) or driver.config()
+    link = ProcessLink(driver.name, settings_of_driver.model_dump(mode="json"))
     link.open()
     try:
         settings = config.coupling.to_settings(link.capabilities)

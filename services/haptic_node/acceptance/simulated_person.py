@@ -6,8 +6,8 @@ from collections.abc import Callable
 from services.haptic_node.acceptance.checks import STANDARD_GRAVITY_M_PER_S2
 from services.haptic_node.acceptance.take import Step
 from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.emulated_arm import HandMotion
 from services.haptic_node.driver import Capabilities
+from services.haptic_node.physics.hand_motion import HandMotion
 
 # an ordinary arm
 _STIFFNESS_N_PER_M, _DAMPING_N_S_PER_M = 300.0, 5.0

@@ -19,7 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from proto.errors import cause
 from services.haptic_node.coupling import Vector
@@ -27,10 +27,9 @@ from services.haptic_node.devices.impedance_wire import ImpedanceWire
 from services.haptic_node.driver import Capabilities, DeviceError
 from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
 from services.runtime.loop.realtime import ordinary_scheduling
+from services.runtime.settings.config import validate
+from services.runtime.settings.device_drivers import Drivers
 from services.signals import children
-
-if TYPE_CHECKING:
-    from services.haptic_node.config import HapticConfig
 
 RETRY_S = 0.5
 OPEN_S = 15.0
@@ -190,8 +189,8 @@ class ProcessLink:
     """A `ServoLink` to a device whose servo is a process of its own.
 
     Args:
-        kind: The name of the driver: haply, dhd or hd.
-        settings: The arguments of its wire.
+        kind: The name of the driver.
+        settings: Those of its section.
         command_line: What is started; a test replaces it.
         now_ns: The monotonic clock [ns].
     """
@@ -313,30 +312,18 @@ class ProcessLink:
         self._process = None
 
 
-def link_of(config: "HapticConfig") -> ProcessLink:
-    """Return the link to the device that a section `haptic_node` names by its driver, not yet open."""
-    return ProcessLink(config.driver, getattr(config, config.driver).model_dump())
-
-
 def wire_of(kind: str, settings: dict[str, Any]) -> ImpedanceWire:
-    """Return the wire of a driver; the libraries of the others are not needed.
+    """Return the wire of a driver of a package, which is imported now; the others are not.
 
     Raises:
-        DeviceError: There is no such driver.
+        ConfigError: The settings are none of this driver.
+        DeviceError: There is no such driver, or its device takes no force.
     """
-    if kind == "haply":
-        from services.haptic_node.devices.haply import HaplyWire
-
-        return HaplyWire(**settings)
-    if kind == "dhd":
-        from services.haptic_node.devices.dhd import DhdWire
-
-        return DhdWire(**settings)
-    if kind == "hd":
-        from services.haptic_node.devices.hd import HdWire
-
-        return HdWire(**settings)
-    raise DeviceError(f"there is no wire called {kind!r}")
+    driver = Drivers("haptic_node", (), ()).find(kind)
+    if driver is None or driver.wire is None:
+        raise DeviceError(f"there is no wire called {kind!r}")
+    wire: ImpedanceWire = driver.wire(validate(driver.config, settings, "haptic_node", kind))
+    return wire
 
 
 def main() -> int:

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.emulated_arm import HandMotion
 from services.haptic_node.driver import UPRIGHT, Capabilities, Quaternion
 from services.haptic_node.physics.coupled import arm_step
+from services.haptic_node.physics.hand_motion import HandMotion
 from services.haptic_node.servo import DeviceSample, Servo, ServoCommand, ServoSample
 from services.numerics.normal_numbers import normal_number
 

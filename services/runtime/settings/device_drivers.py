@@ -27,11 +27,12 @@ class DeviceDriver:
     `LimitsConfig` of the haptic node, `SafetyParams` of the AFM node. The guard stays in front of it. `simulated`: its
     readings follow from what it was sent alone, so that its node can be run again from a recording.
 
-    `told` names what build takes by keyword besides: `period_s`, the period of the loop [s], and for an instrument
-    `attended`, whether a person stands by who retracts the tip. `abilities` says what an instrument can do
-    (`AfmAbilities` of `telenano.extend.instruments`), and so with which laws and programs it is used; one without them
-    is not judged. `calibration` is the model of a file whose key `controller` names this driver; the settings then have
-    a key `calibration` with its path.
+    `told` names what build takes by keyword besides: `period_s`, the period of the loop [s]; for an instrument
+    `attended`, whether a person stands by who retracts the tip; for a haptic device `coupling`, the settings of its
+    coupling. `abilities` says what an instrument can do (`AfmAbilities` of `telenano.extend.instruments`), and so with
+    which laws and programs it is used; one without them is not judged. `wire` is that of a device that takes a force
+    (`impedance_driver`). `what` names the devices in a list. `calibration` is the model of a file whose key
+    `controller` names this driver; the settings then have a key `calibration` with its path.
     """
 
     node: Literal["haptic_node", "afm_node"]
@@ -42,6 +43,8 @@ class DeviceDriver:
     told: tuple[str, ...] = ()
     abilities: tuple[Any, ...] | None = None
     calibration: type[BaseModel] | None = None
+    wire: Callable[[Any], Any] | None = None
+    what: str = ""
 
     def device(self, settings: BaseModel | None, limits: Any, **told: Any) -> Any:
         """Return a device with these settings, or with the default ones, that was told what it wants to know."""

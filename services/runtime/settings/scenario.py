@@ -105,7 +105,7 @@ class LoadedScenario:
 def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, Any], str]:
     """Return a scenario with environment and flags merged over it, not yet validated, and where it is from.
 
-    `haptic_node.device=haply` is read as the driver of that name: the section describes the simulated device alone.
+    `haptic_node.device=NAME` is read as the driver of that name: the section describes the simulated device alone.
     """
     document, origin = layered(path, flags)
     hand = document.get("haptic_node")

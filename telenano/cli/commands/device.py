@@ -27,21 +27,14 @@ from telenano.cli.commands.device_controllers import (
     simulate_nanonis,
 )
 from telenano.cli.commands.device_files import run_ahead, section_of, write_document
-from telenano.cli.commands.device_impedance import (
-    DEVICES,
-    KindOption,
-    SetOption,
-    known_devices,
-    probe_impedance,
-    simulate_haply,
-)
+from telenano.cli.commands.device_impedance import KindOption, SetOption
 from telenano.cli.commands.device_monitor import (
     BaudOption,
     PortOption,
     instrument_of,
     monitor,
     package_rows,
-    probe_package,
+    probe_driver,
 )
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
@@ -52,7 +45,6 @@ calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
 app.command("accept")(accept)
 app.command()(monitor)
-simulate.command("haply")(simulate_haply)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 simulate.command("gwyscope")(simulate_gwyscope)
 simulate.command("nanonis")(simulate_nanonis)
@@ -81,17 +73,16 @@ class BoardName(StrEnum):
 
 @app.command("list")
 def list_devices(as_json: JsonOption = False) -> None:
-    """List the serial ports, by names that stay, the devices that take a force, and the drivers of packages."""
+    """List the serial ports, by names that stay, and the drivers of packages, with what each still needs."""
     with report_errors(as_json):
-        rows, known, packages = serial_ports(), known_devices(), package_rows()
+        rows, packages = serial_ports(), package_rows()
     if as_json:
-        print_json({"ports": rows, "devices": known, "packages": packages})
+        print_json({"ports": rows, "packages": packages})
         return
     if rows:
         print_rows(rows)
     else:
         typer.echo("no serial port is plugged in")
-    print_rows(known)
     if packages:
         print_rows(packages)
 
@@ -133,11 +124,11 @@ def probe(
     with report_errors(as_json):
         if (port is not None) + (calibration is not None) + (kind is not None) != 1:
             raise ConfigError(
-                "give --port for a handle, or --calibration for an instrument, or --device haply, dhd, hd,"
-                " simulated_impedance or the driver of a package"
+                "give --port for a handle, or --calibration for an instrument, or --device simulated_impedance or the"
+                " driver of a package"
             )
         if kind is not None:
-            facts = (probe_impedance if kind in DEVICES else probe_package)(kind, settings or [])
+            facts = probe_driver(kind, settings or [])
         else:
             facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
     if as_json:

@@ -10,7 +10,7 @@ import typer
 
 from presets.plugins import fault_of_package, installed
 from proto.errors import ConfigError, TelenanoError, known_names
-from telenano.cli.commands.device_impedance import DEVICES, SetOption
+from telenano.cli.commands.device_impedance import SIMULATED, SetOption, probe_impedance
 from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, print_rows, report_errors
 
@@ -65,17 +65,38 @@ def instrument_of(calibration: Path) -> Any:
 
 
 def package_rows() -> list[dict[str, Any]]:
-    """Return the drivers that installed packages bring, and whether each can be used."""
+    """Return the drivers that installed packages bring, and whether what each needs is here.
+
+    That is what a check of `telenano doctor` with the name of the driver found.
+    """
+    from telenano.doctor.report import checks_of_packages
+
     found, problems = _package_drivers()
-    return [
-        {
-            "driver": name,
-            "node": found[name].node if name in found else "",
-            "package": f"{row.package} {row.version}",
-            "found": "can be used" if name in found else problems[name],
-        }
-        for name, row in installed("devices").items()
-    ]
+    checked = {finding.name: finding for finding in checks_of_packages()}
+    rows = []
+    for name, row in installed("devices").items():
+        finding = checked.get(name)
+        rows.append(
+            {
+                "driver": name,
+                "device": found[name].what if name in found else "",
+                "node": found[name].node if name in found else "",
+                "package": f"{row.package} {row.version}",
+                "found": problems[name] if name not in found else finding.found if finding else "can be used",
+                "advice": finding.advice if finding else "",
+            }
+        )
+    return rows
+
+
+def probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
+    """Open what a driver drives, undriven, and return what it declares; of one that takes a force its coupling too."""
+    if name != SIMULATED:
+        driver = _driver_of_package(name)
+        if driver.wire is None:
+            return probe_package(name, settings)
+    with errors_of_package():
+        return probe_impedance(name, settings)
 
 
 def probe_package(name: str, settings: list[str]) -> dict[str, Any]:
@@ -124,26 +145,34 @@ def _package_drivers() -> tuple[dict[str, Any], dict[str, str]]:
     return {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
 
 
+def _driver_of_package(name: str) -> Any:
+    """Return the driver of a package; ConfigError says why there is none, and which package would have it."""
+    from services.runtime.settings.device_drivers import missing_driver
+
+    found, problems = _package_drivers()
+    if name not in found:
+        why = problems.get(name) or missing_driver(name) or known_names(name, (SIMULATED, *found))
+        raise ConfigError(f"--device {name}: {why}")
+    return found[name]
+
+
 def _opened_of_package(name: str, settings: list[str]) -> tuple[Any, Tick]:
     from services.afm_node.config import AfmConfig
     from services.haptic_node.config import HapticConfig
     from services.runtime.settings.config import flag_overrides, validate
 
-    found, problems = _package_drivers()
-    if name not in found:
-        raise ConfigError(f"--device {name}: {problems.get(name) or known_names(name, (*DEVICES, *found))}")
-    driver = found[name]
+    driver = _driver_of_package(name)
     given = flag_overrides([f"{driver.node}.driver={name}", *settings])
     if other := sorted(set(given) - {driver.node}):
         raise ConfigError(f"--set {other[0]}: the driver {name} has keys {driver.node}.{name}.* only")
     config: Any
     if driver.node == "haptic_node":
         config = validate(HapticConfig, given[driver.node], "--set", driver.node)
-        limits = config.limits
+        limits, told = config.limits, {"coupling": config.coupling}
     else:
         config = validate(AfmConfig, given[driver.node], "--set", driver.node)
-        limits = config.to_params().safety
-    device = driver.device(getattr(config, name), limits, period_s=_PERIOD_S, attended=True)
+        limits, told = config.to_params().safety, {"attended": True}
+    device = driver.device(getattr(config, name), limits, period_s=_PERIOD_S, **told)
     device.open()
     return device, _reads_handle(device) if driver.node == "haptic_node" else _reads_instrument(device)
 

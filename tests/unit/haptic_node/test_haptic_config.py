@@ -10,7 +10,7 @@ import yaml
 from pydantic import ValidationError
 
 import services.haptic_node
-from services.haptic_node.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig
+from services.haptic_node.config import SERVO_GAINS_V_PER_M, DeviceConfig, HapticConfig, LimitsConfig, recorded_hand
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.operator_config import ImpedanceConfig
 from services.haptic_node.physics import motor
@@ -188,3 +188,12 @@ def test_weak_device_has_to_answer_a_smaller_change_of_its_force(model: str, fou
     config = HapticConfig.model_validate({"driver": "simulated_impedance", "impedance": {"model": model}})
     settings = config.coupling.to_settings(config.impedance.capabilities())
     assert settings.frozen_force_n == pytest.approx(found_n, rel=1e-3, abs=0.0)
+
+
+def test_the_hand_of_a_recording_is_read_without_the_package_that_has_its_driver():
+    hand = {"kind": "force_profile", "points": [{"time_s": 0.5, "force_n": 1.0}]}
+    section = {"driver": "of_nobody_here", "of_nobody_here": {"port": 1}, "limits": {"no": "key"}, "operator": hand}
+    operator, simulated = recorded_hand(section, "scenario.yaml")
+    assert operator.points[0].force_n == 1.0
+    assert not simulated
+    assert recorded_hand({}, "scenario.yaml") == (HapticConfig().operator, True)

@@ -8,12 +8,12 @@ import pytest
 from services.haptic_node.__main__ import build
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings
-from services.haptic_node.devices.emulated_arm import HandMotion
 from services.haptic_node.devices.simulated_link import DeviceFaults, SimulatedLink
 from services.haptic_node.driver import Capabilities, DeviceError, DriveCommand
 from services.haptic_node.impedance import ImpedanceDevice
 from services.haptic_node.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from services.haptic_node.node import HapticNode
+from services.haptic_node.physics.hand_motion import HandMotion
 from services.haptic_node.safety import MODE_FORCE, MODE_POSITION
 from services.haptic_node.servo import ServoCommand, ServoSample, Slot
 from services.runtime.loop.node_state import pack, restore

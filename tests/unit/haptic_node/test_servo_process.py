@@ -1,84 +1,23 @@
-"""The servo as a process of its own: shared memory, its start, its end, and the death of either side."""
+"""The memory of a servo and its node, and the wire of a driver by its name."""
 
-import os
-import shutil
-import signal
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
-import library_doubles
 import pytest
 
 from presets import find_scenario
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings
 from services.haptic_node.devices import servo_process
-from services.haptic_node.devices.servo_process import ProcessLink, SharedServo
-from services.haptic_node.devices.vendor_library import DHD, find
+from services.haptic_node.devices.servo_process import SharedServo
 from services.haptic_node.driver import DeviceError
-from services.haptic_node.servo import ServoCommand, ServoSample
+from services.haptic_node.servo import ServoCommand
 from services.runtime.settings.scenario import load_scenario
-from telenano.doctor.devices import check_impedance_devices
 
 SETTINGS = CouplingSettings((0.0, 0.0, 300.0), (0.5, 0.5, 2.0), 3.0, 1000.0)
 
 
 def command(counter: int = 1) -> ServoCommand:
     return ServoCommand(counter, time.monotonic_ns(), ZERO, ZERO, ZERO, False, 0, False, SETTINGS)
-
-
-def waits(condition: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
-
-
-@library_doubles.needs_cc
-@pytest.mark.parametrize("kind", ["dhd", pytest.param("hd", marks=pytest.mark.endurance)])
-def test_servo_runs_beside_the_node_is_started_again_when_killed_and_ends_with_it(kind: str) -> None:
-    link = ProcessLink(kind, {"library": str(library_doubles.build(kind))})
-    link.open()
-    try:
-        assert link.capabilities.identity.endswith(", emulated")
-        first = link.pid
-        assert first not in (0, os.getpid())
-        link.send(command())
-        waits(lambda: (link.newest(-1.0, 1e-3) or ServoSample()).answered == 1)
-        os.kill(first, signal.SIGKILL)
-        errors: list[str] = []
-
-        def is_back() -> bool:
-            sample = link.newest(-1.0, 1e-3)
-            link.send(command(2))
-            errors.append("" if sample is None else sample.error)
-            return link.pid not in (0, first) and sample is not None and sample.answered == 2 and not sample.error
-
-        waits(is_back)
-        assert any("the process of the servo has ended with code -9; it is started again" in text for text in errors)
-        second = link.pid
-    finally:
-        link.close()
-    with pytest.raises(ProcessLookupError):
-        os.kill(second, 0)
-    link.close()
-
-
-def test_device_that_is_not_there_is_the_sentence_of_its_driver_and_leaves_no_process(tmp_path: Path) -> None:
-    link = ProcessLink("dhd", {"library": str(tmp_path / "none.so")})
-    with pytest.raises(DeviceError, match=r"none.so cannot be loaded .*: get the SDK at forcedimension.com"):
-        link.open()
-    assert link.pid == 0
-
-
-def test_a_library_that_is_another_one_is_refused(tmp_path: Path) -> None:
-    if shutil.which("cc") is None:
-        pytest.skip("needs a C compiler: apt install gcc")
-    link = ProcessLink("dhd", {"library": str(library_doubles.build("hd"))})
-    with pytest.raises(DeviceError, match="the library has no dhdGetAvailableCount: another one, or too old"):
-        link.open()
 
 
 def test_half_written_values_are_never_taken() -> None:
@@ -97,34 +36,12 @@ def test_half_written_values_are_never_taken() -> None:
     assert kept.counter == 7
 
 
-def test_library_is_found_in_the_folder_of_the_sdk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / DHD.folders[0].removeprefix("$FDSDK/")
-    folder.mkdir(parents=True)
-    (folder / "libdhd.so.3").touch()
-    monkeypatch.setenv("FDSDK", str(tmp_path))
-    assert find(DHD) == str(folder / "libdhd.so.3")
-
-
-def test_doctor_says_what_is_missing_and_where_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
-    found = {finding.name: finding for finding in check_impedance_devices("ws://127.0.0.1:1", [tmp_path])}
-    assert {finding.level for finding in found.values()} == {"ok"}
-    assert "no Inverse Service answers" in found["haply"].found
-    assert "forcedimension.com" in found["dhd"].advice
-    assert "3dsystems.com" in found["hd"].advice
-    (tmp_path / "libHD.so").touch()
-    found = {finding.name: finding for finding in check_impedance_devices("ws://127.0.0.1:1", [tmp_path])}
-    assert found["hd"].found.endswith(str(tmp_path / "libHD.so"))
-    assert not found["hd"].advice
-
-
-@pytest.mark.parametrize("kind", ["haply", "dhd", "hd"])
-def test_device_by_its_name_is_the_driver_of_that_name(kind: str) -> None:
-    def config(flag: str) -> Any:
-        return load_scenario(find_scenario("fig12"), [flag]).section("haptic_node", HapticConfig)
-
-    assert config(f"haptic_node.device={kind}") == config(f"haptic_node.driver={kind}")
-    assert not config(f"haptic_node.device={kind}").simulated
+def test_device_by_its_name_is_the_driver_of_that_name() -> None:
+    flags = ("haptic_node.device=simulated_impedance", "haptic_node.driver=simulated_impedance")
+    device, driver = (
+        load_scenario(find_scenario("fig12"), [flag]).section("haptic_node", HapticConfig) for flag in flags
+    )
+    assert device == driver
 
 
 def test_wire_that_is_not_known_is_refused() -> None:

@@ -1,7 +1,5 @@
 """Every driver that asks and answers against every hostile service: no reading is old and called fresh."""
 
-import json
-import math
 import shutil
 import struct
 from collections.abc import Callable
@@ -15,13 +13,12 @@ if shutil.which("cc") is None:
 
 from controller_line import PARAMS, Gwyscope, Nanonis
 from handle_line import Line
-from servo_bench import VirtualTime
 from stage_line import StageLine
 
 from services.afm_node.devices.nanonis_driver import FrameLog
 from services.afm_node.devices.nanonis_model import DEFLECTION
-from services.haptic_node.devices import haply, wire
-from services.haptic_node.driver import DeviceError, DriveCommand
+from services.haptic_node.devices import wire
+from services.haptic_node.driver import DriveCommand
 from services.haptic_node.safety import MODE_OFF
 from telenano.extend.testing import HOSTILITIES, HostileService, TakenReading, unseen
 
@@ -120,73 +117,7 @@ def handle(kind: str) -> list[TakenReading]:
     return readings
 
 
-class HostileConversation(haply.Conversation):
-    """A conversation with a service whose place is the time, without a socket."""
-
-    def __init__(self, kind: str, time: VirtualTime) -> None:
-        self._service, self._messages, self._time = "ws://hostile", list[bytes](), time
-        self._hostile = HostileService(kind, 10**9 + BEGINS_MS * MS)
-        self._answer()
-
-    def _answer(self) -> None:
-        place = {"x": self._time.s, "y": 0.0, "z": 0.0}
-        states = {"inverse3": [{"device_id": "049D", "state": {"cursor_position": place}}]}
-        self._hostile.put(json.dumps(states).encode(), self._time.ns)
-
-    def send(self, message: bytes) -> None:
-        self._answer()
-
-    def _come(self) -> None:
-        self._messages += self._hostile.take(self._time.ns)
-
-    def wait(self, patience_s: float = 0.5) -> None:
-        until_s = self._time.s + patience_s
-        self._come()
-        while not self._messages:
-            if self._time.s > until_s:
-                raise DeviceError("the service has been silent for 0.5 s")
-            self._time.sleep(1e-4)
-            self._come()
-
-    def drop(self, keep: int = 0) -> int:
-        self._come()
-        dropped = max(0, len(self._messages) - keep)
-        del self._messages[:dropped]
-        return dropped
-
-    def close(self) -> None:
-        self._hostile.forget()
-
-
-def inverse3(kind: str) -> list[TakenReading]:
-    time, readings = VirtualTime(), list[TakenReading]()
-    device = haply.HaplyWire(
-        connect=lambda address: HostileConversation(kind, time), now_ns=time.now_ns, sleep=time.sleep
-    )
-
-    def turn(sample: Any) -> Any:
-        readings.append(
-            TakenReading((time.ns - sample.taken_ns) * 1e-9, time.s - sample.position_m[0], not sample.error)
-        )
-        return (0.0, 0.0, 0.0) if time.s < 1.0 + ENDS_MS * 1e-3 else None
-
-    while time.s < 1.0 + ENDS_MS * 1e-3:
-        try:
-            device.open()
-            device.run(turn)
-        except DeviceError as error:
-            readings.append(TakenReading(math.inf, math.inf, False))
-            assert str(error)
-            time.sleep(0.5)
-        finally:
-            device.close()
-    return readings
-
-
-DRIVERS = {"gwyscope": gwyscope, "nanonis": nanonis, "modbus": modbus, "handle": handle, "haply": inverse3}
-# A state of the Inverse Service has neither time nor number: one that is repeated is a hand at rest, until the force
-# changes and the place does not, which the coupling looks for.
-NOT_TO_BE_SEEN = {("haply", "repeated")}
+DRIVERS = {"gwyscope": gwyscope, "nanonis": nanonis, "modbus": modbus, "handle": handle}
 
 
 def lost_text(line: Line, latency_ms: Callable[[int], float], count: int) -> str:
@@ -232,6 +163,6 @@ def test_a_logger_that_was_held_up_is_read_to_its_newest_frame() -> None:
 @pytest.mark.parametrize("driver", DRIVERS)
 def test_no_reading_is_old_and_called_fresh(driver: str, kind: str) -> None:
     readings = DRIVERS[driver](kind)
-    assert bool(unseen(readings)) == ((driver, kind) in NOT_TO_BE_SEEN), unseen(readings)[:3]
+    assert not unseen(readings), unseen(readings)[:3]
     # It had a good time before.
     assert sum(found.is_good for found in readings) >= BEGINS_MS

@@ -1,17 +1,14 @@
 """A scenario is data: what it names is read as a file, an address or a name, and never run."""
 
 import json
-import re
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 
 import presets
-from services.haptic_node.devices.vendor_library import DHD, HD
 from services.signals import children
 
 SCHEMA = json.loads((Path(presets.__file__).parent / "schemas" / "scenario.json").read_text())
@@ -22,11 +19,8 @@ BESIDE_TEXTS = {
     "afm_node.modbus.calibration": ("host",),
     "afm_node.modbus.host": ("calibration",),
 }
-BESIDE: dict[str, dict[str, Any]] = {
-    "haptic_node.dhd.library": {"driver": "dhd"},
-    "haptic_node.hd.library": {"driver": "hd"},
-}
-CODE = {"afm_node.sample.name", "haptic_node.dhd.library", "haptic_node.hd.library"}
+# The libraries of devices are keys of their package, which tries them.
+CODE = {"afm_node.sample.name"}
 # In a process of its own: every file that is loaded or run is told, by Python itself.
 TRIAL = """
 import ctypes, json, sys
@@ -36,7 +30,6 @@ from services.afm_node.config import AfmConfig
 from services.delay_node.config import LinkSettings
 from services.delay_node.pipeline import read_files
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices.servo_process import wire_of
 from services.launcher.plan import UpRequest, make_plan
 from services.runtime.settings.scenario import load_scenario
 
@@ -50,12 +43,10 @@ sys.addaudithook(heard)
 
 def start(path, folder):
     loaded = load_scenario(path)
-    hand = loaded.section("haptic_node", HapticConfig)
+    loaded.section("haptic_node", HapticConfig)
     link = loaded.section("delay_node", LinkSettings)
     for way in ("forward", "backward"):
         read_files(getattr(link, way), folder, way)
-    if hand.driver in ("dhd", "hd"):
-        wire_of(hand.driver, getattr(hand, hand.driver).model_dump()).open()
     sample = loaded.section("afm_node", AfmConfig).sample
     if sample is not None:
         sample.build()
@@ -100,8 +91,6 @@ def document_of(key: str, value: str) -> dict[str, Any]:
     found = {last: value, **dict.fromkeys(BESIDE_TEXTS.get(key, ()), value)}
     for name in reversed(above):
         found = {name: found}
-    for name, more in BESIDE.get(key, {}).items():
-        found["haptic_node"][name] = more
     return {"name": "trial", "description": "data", "duration_s": 1.0, **found}
 
 
@@ -128,8 +117,3 @@ def test_no_key_of_a_scenario_runs_code(tmp_path: Path) -> None:
 
 def test_who_starts_the_program_may_allow_it(tmp_path: Path) -> None:
     assert tried(tmp_path, CODE, TELENANO_ALLOW_CODE="1") == {"ran": CODE, "refused": set()}
-
-
-@pytest.mark.parametrize("library", [DHD, HD])
-def test_the_keys_of_libraries_are_those_that_are_refused(library: Any) -> None:
-    assert library.setting in CODE and re.search("--allow-code", json.dumps(SCHEMA))

@@ -82,7 +82,8 @@ def anchors(page: Path) -> set[str]:
 def test_a_test_that_a_page_names_is_there() -> None:
     there = {
         f"{path.name}::{name}"
-        for path in (ROOT / "tests").rglob("test_*.py")
+        for folder in ("tests", "packages")
+        for path in (ROOT / folder).rglob("test_*.py")
         for name in re.findall(r"^def (test_\w+)\(", path.read_text(encoding="utf-8"), re.MULTILINE)
     }
     named = {

@@ -1,0 +1,27 @@
+"""The drivers of this package, which telenano finds by its entry points; a wire is imported in the servo's process."""
+
+from telenano.extend.impedance import ImpedanceWire, impedance_driver
+from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
+
+
+def _haply(settings: HaplyConfig) -> ImpedanceWire:
+    from telenano_haptic_devices.haply import HaplyWire
+
+    return HaplyWire(**settings.model_dump())
+
+
+def _dhd(settings: DhdConfig) -> ImpedanceWire:
+    from telenano_haptic_devices.dhd import DhdWire
+
+    return DhdWire(**settings.model_dump())
+
+
+def _hd(settings: HdConfig) -> ImpedanceWire:
+    from telenano_haptic_devices.hd import HdWire
+
+    return HdWire(**settings.model_dump())
+
+
+HAPLY = impedance_driver("haply", HaplyConfig, _haply, "Haply Inverse3")
+DHD = impedance_driver("dhd", DhdConfig, _dhd, "Force Dimension, Novint Falcon")
+HD = impedance_driver("hd", HdConfig, _hd, "3D Systems Touch")

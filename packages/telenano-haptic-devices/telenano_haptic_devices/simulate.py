@@ -1,0 +1,93 @@
+"""`telenano device simulate haply`: an emulated Inverse Service."""
+
+import asyncio
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telenano.extend.commands import report_errors, run_ahead
+
+
+def simulate_haply(
+    host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, help="Port of the emulated service; 0: any that is free.")
+    ] = 10_001,
+    scenario: Annotated[
+        Path | None, typer.Option("--scenario", metavar="NAME|FILE", help="Scenario whose hand holds the device.")
+    ] = None,
+    device_id: Annotated[str, typer.Option("--device-id", metavar="ID", help="Id of the Inverse3.")] = "049D",
+    grip: Annotated[bool, typer.Option("--grip/--no-grip", help="Whether there is a wireless VerseGrip.")] = True,
+    force_gate: Annotated[
+        float, typer.Option("--force-gate", min=0.0, max=1.0, help="Gain of the force gate at the start.")
+    ] = 0.3,
+    damping: Annotated[
+        float, typer.Option("--damping", min=0.0, max=100.0, metavar="N S/M", help="Damper at the start [N s/m].")
+    ] = 0.0,
+    person: Annotated[
+        bool, typer.Option("--person", help="A person goes through the motion of `device accept`, instead of the hand.")
+    ] = False,
+    mass: Annotated[
+        float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass that the person hangs at the handle.")
+    ] = 0.0,
+) -> None:
+    """Run an emulated Inverse Service with an Inverse3, a VerseGrip and a hand on it. Ctrl-C ends it.
+
+    A line on its input puts a fault in: pull, plug, freeze, thaw, nan, number, jump M, sign, late S, drive-late S,
+    sleep, wake, press a, release a, lose-home, home. The hand is that of the scenario, and begins with the session;
+    `push N`, `arm M` and `loose` put another one in its place.
+    """
+    with report_errors(as_json=False, interrupted="the emulated service has ended"):
+        from telenano.extend.emulators import hand_of, steps_of
+        from telenano.extend.emulators import person as person_of
+        from telenano_haptic_devices.arm_model import INVERSE3
+        from telenano_haptic_devices.emulated_arm import EmulatedArm
+        from telenano_haptic_devices.haply import BUTTONS
+        from telenano_haptic_devices.haply_service import HaplyService, serve_haply
+
+        operator = hand_of(scenario)
+        reach_m = (INVERSE3.radius_m,) * 3
+        hand = person_of(reach_m, len(BUTTONS) * grip, 1, steps_of(mass), mass) if person else None
+        service = HaplyService(EmulatedArm(INVERSE3, operator, hand), device_id, grip)
+        service.gate, service.damping = force_gate, damping
+        run_ahead()
+
+        async def serve() -> None:
+            lines: asyncio.Queue[str] = asyncio.Queue()
+            loop = asyncio.get_running_loop()
+
+            begun = bytearray()
+
+            def read() -> None:
+                typed = whole_lines(sys.stdin.fileno(), begun)
+                if typed is None:
+                    loop.remove_reader(sys.stdin)
+                for line in typed or ():
+                    lines.put_nowait(line)
+
+            # A file or the null device cannot be waited for, and gives no lines.
+            if not sys.stdin.closed and (sys.stdin.isatty() or Path("/dev/stdin").is_fifo()):
+                loop.add_reader(sys.stdin, read)
+            await serve_haply(service, host, port, ready, lines, typer.echo)
+
+        def ready(at: int) -> None:
+            typer.echo(f"an emulated Inverse Service is at ws://{host}:{at}, with the Inverse3 {device_id}")
+            typer.echo("Ctrl-C ends it; a line such as `pull`, `plug`, `freeze` or `late 0.1` puts a fault in")
+            sys.stdout.flush()
+
+        asyncio.run(serve())
+
+
+def whole_lines(descriptor: int, begun: bytearray) -> list[str] | None:
+    """Return every line that waits at a descriptor, None at its end; what is begun of another is kept in `begun`.
+
+    A file object would give the first, keep the others, and nothing would be left to wait for.
+    """
+    data = os.read(descriptor, 65_536)
+    begun += data
+    *lines, rest = bytes(begun).split(b"\n")
+    begun[:] = rest
+    return [line.decode(errors="replace") for line in lines] if data else None
