@@ -50,7 +50,7 @@ _AT_BOUND = 0.02
 # The free part is this share of the way after the last jump, at its end: nearer to the sample the tip is attracted.
 _FREE_SHARE = 0.6
 # steps of the fit with the noise that was found, and the change as a share of the errors at which they end
-_MOST_STEPS, _ENOUGH = 8, 0.02
+_MOST_STEPS, _ENOUGH = 24, 0.02
 
 
 class Fitted(NamedTuple):
@@ -174,10 +174,12 @@ def _with_noise(
     """Return the free values in the noise that the curve has, with their standard errors, and that noise.
 
     Each step finds the noise of what is left, and goes by generalized least squares with it; offset and drift of the
-    force are free in each.
+    force are free in each. One that goes back goes half as far, and so do those after it: where the curve hardly tells
+    radius and work apart, whole steps go to and fro over the minimum, and where they end is chance.
     """
     measured = np.concatenate([part.force_n, part.free_n]) / scale
     times = part.place / max(float(part.place[-1]), 1.0)
+    before, share = np.zeros(3), 1.0
     for _ in range(_MOST_STEPS):
         present = predicted(free)
         columns = [np.ones_like(times), times - times.mean()]
@@ -190,7 +192,10 @@ def _with_noise(
         noise = noise._replace(zero=columns[0] * noise.coefficients[0] + columns[1] * noise.coefficients[1])
         # a step that is too long for the linear model is cut
         move = np.clip(noise.coefficients[2:], -3.0 * errors, 3.0 * errors)
-        free = free + move
+        if (move / errors) @ (before / errors) < 0.0:
+            share *= 0.5
+        before = move
+        free = free + share * move
         _refuse_bounds(free, refusal)
         if np.all(np.abs(move) <= _ENOUGH * errors):
             break
