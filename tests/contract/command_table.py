@@ -30,6 +30,11 @@ NODES: dict[str, type[Node]] = {
 }
 # the period is that of the hand, and the rig runs already
 NOT_SETTABLE = "period_s"
+# nodes of which every key can be set, and what is to be said of that
+WHOLE_SECTIONS = {
+    "controller": f" but `{NOT_SETTABLE}`; `law` is one of {', '.join(KNOWN_LAWS)}",
+    "delay_node": "",
+}
 
 
 def settable(node: str) -> list[str]:
@@ -53,9 +58,6 @@ def settable(node: str) -> list[str]:
 def condensed(keys: list[str]) -> str:
     """Write dotted keys with what they have in common once: `a.{b, c}`."""
     tree = nested(dict.fromkeys(keys, None), "table")
-    # one line for both ways of the link
-    if tree.get("forward") == tree.get("backward") is not None:
-        tree = {key: value for key, value in tree.items() if key != "backward"}
     return ", ".join(f"`{key}`" if below is None else _section(key, below) for key, below in tree.items())
 
 
@@ -65,9 +67,11 @@ def parameters(node: str, command: str) -> str:
         return "any: they are the data of the mark"
     if command != "set":
         return "none"
-    laws = f"; `law` is one of {', '.join(KNOWN_LAWS)}" if node == "controller" else ""
+    if node in WHOLE_SECTIONS:
+        section = f"[section](../docs/scenarios.md#{node}) `{node}` of a scenario"
+        return f"every key of the {section}{WHOLE_SECTIONS[node]}"
     flags = "; each is `true`" if node == "recorder" else ""
-    return condensed(settable(node)) + laws + flags
+    return condensed(settable(node)) + flags
 
 
 def table() -> str:
@@ -89,8 +93,7 @@ def with_table(spec: str) -> str:
 
 
 def _section(key: str, below: Mapping[str, Any]) -> str:
-    name = "forward` and `backward" if key == "forward" else key
-    return f"`{name}`.{{{', '.join(_path(inner, leaf) for inner, leaf in below.items())}}}"
+    return f"`{key}`.{{{', '.join(_path(inner, leaf) for inner, leaf in below.items())}}}"
 
 
 def _path(key: str, below: Mapping[str, Any] | None) -> str:
