@@ -38,7 +38,6 @@ from services.afm_node.programs.lateral import LateralParams
 from services.afm_node.programs.settings import InstrumentRequest
 from services.afm_node.section_config import (
     MOST_CONTRADICTION,
-    AfmControllerConfig,
     CantileverConfig,
     FrictionConfig,
     LateralConfig,
@@ -62,8 +61,8 @@ _LEAST_RESONANCE_HZ = 8e3
 
 _DRIVER: Any = Field(
     "simulated",
-    description="simulated: everything below; modbus, gwyscope, nanonis: a real one, of which safety below is the"
-    " guard; or the driver of another package.",
+    description="simulated: everything below; modbus: a real one, of which safety below is the guard; or the driver of"
+    " a package.",
 )
 _ENVIRONMENT: Any = Field(
     "tip_sample",
@@ -76,8 +75,6 @@ class _OwnSections(Settings):
 
     driver: str = _DRIVER
     modbus: ModbusConfig | None = Field(None, description="The real instrument, for driver modbus.")
-    gwyscope: AfmControllerConfig | None = Field(None, description="The controller, for driver gwyscope.")
-    nanonis: AfmControllerConfig | None = Field(None, description="The controller, for driver nanonis.")
     attended: bool = Field(
         False,
         description="Whether a person stands by who retracts the tip of an AFM controller, in the place of a guard"
@@ -176,8 +173,8 @@ class _OwnSections(Settings):
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
-        if self.driver in _REAL_DRIVERS and getattr(self, self.driver) is None:
-            raise ValueError(f"driver: {self.driver} needs a section {self.driver} with calibration")
+        if self.driver == "modbus" and self.modbus is None:
+            raise ValueError("driver: modbus needs a section modbus with calibration")
         DRIVERS.require_section(self, self.driver)
         if self.model == "dynamic":
             self._check_dynamic()
@@ -350,9 +347,7 @@ class _OwnSections(Settings):
         return AfmParams(guard_of(self), plant)
 
 
-CONTROLLERS = ("gwyscope", "nanonis")
-_REAL_DRIVERS = ("modbus", *CONTROLLERS)
-_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", *_REAL_DRIVERS), ("tip_sample", "spring")
+_OWN_DRIVERS, _OWN_ENVIRONMENTS = ("simulated", "modbus"), ("tip_sample", "spring")
 # Packages may not use the keys of the section, nor the methods of its class.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields, *dir(_OwnSections)})
 SAMPLES = load("samples", checked_sample, TAKEN)

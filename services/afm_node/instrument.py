@@ -3,9 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from proto.errors import ConfigError
 from proto.extras import how_to_install
-from services.afm_node.config import CONTROLLERS, DRIVERS, SAMPLES, AfmConfig
+from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig
 from services.afm_node.driver import AfmDriver
 from services.afm_node.over_map import read_params
 from services.afm_node.physics.sample.surface import Surface
@@ -15,18 +17,16 @@ from services.afm_node.programs.program import Instrument
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import ProgramRunner
 from services.afm_node.safety import SafetyParams
-from services.afm_node.section_config import AfmControllerConfig, ModbusConfig
+from services.afm_node.section_config import ModbusConfig
 from services.runtime.loop.node import LOOP_PERIOD_S
-from services.runtime.settings.config import read_yaml
+from services.runtime.settings.config import read_yaml, validate
+from services.runtime.settings.device_drivers import DeviceDriver, missing_driver
 
 
 def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     """Return the driver of the instrument, simulated or real; ConfigError says why there is none."""
     if config.driver == "modbus" and config.modbus is not None:
         return modbus_driver(config.modbus, config.to_params().safety, period_s)
-    if config.driver in CONTROLLERS:
-        limits, section = config.to_params().safety, getattr(config, config.driver)
-        return controller_driver(config.driver, section, limits, period_s, attended=config.attended)
     if (driver := DRIVERS.find(config.driver)) is not None:
         section, limits = getattr(config, driver.name), config.to_params().safety
         device: AfmDriver = driver.device(section, limits, period_s=period_s, attended=config.attended)
@@ -104,40 +104,36 @@ def modbus_driver(section: ModbusConfig, limits: SafetyParams, period_s: float =
     return ModbusAfm(calibration, read_map(calibration.instrument.map), limits, period_s=period_s)
 
 
-def controller_driver(
-    name: str,
-    section: AfmControllerConfig,
-    limits: SafetyParams,
-    period_s: float = LOOP_PERIOD_S,
-    *,
-    attended: bool = False,
-) -> AfmDriver:
-    """Return the driver of an AFM controller; ConfigError names what is wrong with its file."""
-    from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
-    from services.afm_node.devices.nanonis_driver import NanonisAfm
-    from services.afm_node.devices.piezo_calibration import read_controller
-
-    calibration = read_controller(Path(section.calibration), name).reached_at(section.host, section.port)
-    kind = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}[name]
-    return kind(calibration, limits, period_s=period_s, attended=attended)
-
-
 def calibration_of_file(calibration: Path) -> Any:
     """Return the calibration of a real instrument, whichever kind it is; ConfigError names what is wrong."""
     from services.afm_node.devices.converter_calibration import read_calibration
-    from services.afm_node.devices.piezo_calibration import read_controller
 
-    kind = read_yaml(calibration).get("controller")
-    return read_calibration(calibration) if kind is None else read_controller(calibration, str(kind))
+    document = read_yaml(calibration)
+    if (kind := document.get("controller")) is None:
+        return read_calibration(calibration)
+    return validate(_calibrated(kind, calibration)[1], document, str(calibration))
 
 
 def driver_of_file(calibration: Path, config: AfmConfig) -> Any:
     """Return the driver of a real instrument by its calibration file alone, whichever kind it is."""
-    limits, found = config.to_params().safety, calibration_of_file(calibration)
-    if kind := getattr(found, "controller", ""):
-        section = AfmControllerConfig(calibration=str(calibration))
-        return controller_driver(kind, section, limits, attended=config.attended)
-    return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
+    limits, kind = config.to_params().safety, read_yaml(calibration).get("controller")
+    if kind is None:
+        return modbus_driver(ModbusConfig(calibration=str(calibration)), limits)
+    driver, _ = _calibrated(kind, calibration)
+    section = driver.config(calibration=str(calibration))
+    return driver.device(section, limits, period_s=LOOP_PERIOD_S, attended=config.attended)
+
+
+def _calibrated(kind: Any, calibration: Path) -> tuple[DeviceDriver, type[BaseModel]]:
+    """Return the driver that a calibration file is for, and its model; ConfigError names what would have it."""
+    try:
+        driver = DRIVERS.find(str(kind))
+    except ValueError as error:
+        raise ConfigError(f"{calibration}: controller: {error}") from error
+    if driver is None or driver.calibration is None:
+        hint = missing_driver(kind) or "no driver is installed that has calibration files of this name"
+        raise ConfigError(f"{calibration}: controller: {kind}: {hint}")
+    return driver, driver.calibration
 
 
 def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:

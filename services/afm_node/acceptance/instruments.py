@@ -8,7 +8,7 @@ from typing import Any
 from proto.errors import ConfigError
 from services.afm_node.acceptance.take import PERIOD_S, Clock, Facts, Take, press_of, record_take
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices.capabilities import TABLE
+from services.afm_node.devices.capabilities import TABLE, Capabilities, capabilities_of
 from services.afm_node.driver import AfmDriver
 from services.afm_node.instrument import calibration_of_file, driver_of
 from services.numerics.acceptance import Step
@@ -37,8 +37,7 @@ def make_take(config: AfmConfig, say: Callable[[Step], None] = lambda step: None
         DeviceError: The instrument is not ready.
         ConfigError: Its files cannot be used.
     """
-    if config.driver not in TABLE:
-        raise ConfigError(f"afm_node.driver = {config.driver} is none of {', '.join(TABLE)}: its package judges it")
+    _declared(config)
     driver = driver_of(config, PERIOD_S)
     driver.open()
     try:
@@ -46,6 +45,14 @@ def make_take(config: AfmConfig, say: Callable[[Step], None] = lambda step: None
         return record_take(driver, facts_of(config, driver), limits, _clock_of(driver), say)
     finally:
         driver.close()
+
+
+def _declared(config: AfmConfig) -> Capabilities:
+    found = capabilities_of(config.driver)
+    if found is None:
+        known = f"is none of {', '.join(TABLE)}, and declares no capabilities"
+        raise ConfigError(f"afm_node.driver = {config.driver} {known}: its package judges it")
+    return found
 
 
 def facts_of(config: AfmConfig, driver: AfmDriver) -> Facts:
@@ -60,7 +67,7 @@ def facts_of(config: AfmConfig, driver: AfmDriver) -> Facts:
         driver=config.driver,
         identity=getattr(driver, "identity", "the simulated instrument"),
         latency_s=driver.latency_s,
-        sample_hz=1.0 / tick_s if tick_s else TABLE[config.driver].sample_hz,
+        sample_hz=1.0 / tick_s if tick_s else _declared(config).sample_hz,
         stiffness_n_per_m=cantilever.stiffness_n_per_m,
         contact_force_n=contact_n,
         limits=limits._asdict(),

@@ -1,11 +1,13 @@
 """What each driver of an instrument can do, and with which laws and programs it may therefore be used.
 
-The table is the one place where that is decided: `refusal` says in words why a combination is not possible, before
-anything is started. A driver of another package is not in it, and is not judged.
+`refusal` is the one place where that is decided: it says in words why a combination is not possible, before anything is
+started. A driver of a package brings its own row; one without a row is not judged.
 """
 
 from collections.abc import Mapping
 from typing import NamedTuple
+
+from services.afm_node.config import DRIVERS
 
 # A loop through link and instrument needs z and force at this rate at least [Hz]; slower ones shake a hand in contact.
 LEAST_LOOP_HZ = 200.0
@@ -38,22 +40,19 @@ TABLE: Mapping[str, Capabilities] = {
     "modbus": Capabilities(
         500.0, 500.0, 2.5e-3, False, False, True, ("deflection",), "a script on a T7; a watchdog of 1 s elsewhere"
     ),
-    "gwyscope": Capabilities(
-        500.0, 333.0, 4e-3, True, True, True, ("e", "adc1", "adc2", "in1 to in16"), "the guard, or a person"
-    ),
-    # These figures hold for a Tap of 20 ms. The samples of a TCP Logger are newer, and z stays as slow.
-    "nanonis": Capabilities(
-        400.0,
-        50.0,
-        22.5e-3,
-        True,
-        False,
-        False,
-        ("any signal, by its name",),
-        "the guard, or a person; its safe tip",
-        scans=True,
-    ),
 }
+
+
+def capabilities_of(driver: str) -> Capabilities | None:
+    """Return what a driver declares of its instrument; None where it declares nothing.
+
+    Raises:
+        ValueError: The driver of a package cannot be used.
+    """
+    found = DRIVERS.find(driver)
+    if found is None or found.capabilities is None:
+        return TABLE.get(driver)
+    return Capabilities(*found.capabilities)
 
 
 def refusal(driver: str, law: str, program: str = "") -> str:
@@ -64,7 +63,7 @@ def refusal(driver: str, law: str, program: str = "") -> str:
         law: The value of `controller.law`, empty where it is not the question.
         program: The name of a program of the instrument, empty for none.
     """
-    found = TABLE.get(driver)
+    found = capabilities_of(driver)
     if found is None:
         return ""
     if law and found.sample_hz < LEAST_LOOP_HZ and law not in WITHOUT_A_LOOP:

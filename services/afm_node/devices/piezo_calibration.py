@@ -1,11 +1,10 @@
-"""Calibration of an AFM controller that takes its z piezo in metres: `gwyscope.yaml`, `nanonis.yaml`."""
+"""Calibration of an AFM controller that takes its z piezo in metres; that of a driver adds to it what it needs."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self, TypeVar
 
 from pydantic import AwareDatetime, Field, model_validator
 
-from proto.errors import ConfigError
 from services.afm_node.devices.converter_calibration import CantileverCalibration, Readings
 from services.afm_node.felt import ChannelName
 from services.afm_node.physics.part import AfmSample
@@ -103,10 +102,10 @@ class ChannelSignal(Settings):
 
 
 class ControllerCalibration(Settings):
-    """A calibration file of a controller."""
+    """A calibration file of a controller; `controller` is the name of its driver."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of this file's form")
-    controller: Literal["gwyscope", "nanonis"]
+    controller: str = Field(min_length=1, max_length=32, description="Name of the driver")
     calibrated: AwareDatetime = Field(description="When, with time zone")
     network: ControllerAddress
     z: PiezoCalibration
@@ -116,40 +115,18 @@ class ControllerCalibration(Settings):
     channels: dict[ChannelName, ChannelSignal] = Field(
         default={}, description="Signals besides the deflection: frequency_shift, current, amplitude, phase"
     )
-    tip_lift_m: float = Field(
-        0.0, ge=0.0, le=1e-6, description="How far Nanonis lifts the tip when its z-controller is switched off [m]"
-    )
-    safe_tip: float | None = Field(
-        None, gt=0.0, le=1e6, description="Value of Nanonis' own safe tip, in the unit of its signal; it needs one"
-    )
-    logger_port: int | None = Field(
-        None, ge=1, le=65535, description="Port of Nanonis' TCP Logger, where its module runs; none: values are polled"
-    )
     contact_force_n: float = Field(1e-9, gt=0.0, le=1e-3, description="Repulsive force that counts as contact [N]")
     latency_s: float | None = Field(None, ge=0.0, le=1.0, description="Latency as measured [s]; none: as declared")
     heartbeat_s: float = Field(
         0.05, ge=0.02, le=1.0, description="Silence of the rig after which the guard retracts [s], 0.02 to 1"
     )
 
-    @model_validator(mode="after")
-    def _retracts_when_it_ends(self) -> "ControllerCalibration":
-        if self.controller == "gwyscope" and self.z.retract_m != 0.0 and not self.z.unsafe_wiring_acknowledged:
-            raise ValueError(
-                f"z.retract_m = {self.z.retract_m} m: a server that ends puts z to 0 m and would not retract; wire it"
-                " so that 0 m is retracted, or set z.unsafe_wiring_acknowledged: true"
-            )
-        if self.controller == "gwyscope" and self.channels:
-            raise ValueError("channels: the driver of a Gwyscope reads the deflection only")
-        if self.controller == "nanonis" and self.safe_tip is None:
-            raise ValueError("safe_tip is missing: nothing else withdraws the tip without this rig")
-        return self
-
     @property
     def identity(self) -> str:
         """Return what a recording names this calibration by."""
         return f"{self.controller} {self.network.host} {self.calibrated.isoformat()}"
 
-    def reached_at(self, host: str | None, port: int | None) -> "ControllerCalibration":
+    def reached_at(self, host: str | None, port: int | None) -> Self:
         """Return the same controller at another address, where one is given."""
         own = {key: value for key, value in (("host", host), ("port", port)) if value is not None}
         return self.model_copy(update={"network": self.network.model_copy(update=own)})
@@ -191,9 +168,9 @@ class ControllerCalibration(Settings):
         return faults
 
 
-def read_controller(path: Path, controller: str) -> ControllerCalibration:
-    """Read a calibration file; ConfigError names file and key, and a file of another controller."""
-    found = validate(ControllerCalibration, read_yaml(path), str(path))
-    if found.controller != controller:
-        raise ConfigError(f"{path}: controller is {found.controller}, the driver is {controller}")
-    return found
+C = TypeVar("C", bound=ControllerCalibration)
+
+
+def read_controller(path: Path, model: type[C]) -> C:
+    """Read the calibration file of a controller; ConfigError names file and key, and a file of another controller."""
+    return validate(model, read_yaml(path), str(path))

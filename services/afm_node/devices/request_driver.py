@@ -7,7 +7,7 @@ ever. A tick gives it the answer that has come and sends the request that it the
 import math
 from abc import abstractmethod
 from collections import deque
-from typing import Any
+from typing import Any, TypeVar
 
 from services.afm_node.devices import modbus_line
 from services.afm_node.devices.modbus_line import Line
@@ -20,7 +20,10 @@ from services.afm_node.safety import SafetyParams
 _MS = 1_000_000
 
 
-class RequestDriver(TcpDriver[ControllerCalibration]):
+K = TypeVar("K", bound=ControllerCalibration)
+
+
+class RequestDriver(TcpDriver[K]):
     """An `AfmDriver` of a controller that answers one request after the other.
 
     Args:
@@ -41,7 +44,7 @@ class RequestDriver(TcpDriver[ControllerCalibration]):
 
     def __init__(
         self,
-        calibration: ControllerCalibration,
+        calibration: K,
         limits: SafetyParams,
         cut: Cut,
         model: str,
@@ -80,7 +83,7 @@ class RequestDriver(TcpDriver[ControllerCalibration]):
         """
 
     @property
-    def stage(self) -> "RequestDriver | None":
+    def stage(self) -> "RequestDriver[K] | None":
         return None if self.calibration.stage is None else self
 
     @property

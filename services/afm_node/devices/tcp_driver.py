@@ -21,7 +21,7 @@ from services.afm_node.safety import SafetyParams
 STALE_CYCLES = 3
 _CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3
 
-C = TypeVar("C", InstrumentCalibration, ControllerCalibration)
+C = TypeVar("C", bound=InstrumentCalibration | ControllerCalibration)
 
 
 class TcpDriver(ABC, Generic[C]):

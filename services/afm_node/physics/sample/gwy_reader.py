@@ -115,6 +115,11 @@ def value_of(data: Bytes, part: _Part) -> Any:
     return struct.unpack_from(_ATOMS[part.kind], data, part.start)[0]
 
 
+def items_of(data: Bytes) -> dict[str, Any]:
+    """Return the components of a single object by their names; ValueError, KeyError or struct.error if it is none."""
+    return {part.name: value_of(data, part) for part in components(data, object_at(data, 0, len(data)))}
+
+
 def components(data: Bytes, whole: _Part) -> Iterator[_Part]:
     """Yield the components of an object; ValueError where one goes beyond it."""
     position = whole.start
