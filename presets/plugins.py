@@ -151,9 +151,14 @@ def in_scenarios() -> list[Plugin]:
     return [row for kind in SCENARIO_KINDS for row in installed(kind).values()]
 
 
+def in_lockstep() -> list[Plugin]:
+    """Return those that a session without a rig can run: what is computed there depends on no driver of a device."""
+    return [row for row in in_scenarios() if row.kind != "devices"]
+
+
 def modules() -> tuple[str, ...]:
-    """Return the packages that scenarios can name, as the beginnings of module names."""
-    return tuple(sorted({_top_level(row.target) + "." for row in in_scenarios()}))
+    """Return the packages of compiled steps, as the beginnings of module names."""
+    return tuple(sorted({_top_level(row.target) + "." for row in in_lockstep()}))
 
 
 def fault_of_package(error: BaseException) -> str:
@@ -172,13 +177,13 @@ def fault_of_package(error: BaseException) -> str:
 
 
 def digest_of_all() -> str:
-    """Return a digest of the files of all packages that scenarios can name; empty without any."""
-    found = [f"{row.kind}.{row.name} {row.digest}" for row in in_scenarios()]
+    """Return a digest of the files of all packages that lockstep can run; empty without any."""
+    found = [f"{row.kind}.{row.name} {row.digest}" for row in in_lockstep()]
     return hashlib.sha256("\n".join(found).encode()).hexdigest() if found else ""
 
 
 def package_files() -> list[Path]:
-    """Return the files of all packages that scenarios can name."""
+    """Return the files of all packages that lockstep can run."""
     return [path for name in modules() for _, path in _files(name.removesuffix("."))]
 
 

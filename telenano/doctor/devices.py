@@ -49,10 +49,7 @@ def check_instrument(calibration: Path, patience_s: float = _PATIENCE_S) -> Find
         advice = f"check power and cable, that {network.host} is in the network of this machine, and the firewall"
     except ConnectionRefusedError:
         found = "there is a machine, and it refuses the port"
-        advice = (
-            f"a T7 listens on 502, a Gwyscope on 51000, a guard on the port that it names: correct network.port in"
-            f" {calibration}, or start it"
-        )
+        advice = f"a T7 listens on 502, a guard on a port of yours: correct network.port in {calibration}, or start it"
     except OSError as error:
         found, advice = f"not reached: {error.strerror or error}", "check cable, address and network mask"
     return Finding("instrument", "problem", f"{where}: {found}", advice)

@@ -1,14 +1,37 @@
-"""Hostile services for the tests of a driver: what answers meet on their way, and how old a reading is beside its word.
+"""What the tests of a package put around their code: nodes in virtual time, and hostile services.
 
-A test gives the time, so it runs in virtual time, and lets the place that its service answers with be the time at which
-it was taken. So it knows the true age of every reading, and compares it with the age that the driver tells.
+A test of a driver gives the time, and lets the place that its service answers with be the time at which it was taken.
+So it knows the true age of every reading, and compares it with the age that the driver tells.
 """
 
 from collections import deque
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
-__all__ = ["HOSTILITIES", "HostileService", "TakenReading", "unseen"]
+from proto import TOPICS, encode
+from proto.errors import RefusedError
+from proto.messages import Message
+from proto.ranges import limited
+from proto.sequence import Arrival
+from services.runtime.bus.bus import Received
+from services.runtime.loop.log import StructuredLog
+from services.runtime.loop.node import NodeContext
+from services.runtime.settings.config import merge, validate
+
+__all__ = [
+    "HOSTILITIES",
+    "HostileService",
+    "NodeBench",
+    "RefusedError",
+    "TakenReading",
+    "VirtualClock",
+    "afm_config",
+    "afm_node",
+    "instrument_of",
+    "merge",
+    "unseen",
+    "validate",
+]
 
 HOSTILITIES = {
     "none": "each answer comes once, at once",
@@ -87,3 +110,109 @@ class TakenReading(NamedTuple):
 def unseen(readings: Iterable[TakenReading], limit_s: float = 0.05) -> list[TakenReading]:
     """Return the readings that are older than a limit, while the driver calls them good and not older than that."""
     return [found for found in readings if found.is_good and found.told_s <= limit_s < found.true_s]
+
+
+class VirtualClock:
+    """A clock that only `advance_ns` moves."""
+
+    def __init__(self, start_ns: int = 0, epoch_offset_ns: int = 0) -> None:
+        self._monotonic_ns = start_ns
+        self.epoch_offset_ns = epoch_offset_ns
+
+    def monotonic_ns(self) -> int:
+        return self._monotonic_ns
+
+    def now_ns(self) -> int:
+        return self._monotonic_ns + self.epoch_offset_ns
+
+    def advance_ns(self, duration_ns: int) -> None:
+        """Advance the clock; ValueError for a negative duration."""
+        if duration_ns < 0:
+            raise ValueError(f"duration_ns is {duration_ns}, must be 0 or more")
+        self._monotonic_ns += duration_ns
+
+
+class NodeBench:
+    """The world of one node in virtual time: what it publishes is kept, what it receives is made here.
+
+    Args:
+        key: The node and its site, such as `afm_node@slave`.
+    """
+
+    def __init__(self, key: str) -> None:
+        self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=10**18)
+        self.sent: list[tuple[str, Message]] = []
+        self._sequence: dict[tuple[str, str], int] = {}
+        self.context = NodeContext(key, self.clock, self, StructuredLog(key))
+
+    def publish(self, topic: str, **fields: Any) -> Message:
+        message = self._made(limited, topic, self.context.key, fields)
+        self.sent.append((topic, message))
+        return message
+
+    def receive(self) -> Iterator[Received]:
+        return iter(())
+
+    def run_deferred(self) -> None:
+        """Run the tasks that the node has deferred."""
+        while (task := self.context.deferred.take_turn()) is not None:
+            task()
+
+    def wait(self, deadline_ns: int) -> None:
+        self.clock.advance_ns(max(0, deadline_ns - self.clock.monotonic_ns()))
+
+    def make(self, topic: str, src: str, **fields: Any) -> Message:
+        """Build a message with the next number of its source."""
+        return self._made(lambda model, whole: model.model_validate(whole), topic, src, fields)
+
+    def _made(self, build: Callable[..., Message], topic: str, src: str, fields: dict[str, Any]) -> Message:
+        seq = self._sequence.get((topic, src), 0)
+        self._sequence[topic, src] = seq + 1
+        model = TOPICS[topic].model
+        header = {"seq": seq, "t_ns": self.clock.now_ns(), "src": src, "v": model.version_of(fields)}
+        return build(model, {**header, **fields})
+
+    def received(self, topic: str, src: str, **fields: Any) -> Received:
+        """Return a message of another node as the node would receive it now."""
+        message = self.make(topic, src, **fields)
+        return Received(topic, message, encode(message), self.clock.now_ns(), Arrival.NEXT)
+
+    def link_delay(self, direction: str, delay_ns: int, hand_t_ns: int = 0, **changes: int) -> Received:
+        """Return what the link tells a reader of its delay."""
+        src = "delay_node@" + self.context.key.partition("@")[2]
+        fields = {"direction": direction, "hand_t_ns": hand_t_ns, "delay_ns": delay_ns}
+        return self.received("link/delay", src, **{**fields, "transit_ns": 0, "clock_ahead_ns": 0, **changes})
+
+    def take(self, topic: str) -> list[Any]:
+        """Return and remove what was published on a topic."""
+        taken = [message for name, message in self.sent if name == topic]
+        self.sent = [(name, message) for name, message in self.sent if name != topic]
+        return taken
+
+    def advance_ms(self, duration_ms: float) -> None:
+        self.clock.advance_ns(round(duration_ms * 1e6))
+
+
+def afm_config(section: Mapping[str, Any] | None = None) -> Any:
+    """Return the settings of a section `afm_node`, validated; ValueError names what is wrong."""
+    from services.afm_node.config import AfmConfig
+
+    return AfmConfig.model_validate(section or {})
+
+
+def instrument_of(section: Mapping[str, Any] | None = None) -> Any:
+    """Return the driver of a section `afm_node`, not yet open: the simulated instrument where it names none."""
+    from services.afm_node.instrument import driver_of
+
+    return driver_of(afm_config(section))
+
+
+def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = None) -> Any:
+    """Return the node with a driver of a package, opened, whatever the section names as its driver.
+
+    Raises:
+        DeviceError: The driver refuses to open.
+    """
+    from services.afm_node.node import AfmNode
+
+    return AfmNode(bench.context, afm_config(section), driver)

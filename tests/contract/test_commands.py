@@ -28,7 +28,7 @@ from services.runtime.loop.commands import CommandHandler
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.settings.config import flatten
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 COMMANDS = get_args(SessionControl.model_fields["command"].annotation)
 _SPEC = command_table.SPEC.read_text(encoding="utf-8")

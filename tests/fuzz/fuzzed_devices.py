@@ -12,12 +12,12 @@ from controller_line import Gwyscope, Nanonis
 from handle_line import Line
 from servo_bench import MemoryConversation, VirtualTime
 from stage_line import StageLine
+from telenano_afm_controllers import gwyscope_wire, nanonis_wire
 from telenano_haptic_devices import dhd, haply, hd
 from telenano_haptic_devices.arm_model import INVERSE3
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
 
-from services.afm_node.devices import gwyscope_wire, nanonis_wire
 from services.afm_node.driver import DeviceError as InstrumentError
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings

@@ -50,7 +50,7 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 EPOCH_NS = 1_750_000_000_000_000_000
 # between two frames: ten a millisecond, as fast as a flood

@@ -37,8 +37,8 @@ from services.viz_node.feed import seen
 from services.viz_node.hub import Hub
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
+from telenano.extend.testing import VirtualClock
 from telenano.recording_document import judged_recording
-from tests.doubles.virtual_clock import VirtualClock
 
 SEED = 42
 SITES = {"haptic_node": "master", "delay_node": "master", "launcher": "master", "view": "master"}

@@ -5,18 +5,19 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire, nanonis_model
+from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
+from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
+from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from virtual_rig import Timing, VirtualRig
 
 import services.afm_node.__main__ as afm
 from presets import find_scenario
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices import gwyscope_model, gwyscope_wire, nanonis_model
-from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
-from services.afm_node.devices.nanonis_driver import NanonisAfm
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
 from services.afm_node.instrument import driver_of
-from services.runtime.settings.config import parse_yaml, validate
+from services.runtime.settings.config import validate
 
+CALIBRATIONS: dict[str, Any] = {"gwyscope": GwyscopeCalibration, "nanonis": NanonisCalibration}
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 BEGIN_S, END_S = 0.4, 4.4
 # states in the holds of 1 and of 2 N
@@ -37,14 +38,13 @@ class Wire:
         plant = config.to_params().plant
         model: Any = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}[kind]
         document = model.calibration_of(plant.volts_per_m, plant.stiffness_n_per_m)
-        content = yaml.safe_dump(document).encode()
-        calibration = validate(ControllerCalibration, parse_yaml(content, kind), kind)
+        calibration: Any = validate(CALIBRATIONS[kind], document, kind)
         self.model: Any
         if kind == "gwyscope":
             self.model = gwyscope_model.GwyscopeModel(instrument)
         else:
             self.model = nanonis_model.NanonisModel(instrument)
-        driver = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}[kind]
+        driver: Any = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}[kind]
         clock = {"connect": lambda host, port: self, "now_ns": lambda: self.now_ns, "sleep": self.sleep}
         self.driver = driver(calibration, config.to_params().safety, attended=True, **clock)
 

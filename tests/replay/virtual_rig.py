@@ -44,7 +44,7 @@ from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from services.runtime.settings.config import flag_overrides, merge
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 EPOCH_OFFSET_NS = 1_750_000_000_000_000_000
 LAUNCHER = "launcher@master"

@@ -1,20 +1,18 @@
-"""`telenano device simulate gwyscope`, `simulate nanonis` and `device guard`: AFM controllers, emulated and guarded."""
+"""The commands of this package: controllers emulated, guarded, and asked for an approach or an image."""
 
 import asyncio
 import signal
 import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError
-from telenano.cli.commands.device_files import run_ahead, section_of, write_document
-from telenano.cli.options import command_group
-from telenano.cli.output import report_errors
+from telenano.extend.commands import ConfigError, report_errors, run_ahead
 
-guard = command_group()
+if TYPE_CHECKING:
+    from telenano.extend.controllers import SimulatedAfm
 
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to serve on.")]
 ScenarioOption = Annotated[
@@ -43,12 +41,12 @@ def simulate_gwyscope(
 ) -> None:
     """Serve an emulated Gwyscope with stage and cantilever behind it. Ctrl-C ends it, with z at 0."""
     with report_errors(as_json=False, interrupted="the emulated Gwyscope has ended, with z at 0"):
-        from services.afm_node.devices import gwyscope_model, gwyscope_wire
-        from services.afm_node.devices.request_server import serve_requests
+        from telenano.extend.controllers import serve_requests, simulated_afm
+        from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 
-        config, afm = _simulated(scenario)
-        model = gwyscope_model.GwyscopeModel(afm, tick_s=tick, noise_v=noise, now_ns=time.monotonic_ns())
-        _write_fitting(calibration, gwyscope_model.calibration_of, config, host, port)
+        afm = simulated_afm(scenario)
+        model = gwyscope_model.GwyscopeModel(afm.driver, tick_s=tick, noise_v=noise, now_ns=time.monotonic_ns())
+        _write_fitting(calibration, gwyscope_model.calibration_of, afm, host, port)
         run_ahead()
 
         def respond(request: bytes, now_ns: int) -> bytes:
@@ -81,12 +79,12 @@ def simulate_nanonis(
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
-        from services.afm_node.devices import nanonis_model, nanonis_wire
-        from services.afm_node.devices.request_server import Pushed, serve_requests
+        from telenano.extend.controllers import Pushed, serve_requests, simulated_afm, t7_in_front_of
+        from telenano_afm_controllers import nanonis_model, nanonis_wire
 
-        config, afm = _simulated(scenario)
-        model = nanonis_model.NanonisModel(afm, tap_s=tap, now_ns=time.monotonic_ns())
-        _write_fitting(calibration, nanonis_model.calibration_of, config, host, port)
+        afm = simulated_afm(scenario)
+        model = nanonis_model.NanonisModel(afm.driver, tap_s=tap, now_ns=time.monotonic_ns())
+        _write_fitting(calibration, nanonis_model.calibration_of, afm, host, port)
         run_ahead()
         ports = [port + number for number in range(len(nanonis_model.PORTS))]
         text = (
@@ -101,7 +99,9 @@ def simulate_nanonis(
             )
         ]
         if t7 is not None:
-            serving.append(_fast_path(model, t7, config, (host, t7_port)))
+            ready = f"a model of a LabJack T7 at its external input is at {host}:{t7_port}"
+            part = nanonis_model.ExternalInput(model)
+            serving.append(t7_in_front_of(part, t7, afm, (host, t7_port), lambda: typer.echo(ready)))
         asyncio.run(_all_of(serving))
 
 
@@ -110,20 +110,6 @@ async def _all_of(serving: "list[Coroutine[Any, Any, None]]") -> None:
     async with asyncio.TaskGroup() as group:
         for each in serving:
             group.create_task(each)
-
-
-def _fast_path(model: Any, path: Path, config: Any, where: tuple[str, int]) -> "Coroutine[Any, Any, None]":
-    """Return what serves a T7 whose output drives the external input of a controller, and reads its deflection."""
-    import logging
-
-    from services.afm_node.devices.nanonis_model import ExternalInput
-    from services.afm_node.devices.t7_model import T7Model, calibration_of
-    from services.afm_node.devices.t7_server import serve_t7
-
-    _write_fitting(path, calibration_of, config, *where)
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-    text = f"a model of a LabJack T7 at its external input is at {where[0]}:{where[1]}"
-    return serve_t7(T7Model(ExternalInput(model), noise_v=1e-6), *where, 0.2e-3, lambda: typer.echo(text))
 
 
 def approach_nanonis(
@@ -137,10 +123,11 @@ def approach_nanonis(
 ) -> None:
     """Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input."""
     with report_errors(as_json=False):
-        from services.afm_node.devices.nanonis_client import NanonisClient, approach
-        from services.afm_node.devices.piezo_calibration import read_controller
+        from telenano.extend.instruments import read_controller
+        from telenano_afm_controllers.calibration import NanonisCalibration
+        from telenano_afm_controllers.nanonis_client import NanonisClient, approach
 
-        found = read_controller(calibration, "nanonis")
+        found = read_controller(calibration, NanonisCalibration)
         client = NanonisClient(found.network.host, found.network.port)
         try:
             z_m = approach(client, setpoint, lift * 1e-9)
@@ -166,13 +153,12 @@ def image_nanonis(
 ) -> None:
     """Let a Nanonis controller take an image by its own scan; the tip is withdrawn at the end."""
     with report_errors(as_json=False):
-        from analysis.image_files import Image
-        from services.afm_node.devices.nanonis_client import NanonisClient, Raster, image
-        from services.afm_node.devices.piezo_calibration import read_controller
-        from telenano.cli.commands.scan import write_images
-        from telenano.cli.sample_options import results_in
+        from telenano.extend.images import Image, results_in, write_images
+        from telenano.extend.instruments import read_controller
+        from telenano_afm_controllers.calibration import NanonisCalibration
+        from telenano_afm_controllers.nanonis_client import NanonisClient, Raster, image
 
-        found = read_controller(calibration, "nanonis")
+        found = read_controller(calibration, NanonisCalibration)
         side_m = size * 1e-9
         client = NanonisClient(found.network.host, found.network.port)
         try:
@@ -185,7 +171,6 @@ def image_nanonis(
         typer.echo(f"wrote {out / 'scan.gwy'}, scan.gsf, scan.nxs and scan.png")
 
 
-@guard.command("nanonis")
 def guard_nanonis(
     calibration: GuardedOption,
     controller: Annotated[
@@ -196,13 +181,13 @@ def guard_nanonis(
 ) -> None:
     """Stand between rig and Nanonis, and withdraw the tip when the rig is silent. Ctrl-C ends it, withdrawn."""
     with report_errors(as_json=False):
-        from services.afm_node.devices.nanonis_guard import GuardedNanonis
-        from services.afm_node.devices.piezo_calibration import read_controller
+        from telenano.extend.instruments import read_controller
+        from telenano_afm_controllers.calibration import NanonisCalibration
+        from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 
-        _guard(GuardedNanonis(read_controller(calibration, "nanonis")), controller, (host, port))
+        _guard(GuardedNanonis(read_controller(calibration, NanonisCalibration)), controller, (host, port))
 
 
-@guard.command("gwyscope")
 def guard_gwyscope(
     calibration: GuardedOption,
     controller: Annotated[
@@ -213,14 +198,15 @@ def guard_gwyscope(
 ) -> None:
     """Stand between rig and Gwyscope, and retract the tip when the rig is silent. Ctrl-C ends it, retracted."""
     with report_errors(as_json=False):
-        from services.afm_node.devices.gwyscope_guard import GuardedGwyscope
-        from services.afm_node.devices.piezo_calibration import read_controller
+        from telenano.extend.instruments import read_controller
+        from telenano_afm_controllers.calibration import GwyscopeCalibration
+        from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 
-        _guard(GuardedGwyscope(read_controller(calibration, "gwyscope")), controller, (host, port))
+        _guard(GuardedGwyscope(read_controller(calibration, GwyscopeCalibration)), controller, (host, port))
 
 
 def _guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:
-    from services.afm_node.devices.retract_guard import RetractGuard
+    from telenano.extend.controllers import RetractGuard
 
     name, _, number = controller.rpartition(":")
     if not (name and number.isdigit() and 0 < int(number) < 65536):
@@ -241,20 +227,10 @@ def _guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:
     typer.echo("the guard has ended" + (", and the tip was not retracted" if made.judge.driven else ", tip retracted"))
 
 
-def _simulated(scenario: Path | None) -> tuple[Any, Any]:
-    """Return the configuration of a simulated instrument, and the instrument, opened."""
-    from services.afm_node.config import AfmConfig
-    from services.afm_node.instrument import driver_of
-
-    config = section_of(scenario, "afm_node", AfmConfig)
-    afm = driver_of(config.model_copy(update={"driver": "simulated"}))
-    afm.open()
-    return config, afm
-
-
 def _write_fitting(
-    path: Path | None, calibration_of: Callable[..., dict[str, object]], config: Any, host: str, port: int
+    path: Path | None, calibration_of: Callable[..., dict[str, object]], afm: "SimulatedAfm", host: str, port: int
 ) -> None:
     if path is not None:
-        plant = config.to_params().plant
-        write_document(path, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port))
+        from telenano.extend.controllers import write_document
+
+        write_document(path, calibration_of(afm.volts_per_m, afm.stiffness_n_per_m, host, port))

@@ -12,12 +12,10 @@ from collections.abc import Generator
 from itertools import pairwise
 from typing import Any
 
-from services.afm_node.devices import gwyscope_wire
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import Talk
-from services.afm_node.devices.request_driver import RequestDriver
-from services.afm_node.driver import DeviceError
-from services.afm_node.safety import SafetyParams
+from telenano.extend.devices import AfmLimits
+from telenano.extend.instruments import DeviceError, RequestDriver, Talk
+from telenano_afm_controllers import gwyscope_wire
+from telenano_afm_controllers.calibration import GwyscopeCalibration
 
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")
@@ -34,10 +32,10 @@ _ALWAYS_READ = ("e", "adc1", "adc2")
 Answers = Generator[bytes, bytes, dict[str, Any]]
 
 
-class GwyscopeAfm(RequestDriver):
+class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
     """An `AfmDriver` on a Gwyscope server; arguments as of `RequestDriver`."""
 
-    def __init__(self, calibration: ControllerCalibration, limits: SafetyParams, **options: Any) -> None:
+    def __init__(self, calibration: GwyscopeCalibration, limits: AfmLimits, **options: Any) -> None:
         super().__init__(calibration, limits, gwyscope_wire.cut, "Gwyscope", **options)
         self._stamp_s = -math.inf
         self._stamp_ns = 0

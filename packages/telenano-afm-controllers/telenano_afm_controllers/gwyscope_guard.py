@@ -2,10 +2,10 @@
 
 import math
 
-from services.afm_node.devices import gwyscope_wire
-from services.afm_node.devices.gwyscope_driver import GUARD_QUESTION
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import WireError
+from telenano.extend.instruments import WireError
+from telenano_afm_controllers import gwyscope_wire
+from telenano_afm_controllers.calibration import GwyscopeCalibration
+from telenano_afm_controllers.gwyscope_driver import GUARD_QUESTION
 
 # requests that only ask or set up, and leave the tip where it is
 _STILL = ("read", "get", "stop", "set_scan", "set_standby_storage", "get_scan_ndata", "get_scan_data", "get_out")
@@ -18,7 +18,7 @@ class GuardedGwyscope:
         calibration: The calibration of this very controller.
     """
 
-    def __init__(self, calibration: ControllerCalibration) -> None:
+    def __init__(self, calibration: GwyscopeCalibration) -> None:
         self._calibration = calibration
         self.heartbeat_s = calibration.heartbeat_s
 

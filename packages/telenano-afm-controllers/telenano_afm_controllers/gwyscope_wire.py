@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from services.afm_node.devices.request_answer import LARGEST_BYTES, WireError
-from services.afm_node.physics.sample.gwy_reader import components, object_at, value_of
+from telenano.extend.instruments import LARGEST_BYTES, WireError, gwy_items
 
 _NAME = b"GS\0"
 _SIZE = struct.Struct("<I")
@@ -53,7 +52,7 @@ def decode(frame: bytes) -> dict[str, Any]:
         WireError: The bytes are no message, or it has an item of a type that Gwyscope does not send.
     """
     try:
-        return {part.name: value_of(frame, part) for part in components(frame, object_at(frame, 0, len(frame)))}
+        return gwy_items(frame)
     except (ValueError, KeyError, struct.error) as error:
         raise WireError(f"a message of {len(frame)} bytes cannot be read: {error}") from error
 

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.devices import nanonis_wire
-from services.afm_node.devices.nanonis_wire import NanonisRefusalError
-from services.afm_node.devices.request_answer import Incoming, WireError
-from services.afm_node.driver import DeviceError
+from telenano.extend.instruments import DeviceError, Incoming, WireError
+from telenano_afm_controllers import nanonis_wire
+from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
 
 _READ_BYTES = 65536
 _Z_SIGNAL = "Z (m)"

@@ -15,14 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from services.afm_node.devices import nanonis_wire
-from services.afm_node.devices.modbus_line import Line
-from services.afm_node.devices.nanonis_wire import NanonisRefusalError
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import LARGEST_BYTES, Incoming, Talk, WireError
-from services.afm_node.devices.request_driver import RequestDriver
-from services.afm_node.driver import DeviceError, OwnImage, OwnLine
-from services.afm_node.safety import SafetyParams
+from telenano.extend.devices import AfmLimits
+from telenano.extend.instruments import (
+    LARGEST_BYTES,
+    DeviceError,
+    Incoming,
+    Line,
+    OwnImage,
+    OwnLine,
+    RequestDriver,
+    Talk,
+    WireError,
+)
+from telenano_afm_controllers import nanonis_wire
+from telenano_afm_controllers.calibration import NanonisCalibration
+from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
 
 GUARD_COMMAND = "Telenano.Guard"
 _Z_SIGNAL, _X_SIGNAL, _Y_SIGNAL = "Z (m)", "X (m)", "Y (m)"
@@ -46,12 +53,12 @@ _MOST_RECEIVED = 64
 Answers = Generator[bytes, bytes, list[Any]]
 
 
-class NanonisAfm(RequestDriver):
+class NanonisAfm(RequestDriver[NanonisCalibration]):
     """An `AfmDriver` on a Nanonis controller; arguments as of `RequestDriver`."""
 
     lost_ns = _LOST_NS
 
-    def __init__(self, calibration: ControllerCalibration, limits: SafetyParams, **options: Any) -> None:
+    def __init__(self, calibration: NanonisCalibration, limits: AfmLimits, **options: Any) -> None:
         super().__init__(calibration, limits, nanonis_wire.cut, "Nanonis", **options)
         self._indexes: list[int] = []
         self._channels: dict[str, float] = {}
@@ -190,7 +197,7 @@ class NanonisAfm(RequestDriver):
         yield from self._ask("SafeTip.OnOffSet", 1)
         recovers, _, threshold = yield from self._ask("SafeTip.PropsGet")
         on = (yield from self._ask("SafeTip.OnOffGet"))[0]
-        if not on or recovers or not math.isclose(threshold, self.calibration.safe_tip or 0.0, rel_tol=1e-6):
+        if not on or recovers or not math.isclose(threshold, self.calibration.safe_tip, rel_tol=1e-6):
             raise DeviceError(f"refuses the safe tip: on {on}, auto-recovery {recovers}, threshold {threshold:g} read")
 
     def _send_z(self, z_m: float) -> Generator[bytes, bytes, None]:

@@ -2,10 +2,10 @@
 
 import math
 
-from services.afm_node.devices import nanonis_wire
-from services.afm_node.devices.nanonis_driver import GUARD_COMMAND
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import WireError
+from telenano.extend.instruments import WireError
+from telenano_afm_controllers import nanonis_wire
+from telenano_afm_controllers.calibration import NanonisCalibration
+from telenano_afm_controllers.nanonis_driver import GUARD_COMMAND
 
 # commands that only set up, and leave the tip where it is
 _STILL = ("SafeTip.", "FolMe.", "Util.", "TCPLog.", "ZCtrl.Limits", "ZCtrl.TipLift", "ZCtrl.SwitchOff", "Scan.Speed")
@@ -18,7 +18,7 @@ class GuardedNanonis:
         calibration: The calibration of this very controller.
     """
 
-    def __init__(self, calibration: ControllerCalibration) -> None:
+    def __init__(self, calibration: NanonisCalibration) -> None:
         self._calibration = calibration
         self.heartbeat_s = calibration.heartbeat_s
 

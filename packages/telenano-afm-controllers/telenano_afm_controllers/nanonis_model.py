@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from services.afm_node.devices import nanonis_wire
-from services.afm_node.devices.request_answer import WireError
-from services.afm_node.driver import AfmDriver
-from services.afm_node.physics.part import AfmSample
+from telenano.extend.devices import AfmDriver, AfmSample
+from telenano.extend.instruments import WireError
+from telenano_afm_controllers import nanonis_wire
 
 PORTS = (6501, 6502, 6503, 6504)
 LOG_PORT = 6590

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from services.afm_node.devices.request_answer import LARGEST_BYTES, WireError
+from telenano.extend.instruments import LARGEST_BYTES, WireError
 
 HEADER = struct.Struct(">32siHH")
 _ERROR = struct.Struct(">Ii")

@@ -1,29 +1,25 @@
 """A connection between a driver and an emulated controller in virtual time, with the guard in between if wanted."""
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
-import yaml
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire, nanonis_model
+from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
+from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
+from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
+from telenano_afm_controllers.nanonis_driver import NanonisAfm
+from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices import gwyscope_model, gwyscope_wire, nanonis_model
-from services.afm_node.devices.gwyscope_driver import GwyscopeAfm
-from services.afm_node.devices.gwyscope_guard import GuardedGwyscope
-from services.afm_node.devices.nanonis_driver import NanonisAfm
-from services.afm_node.devices.nanonis_guard import GuardedNanonis
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.retract_guard import SilenceJudge
-from services.afm_node.node import AfmNode
-from services.afm_node.physics.sim import simulated_afm
-from services.runtime.settings.config import merge, parse_yaml, validate
+from telenano.extend.controllers import SilenceJudge
+from telenano.extend.testing import afm_config, afm_node, instrument_of, merge, validate
 
 MS = 1_000_000
-PARAMS = AfmConfig().to_params()
+PARAMS = afm_config().to_params()
+C = TypeVar("C", GwyscopeCalibration, NanonisCalibration)
 
 
-def calibration(document: dict[str, object], **changes: Any) -> ControllerCalibration:
-    text = yaml.safe_dump(merge(document, changes)).encode()
-    return validate(ControllerCalibration, parse_yaml(text, "controller.yaml"), "controller.yaml")
+def calibration(model: type[C], document: dict[str, object], **changes: Any) -> C:
+    return validate(model, merge(document, changes), "controller.yaml")
 
 
 class ControllerLine:
@@ -114,9 +110,9 @@ class Gwyscope(ControllerLine):
         self, *, tick_s: float = 3e-3, guarded: bool = True, attended: bool = False, config: Any = None, **changes: Any
     ) -> None:
         document = gwyscope_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
-        self.calibration = calibration(document, **changes)
+        self.calibration = calibration(GwyscopeCalibration, document, **changes)
         super().__init__(self.served, GuardedGwyscope(self.calibration) if guarded else None)
-        afm = simulated_afm(PARAMS) if config is None else config
+        afm = instrument_of() if config is None else config
         afm.open()
         self.model = gwyscope_model.GwyscopeModel(afm, tick_s=tick_s, now_ns=self.now_ns)
         self.driver = GwyscopeAfm(self.calibration, PARAMS.safety, attended=attended, **self.clock)
@@ -144,9 +140,9 @@ class Nanonis(ControllerLine):
         self, *, tap_s: float = 20e-3, guarded: bool = True, attended: bool = False, afm: Any = None, **changes: Any
     ) -> None:
         document = nanonis_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
-        self.calibration = calibration(document, **changes)
+        self.calibration = calibration(NanonisCalibration, document, **changes)
         super().__init__(self.served, GuardedNanonis(self.calibration) if guarded else None)
-        afm = simulated_afm(PARAMS) if afm is None else afm
+        afm = instrument_of() if afm is None else afm
         afm.open()
         self.model = nanonis_model.NanonisModel(afm, tap_s=tap_s, now_ns=self.now_ns)
         self.driver = NanonisAfm(self.calibration, PARAMS.safety, attended=attended, **self.clock)
@@ -201,9 +197,9 @@ class LogLine:
 class ControllerRig:
     """An AFM node with an emulated controller on a bench."""
 
-    def __init__(self, bench: Any, line: Any, config: AfmConfig | None = None) -> None:
+    def __init__(self, bench: Any, line: Any, section: Mapping[str, Any] | None = None) -> None:
         self.bench, self.line = bench, line
-        self.node = AfmNode(bench.context, AfmConfig() if config is None else config, line.driver)
+        self.node = afm_node(bench, line.driver, section)
 
     def tick(self, count: int = 1, x_s_m: float = 0.0, place: tuple[float, float] = (0.0, 0.0)) -> None:
         for _ in range(count):
@@ -215,4 +211,4 @@ class ControllerRig:
 
     def control(self, command: str, **parameters: Any) -> str:
         fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
-        return self.node.on_control(self.bench.make("session/control", "console@slave", **fields))
+        return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))

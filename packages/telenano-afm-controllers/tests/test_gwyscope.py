@@ -12,18 +12,21 @@ import gwyfile
 import numpy as np
 import pytest
 from controller_line import MS, PARAMS, ControllerRig, Gwyscope
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire
+from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
+from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
 
-from proto.errors import ConfigError, RefusedError
-from services.afm_node.config import CONTROLLERS, AfmConfig
-from services.afm_node.devices import gwyscope_model, gwyscope_wire, modbus_line
-from services.afm_node.devices.gwyscope_model import AssertionOfTheServerError
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import Incoming, WireError
-from services.afm_node.devices.retract_guard import SilenceJudge
-from services.afm_node.driver import DeviceError
-from services.afm_node.instrument import driver_of
-from services.afm_node.node import AfmNode
-from services.runtime.settings.config import parse_yaml, validate
+from telenano.extend.commands import ConfigError
+from telenano.extend.controllers import SilenceJudge
+from telenano.extend.instruments import (
+    ControllerCalibration,
+    DeviceError,
+    Incoming,
+    WireError,
+    modbus_line,
+    read_controller,
+)
+from telenano.extend.testing import RefusedError, afm_node, instrument_of
 
 NEAR_M = -70e-9
 RETRACTED_M = PARAMS.safety.retract_position_m
@@ -150,7 +153,7 @@ def test_a_ramp_is_followed_with_the_declared_latency(line: Gwyscope) -> None:
 def test_force_is_that_of_the_simulated_instrument() -> None:
     line = Gwyscope()
     line.driver.open()
-    simulated = driver_of(AfmConfig())
+    simulated = instrument_of()
     simulated.open()
     follow(line, RETRACTED_M, 5)
     for base_m in (0.0, 8e-9, 14e-9, 20e-9):
@@ -196,8 +199,8 @@ def test_tip_goes_over_the_sample_while_z_is_the_rigs(line: Gwyscope) -> None:
 
 @pytest.mark.endurance
 def test_an_image_by_the_node_is_that_of_the_sample_with_a_gain_that_the_latency_permits(bench_of: Any) -> None:
-    config = AfmConfig.model_validate({"sample": {"name": "dots"}, "cantilever": {"stiffness_n_per_m": 1.0}})
-    line = Gwyscope(config=driver_of(config), cantilever={"stiffness_n_per_m": 1.0})
+    config = {"sample": {"name": "dots"}, "cantilever": {"stiffness_n_per_m": 1.0}}
+    line = Gwyscope(config=instrument_of(config), cantilever={"stiffness_n_per_m": 1.0})
     rig = ControllerRig(bench_of("afm_node@slave"), line, config)
     scan = {"width_m": 60e-9, "depth_m": 10e-9, "pixels": 32, "lines": 1, "dwell_s": 20e-3}
     wanted = {f"scan.{key}": value for key, value in scan.items()}
@@ -262,11 +265,14 @@ def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> 
     assert attended.driver.report.status == "ok"
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
-def test_calibration_of_the_document_is_valid(controller: str) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "devices.md").read_text()
+@pytest.mark.parametrize(("controller", "model"), [("gwyscope", GwyscopeCalibration), ("nanonis", NanonisCalibration)])
+def test_calibration_of_the_document_is_valid(
+    controller: str, model: type[ControllerCalibration], tmp_path: Path
+) -> None:
+    page = (Path(__file__).parents[1] / "README.md").read_text()
     (block,) = re.findall(rf"```yaml\n(schema: 1\ncontroller: {controller}\n.*?)```", page, re.DOTALL)
-    found = validate(ControllerCalibration, parse_yaml(block.encode(), "docs"), "docs")
+    (tmp_path / "controller.yaml").write_text(block)
+    found = read_controller(tmp_path / "controller.yaml", model)
     assert found.check(PARAMS.safety) == []
 
 
@@ -587,5 +593,5 @@ def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:
     bench, line = bench_of("afm_node@slave"), Gwyscope(guarded=False, attended=True)
     begin(line)
     with pytest.raises(ConfigError, match=text):
-        AfmNode(bench.context, AfmConfig(), line.driver)
+        afm_node(bench, line.driver)
     assert bench.sent == []

@@ -10,18 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from controller_line import MS, PARAMS, ControllerRig, Gwyscope, Nanonis
-from recorded_maps import frequency_shift_hz
+from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
+from telenano_afm_controllers.nanonis_driver import cut_frame
+from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 
-from proto.errors import ConfigError, RefusedError
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices import modbus_line, nanonis_driver, nanonis_model, nanonis_wire
-from services.afm_node.devices.capabilities import refusal
-from services.afm_node.devices.nanonis_driver import cut_frame
-from services.afm_node.devices.nanonis_wire import COMMANDS, NanonisRefusalError
-from services.afm_node.devices.request_answer import Incoming, WireError
-from services.afm_node.driver import DeviceError
-from services.afm_node.instrument import driver_of
-from services.afm_node.node import AfmNode
+from telenano.extend.commands import ConfigError
+from telenano.extend.instruments import DeviceError, Incoming, WireError, modbus_line, refusal
+from telenano.extend.testing import RefusedError, afm_node, instrument_of
 
 NEAR_M = -70e-9
 RETRACTED_M = PARAMS.safety.retract_position_m
@@ -271,7 +266,7 @@ def test_frames_of_a_logger_are_cut_and_others_refused() -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"safe_tip": None}, "safe_tip is missing: nothing else withdraws the tip without this rig"),
+        ({"safe_tip": None}, "controller.yaml: safe_tip: Input should be a valid number"),
         ({"deflection": {"signal": "Bias"}}, "has no signal 'Bias'"),
         ({"z": {"towards_sample": 1}}, "is not further from the sample"),
     ],
@@ -295,9 +290,9 @@ def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> 
 def test_a_law_with_a_loop_and_a_program_of_the_node_are_refused_in_words(bench_of: Any) -> None:
     assert refusal("nanonis", "model_mediated") == refusal("nanonis", "tactile") == ""
     assert "wave closes a loop through the instrument, and nanonis gives 50 samples" in refusal("nanonis", "wave")
-    config = AfmConfig.model_validate({"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}})
+    section = {"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}}
     bench, line = bench_of("afm_node@slave"), Nanonis()
-    node = AfmNode(bench.context, config, line.driver)
+    node = afm_node(bench, line.driver, section)
     fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": {"program": "curve"}}
     with pytest.raises(RefusedError, match=r"curve regulates the tip in the node .* let the controller do that itself"):
         node.on_control(bench.make("session/control", "console@slave", **fields))
@@ -312,23 +307,28 @@ FEEL = {
 SHIFT = {"frequency_shift": {"signal": "OC M1 Freq. Shift (Hz)"}}
 
 
-def shift_map(tmp_path: Path) -> AfmConfig:
-    """Return an instrument over a map of a frequency shift, which falls from 2 nm to its minimum at 0.4 nm."""
+def frequency_shift_hz(z_m: Any) -> Any:
+    """Return a frequency shift with its minimum of -8 Hz at 0.4 nm [Hz]."""
+    u = np.asarray(z_m) / 0.4e-9
+    return -8.0 * u * np.exp(1.0 - u)
+
+
+def shift_map(tmp_path: Path) -> dict[str, Any]:
+    """Return the section of a map of a frequency shift, which falls from 2 nm to its minimum at 0.4 nm."""
     z = np.linspace(0.0, 2e-9, 401)
     place = {"x": np.zeros(1), "y": np.zeros(1), "z": z, "length_unit": "m"}
     np.savez(tmp_path / "shift.npz", value=frequency_shift_hz(z)[None, None], unit="Hz", **place)
-    section = {"sample": {"map": str(tmp_path / "shift.npz")}, "rest_distance_m": 2e-9, "feel": FEEL}
-    return AfmConfig.model_validate(section)
+    return {"sample": {"map": str(tmp_path / "shift.npz")}, "rest_distance_m": 2e-9, "feel": FEEL}
 
 
 @pytest.mark.parametrize(
     "port", [None, pytest.param(nanonis_model.LOG_PORT, marks=pytest.mark.endurance)], ids=["polled", "logger"]
 )
 def test_a_frequency_shift_is_felt_through_the_driver(bench_of: Any, tmp_path: Path, port: int | None) -> None:
-    line = Nanonis(afm=driver_of(shift_map(tmp_path)), channels=SHIFT, logger_port=port)
+    line = Nanonis(afm=instrument_of(shift_map(tmp_path)), channels=SHIFT, logger_port=port)
     line.model._values["ZCtrl.WithdrawRate"] = [1e-3]
     config = {"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}, "feel": FEEL}
-    rig = ControllerRig(bench_of("afm_node@slave"), line, AfmConfig.model_validate(config))
+    rig = ControllerRig(bench_of("afm_node@slave"), line, config)
     rig.tick(80, RETRACTED_M)
     rig.control("arm")
     rig.tick(150, 0.0)
@@ -593,5 +593,5 @@ def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:
     bench, line = bench_of("afm_node@slave"), Nanonis(guarded=False, attended=True)
     begin(line)
     with pytest.raises(ConfigError, match=text):
-        AfmNode(bench.context, AfmConfig(), line.driver)
+        afm_node(bench, line.driver)
     assert bench.sent == []

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_afm_controllers import nanonis_model, nanonis_wire
+from telenano_afm_controllers.nanonis_client import NanonisClient, Raster, image
 
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices import nanonis_model, nanonis_wire
-from services.afm_node.devices.nanonis_client import NanonisClient, Raster, image
-from services.afm_node.devices.request_server import Pushed, serve_requests
-from services.afm_node.driver import DeviceError
-from services.afm_node.instrument import driver_of
+from telenano.extend.controllers import Pushed, serve_requests
+from telenano.extend.instruments import DeviceError
+from telenano.extend.testing import afm_config, instrument_of
 
 PATIENCE_S = 30.0
 
@@ -23,8 +22,8 @@ PATIENCE_S = 30.0
 class Served:
     """The emulator on free ports, in a thread of its own."""
 
-    def __init__(self, config: AfmConfig) -> None:
-        afm = driver_of(config)
+    def __init__(self, section: dict[str, Any]) -> None:
+        afm = instrument_of(section)
         afm.open()
         self.model = nanonis_model.NanonisModel(afm, now_ns=time.monotonic_ns())
         self.ports = [free_port() for _ in range(3)]
@@ -69,7 +68,7 @@ def free_port() -> int:
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
     sample = {"sample": {"name": "grating"}, "cantilever": {"stiffness_n_per_m": 1.0}}
-    found = Served(AfmConfig.model_validate(sample))
+    found = Served(sample)
     yield found
     found.close()
 
@@ -126,7 +125,7 @@ def test_an_image_that_the_controller_takes_is_that_of_the_sample(served: Served
         client.close()
     assert found.shape == (2, 32)
     until(lambda: served.model.status == nanonis_model.OFF)
-    surface = AfmConfig.model_validate({"sample": {"name": "grating"}}).to_surface()
+    surface = afm_config({"sample": {"name": "grating"}}).to_surface()
     assert surface is not None
     xs = ((np.arange(32) + 0.5) / 32 - 0.5) * 60e-9 + 0.5 * surface.width_m
     truth = surface.height_m[surface.height_m.shape[0] // 2, (xs / surface.step_x_m).astype(int)]

@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 from controller_line import ControllerRig, Nanonis
+from telenano_afm_controllers import nanonis_model, nanonis_wire
 
-from proto.errors import RefusedError
-from services.afm_node.config import AfmConfig
-from services.afm_node.devices import nanonis_model, nanonis_wire
-from services.afm_node.instrument import driver_of
+from telenano.extend.testing import RefusedError, afm_config, instrument_of
 
 SIDE_M = 60e-9
 SCAN = {"program": "scan", "scan.pixels": 16, "scan.lines": 2, "scan.dwell_s": 0.006, "scan.width_m": SIDE_M,
@@ -18,11 +16,10 @@ SECTION: dict[str, Any] = {"driver": "nanonis", "nanonis": {"calibration": "nano
 
 
 def rig_over(bench: Any, section: dict[str, Any]) -> ControllerRig:
-    config = AfmConfig.model_validate(section)
-    line = Nanonis(afm=driver_of(config.model_copy(update={"driver": "simulated"})))
+    line = Nanonis(afm=instrument_of(section | {"driver": "simulated"}))
     # a quicker z-controller than the emulator's usual one, for a shorter approach
     line.model._values["ZCtrl.Gain"] = [2e-7, 1e-3, 2e-4]
-    found = ControllerRig(bench, line, config)
+    found = ControllerRig(bench, line, section)
     found.tick(80)
     return found
 
@@ -51,7 +48,7 @@ def test_lines_are_those_of_the_sample(bench_of: Any) -> None:
     rig = rig_over(bench_of("afm_node@slave"), section)
     rig.control("set", **(SCAN | {"scan.lines": 3, "scan.dwell_s": 0.02}))
     found, _ = lines_of(rig)
-    surface = AfmConfig.model_validate(section).to_surface()
+    surface = afm_config(section).to_surface()
     assert surface is not None
     for way in ("trace", "retrace"):
         heights = np.array([line.height_m.to_numpy() for line in found if line.direction == way])

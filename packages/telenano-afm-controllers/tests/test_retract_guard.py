@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from controller_line import PARAMS, calibration
+from telenano_afm_controllers import gwyscope_model, gwyscope_wire
+from telenano_afm_controllers.calibration import GwyscopeCalibration
+from telenano_afm_controllers.gwyscope_driver import GUARD_QUESTION
+from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 
-from services.afm_node.devices import gwyscope_model, gwyscope_wire
-from services.afm_node.devices.gwyscope_driver import GUARD_QUESTION
-from services.afm_node.devices.gwyscope_guard import GuardedGwyscope
-from services.afm_node.devices.request_answer import Incoming
-from services.afm_node.devices.retract_guard import RetractGuard
-from services.afm_node.physics.sim import simulated_afm
+from telenano.extend.controllers import RetractGuard
+from telenano.extend.instruments import Incoming
+from telenano.extend.testing import instrument_of
 
 PATIENCE_S = 30.0
 HEARTBEAT_S = 0.2
@@ -23,8 +24,8 @@ class Wiring:
 
     def __init__(self) -> None:
         document = gwyscope_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
-        self.guarded = GuardedGwyscope(calibration(document, heartbeat_s=HEARTBEAT_S))
-        afm = simulated_afm(PARAMS)
+        self.guarded = GuardedGwyscope(calibration(GwyscopeCalibration, document, heartbeat_s=HEARTBEAT_S))
+        afm = instrument_of()
         afm.open()
         self.model = gwyscope_model.GwyscopeModel(afm)
         self.model.respond({"todo": "set_feedback", "feedback": False, "zpiezo": 1.9e-6}, 0)

@@ -19,13 +19,6 @@ from proto.errors import ConfigError
 from proto.extras import how_to_install
 from telenano.cli.commands.device_accept import accept
 from telenano.cli.commands.device_calibrate import calibrate_stage
-from telenano.cli.commands.device_controllers import (
-    approach_nanonis,
-    guard,
-    image_nanonis,
-    simulate_gwyscope,
-    simulate_nanonis,
-)
 from telenano.cli.commands.device_files import run_ahead, section_of, write_document
 from telenano.cli.commands.device_impedance import KindOption, SetOption
 from telenano.cli.commands.device_monitor import (
@@ -41,16 +34,13 @@ from telenano.cli.output import print_json, print_rows, report_errors
 
 app = command_group()
 simulate = command_group()
+guard = command_group()
 calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
 app.command("accept")(accept)
 app.command()(monitor)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
-simulate.command("gwyscope")(simulate_gwyscope)
-simulate.command("nanonis")(simulate_nanonis)
 app.add_typer(simulate, name="simulate", help="Run an emulated device in this terminal.")
-app.command("image")(image_nanonis)
-app.command("approach")(approach_nanonis)
 app.add_typer(guard, name="guard", help="Retract the tip of an AFM controller when the rig is silent.")
 
 _BY_ID = Path("/dev/serial/by-id")

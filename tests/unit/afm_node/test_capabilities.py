@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from proto.errors import ConfigError
-from services.afm_node.config import CONTROLLERS, TAKEN
+from services.afm_node.config import TAKEN
 from services.afm_node.devices.capabilities import TABLE, refusal
 from services.afm_node.programs.table import PROGRAMS
 from services.controller.config import ControllerConfig
@@ -13,14 +13,13 @@ from services.controller.law_names import LAW_NAMES
 from services.launcher.plan import UpRequest, make_plan
 
 
-def test_every_driver_of_this_project_has_a_row() -> None:
-    assert set(TABLE) == {"simulated", "modbus", *CONTROLLERS}
+def test_every_driver_of_the_node_has_a_row() -> None:
+    assert set(TABLE) == {"simulated", "modbus"}
     assert set(TABLE) <= TAKEN
 
 
-@pytest.mark.parametrize("driver", ["simulated", "gwyscope"])
-def test_an_instrument_with_all_abilities_is_refused_nothing(driver: str) -> None:
-    assert {refusal(driver, law, program) for law in LAW_NAMES for program in ("", *PROGRAMS)} == {""}
+def test_an_instrument_with_all_abilities_is_refused_nothing() -> None:
+    assert {refusal("simulated", law, program) for law in LAW_NAMES for program in ("", *PROGRAMS)} == {""}
 
 
 def test_an_instrument_without_a_stage_takes_no_image(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from services.afm_node.devices.modbus_frames import Conversation, FeedbackReques
 from services.afm_node.devices.register_map import Register, RegisterMap, read_map
 from services.afm_node.driver import DeviceError
 from services.afm_node.physics.sim import simulated_afm
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 RETRACTED_M = PARAMS.safety.retract_position_m
 DAC_STEP_M = 5.0 / 4095.0 * t7_model.M_PER_V

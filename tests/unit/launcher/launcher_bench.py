@@ -16,7 +16,7 @@ from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 NODES = ["recorder@master", "afm_node@slave", "haptic_node@master"]
 TICK_NS = 50_000_000

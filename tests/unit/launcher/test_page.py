@@ -25,7 +25,7 @@ from services.runtime.loop.clock import SystemClock
 from services.runtime.loop.healthcheck import endpoint_of, receive_health
 from services.runtime.loop.main import EXIT_BAD_START, EXIT_DIED
 from services.viz_node import serve
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 NODE = "afm_node@slave"
 PATIENCE_S = 60.0

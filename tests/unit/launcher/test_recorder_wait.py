@@ -5,7 +5,7 @@ from launcher_bench import SECOND_NS, health, row
 
 from proto.messages import InputHealth, NodeHealth
 from services.launcher.recorder_wait import LastMessages, RecorderWait
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 RECORDER, HAND = "recorder@master", "haptic_node@master"
 

@@ -1,7 +1,7 @@
 import pytest
 
 from services.launcher.restart_policy import RestartPolicy, RestartTracker, describe_exit
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 NODE = "afm_node@slave"
 SECOND_NS = 1_000_000_000

@@ -12,7 +12,7 @@ from launcher_bench import SECOND_NS, TICK_NS, FakeChildren, health
 
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import LOOK_S, RECORDER_BUSY_S, SILENCE_S, ProcessSample, ProcFiles, Watchdog
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 NODE, OTHER = "afm_node@slave", "controller@slave"
 NODES = (NODE, OTHER)

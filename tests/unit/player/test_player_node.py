@@ -29,7 +29,7 @@ from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.main import load_site
 from services.runtime.loop.node import NodeContext
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 MakeFile = Callable[..., Path]

@@ -23,7 +23,7 @@ from services.runtime.bus.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
 from services.runtime.bus.publisher import NullPublisher, ZmqPublisher
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import OBSERVER, open_participant
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 HAND, AFM = "haptic_node@master", "afm_node@slave"
 TOPICS_OF = {HAND: ["haptic/state", "node/health", "session/control"], AFM: ["afm/state", "node/health"]}

@@ -20,7 +20,7 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus.bus import Subscriber
 from services.runtime.security.peer_connections import MessagePermissions
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 MakeListener = Callable[[str], Listener]
 

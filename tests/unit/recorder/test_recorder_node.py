@@ -33,7 +33,7 @@ from services.runtime.loop.main import Wiring
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 PATIENCE_S = 30.0
 

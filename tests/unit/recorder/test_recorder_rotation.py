@@ -25,7 +25,7 @@ from services.runtime.bus.publisher import NullPublisher
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from services.runtime.settings.config import validate
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 SECOND_NS = 1_000_000_000
 

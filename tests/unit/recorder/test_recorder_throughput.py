@@ -13,7 +13,7 @@ from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.runtime.bus.bus import Subscriber
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 MESSAGES = 8000
 

@@ -15,7 +15,7 @@ from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import Received, Subscriber
 from services.runtime.datagram.end import DatagramEnd
 from services.runtime.datagram.place import Outlets, Place
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 STEP_NS = 10_000_000
 SOURCES = {"teleop/forward": "controller@master", "teleop/backward": "controller@slave"}

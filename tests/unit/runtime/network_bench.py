@@ -18,7 +18,7 @@ from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.bus.transport import Transport, open_context
 from services.runtime.security.keyring import Keyring, Role
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 PATIENCE_S = 30.0
 TURN_NS = 20_000_000

@@ -23,7 +23,7 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 DEVICES = (TIP, HAND)

@@ -6,7 +6,7 @@ import pytest
 
 from proto.messages import SessionControl, SessionEvent
 from services.runtime.loop.commands import Command, CommandClient, CommandHandler
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 MS, SECOND = 1_000_000, 1_000_000_000
 NODE = "haptic_node@master"

@@ -6,7 +6,7 @@ import pytest
 
 from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 US, MS = 1_000, 1_000_000
 

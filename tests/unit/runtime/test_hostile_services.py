@@ -14,9 +14,9 @@ if shutil.which("cc") is None:
 from controller_line import PARAMS, Gwyscope, Nanonis
 from handle_line import Line
 from stage_line import StageLine
+from telenano_afm_controllers.nanonis_driver import FrameLog
+from telenano_afm_controllers.nanonis_model import DEFLECTION
 
-from services.afm_node.devices.nanonis_driver import FrameLog
-from services.afm_node.devices.nanonis_model import DEFLECTION
 from services.haptic_node.devices import wire
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.safety import MODE_OFF

@@ -18,7 +18,7 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import DeviceDelay, NodeContext
 from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 PLAIN = RealtimeStatus(fifo=False, memory_locked=False)
 

@@ -2,7 +2,7 @@
 
 from proto.batch import Batch, SentCopy, read_batch
 from services.runtime.bus.outgoing_batch import DUE_NS, LATEST_NS, OutgoingBatch
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 NEVER_NS = 2**62
 

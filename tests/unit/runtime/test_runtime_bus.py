@@ -26,7 +26,7 @@ from proto.sequence import Arrival
 from services.runtime.bus.bus import QUEUE_S, RECEIVE_HIGH_WATER_MARK, Received, Subscriber, ZmqBus, split_frames
 from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK, NullPublisher, ZmqPublisher
 from services.runtime.loop.clock import SystemClock
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024

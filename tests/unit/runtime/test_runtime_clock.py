@@ -2,7 +2,7 @@ import pytest
 
 from proto.errors import ConfigError
 from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 
 def test_header_time_is_the_monotonic_clock_with_a_constant_offset() -> None:

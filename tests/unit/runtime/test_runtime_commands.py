@@ -7,7 +7,7 @@ import pytest
 from proto.errors import RefusedError
 from proto.messages import Scalar, SessionControl, SessionEvent
 from services.runtime.loop.commands import Command, CommandClient, CommandHandler
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 MS = 1_000_000
 SECOND = 1_000_000_000

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.runtime.loop.deadlines import LatenessWindow, PeriodicDeadline
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 MS = 1_000_000
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from services.runtime.loop.log import RateLimitedLog, StructuredLog, configure_logging
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 
 @pytest.fixture(autouse=True)

@@ -30,7 +30,7 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 from services.runtime.loop.node_loop import NodeLoop, install_stop_signals
 from services.runtime.loop.realtime import RealtimeStatus
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 MS = 1_000_000
 GRANTED = RealtimeStatus(fifo=True, memory_locked=False)

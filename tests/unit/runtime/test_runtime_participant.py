@@ -17,7 +17,7 @@ from services.runtime.bus.bus import Received
 from services.runtime.bus.publisher import NullPublisher
 from services.runtime.loop.node import Node, NodeContext
 from services.runtime.loop.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 HAND, LINK = "haptic_node@master", "delay_node@master"
 

@@ -45,7 +45,7 @@ from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
 from services.runtime.security.zap_authenticator import BoundEndpoint
-from tests.doubles.virtual_clock import VirtualClock
+from telenano.extend.testing import VirtualClock
 
 OPERATOR = "controller@master"
 

@@ -147,12 +147,15 @@ def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_a
     assert "packages/telenano-lsl" in text or "telenano_lsl-" in text
 
 
-def test_packages_without_names_for_scenarios_change_no_digest_and_no_recording(make: Any) -> None:
+def test_packages_that_lockstep_does_not_run_change_no_digest_and_only_drivers_are_recorded(make: Any) -> None:
     before = plugins.digest_of_all(), plugin_facts(), plugins.modules(), plugins.package_files()
     make("tool", {"rows.py": rows(greet="tool.cli:greet")}, {"commands": "tool = tool.rows:ROWS"})
     assert (plugins.digest_of_all(), plugin_facts(), plugins.modules(), plugins.package_files()) == before
     make("laws_too", {"law.py": "LAW = 1"}, {"laws": "mine = laws_too.law:LAW", "commands": "laws_too = laws_too:X"})
-    assert plugins.digest_of_all() != before[0] and "laws.mine" in plugin_facts()
+    changed = plugins.digest_of_all()
+    assert changed != before[0] and "laws.mine" in plugin_facts()
+    make("driver", {"device.py": "DEVICE = 1"}, {"devices": "its = driver.device:DEVICE"})
+    assert plugins.digest_of_all() == changed and "devices.its" in plugin_facts()
     assert not any(name.startswith("commands") for name in plugin_facts())
 
 

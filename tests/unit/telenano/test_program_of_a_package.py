@@ -19,7 +19,7 @@ from telenano.cli.new_package import new_package
 ON_THE_BENCH = """
 import json, math
 import pytest
-from conftest import Bench
+from telenano.extend.testing import NodeBench as Bench
 from test_afm_programs import Imager
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from controller_line import Nanonis
 from stage_line import PARAMS, Rig
+from telenano_afm_controllers import nanonis_model, nanonis_wire
+from telenano_afm_controllers.nanonis_client import Raster, approach, image
+from telenano_afm_controllers.nanonis_model import ExternalInput
 
-from services.afm_node.devices import nanonis_model, nanonis_wire
-from services.afm_node.devices.nanonis_client import Raster, approach, image
-from services.afm_node.devices.nanonis_model import ExternalInput
 from services.afm_node.devices.t7_model import T7Model
 from services.afm_node.driver import DeviceError
 from services.afm_node.physics.sim import simulated_afm

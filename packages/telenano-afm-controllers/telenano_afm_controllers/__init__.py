@@ -1,0 +1,1 @@
+"""AFM controllers as instruments of telenano: Gwyscope and Nanonis, with guards and emulators."""

@@ -1,0 +1,55 @@
+"""What telenano finds of this package: the drivers of both controllers, which it imports when a scenario names one."""
+
+from pathlib import Path
+from typing import Any
+
+from telenano.extend.devices import AfmDriver, AfmLimits, DeviceDriver
+from telenano.extend.instruments import AfmCapabilities, ControllerSettings, read_controller
+from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
+
+
+def _gwyscope(settings: ControllerSettings, limits: AfmLimits, **told: Any) -> AfmDriver:
+    from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
+
+    found = read_controller(Path(settings.calibration), GwyscopeCalibration)
+    return GwyscopeAfm(found.reached_at(settings.host, settings.port), limits, **told)
+
+
+def _nanonis(settings: ControllerSettings, limits: AfmLimits, **told: Any) -> AfmDriver:
+    from telenano_afm_controllers.nanonis_driver import NanonisAfm
+
+    found = read_controller(Path(settings.calibration), NanonisCalibration)
+    return NanonisAfm(found.reached_at(settings.host, settings.port), limits, **told)
+
+
+GWYSCOPE = DeviceDriver(
+    "afm_node",
+    "gwyscope",
+    ControllerSettings,
+    _gwyscope,
+    told=("period_s", "attended"),
+    capabilities=AfmCapabilities(
+        500.0, 333.0, 4e-3, True, True, True, ("e", "adc1", "adc2", "in1 to in16"), "the guard, or a person"
+    ),
+    calibration=GwyscopeCalibration,
+)
+NANONIS = DeviceDriver(
+    "afm_node",
+    "nanonis",
+    ControllerSettings,
+    _nanonis,
+    told=("period_s", "attended"),
+    # These figures hold for a Tap of 20 ms. The samples of a TCP Logger are newer, and z stays as slow.
+    capabilities=AfmCapabilities(
+        400.0,
+        50.0,
+        22.5e-3,
+        True,
+        False,
+        False,
+        ("any signal, by its name",),
+        "the guard, or a person; its safe tip",
+        scans=True,
+    ),
+    calibration=NanonisCalibration,
+)

@@ -1,0 +1,72 @@
+"""The way of both drivers into telenano: found by their names, imported when a section names one, refused in words."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from telenano_afm_controllers import gwyscope_model, nanonis_model
+from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
+from telenano_afm_controllers.nanonis_driver import NanonisAfm
+
+from telenano.extend.commands import ConfigError
+from telenano.extend.instruments import refusal
+from telenano.extend.testing import afm_config, instrument_of
+
+LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "smith", "model_mediated", "tactile")
+MODELS = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}
+KINDS = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}
+
+IMPORTED = """
+import json, sys
+from telenano.extend.testing import afm_config
+def found():
+    return sorted(name for name in sys.modules if name.startswith("telenano_afm_controllers"))
+config = afm_config({"driver": "modbus", "modbus": {"calibration": "stage.yaml"}})
+before = found()
+named = afm_config({"driver": "gwyscope", "gwyscope": {"calibration": "gwyscope.yaml"}})
+print(json.dumps([before, config.simulated, found()]))
+"""
+
+
+def calibration(kind: str, folder: Path, **changes: object) -> Path:
+    path = folder / f"{kind}.yaml"
+    path.write_text(yaml.safe_dump(MODELS[kind].calibration_of(6.25e6, 40.0) | changes))
+    return path
+
+
+def test_it_is_imported_when_a_section_names_it() -> None:
+    done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
+    before, simulated, after = json.loads(done.stdout)
+    assert (before, simulated) == ([], False)
+    assert after == [f"telenano_afm_controllers{part}" for part in ("", ".calibration", ".drivers")]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_section_gives_the_driver_at_the_address_that_it_names(kind: str, tmp_path: Path) -> None:
+    section = {"calibration": str(calibration(kind, tmp_path)), "host": "afm.example", "port": 7000}
+    driver = instrument_of({"driver": kind, kind: section, "attended": True})
+    assert type(driver) is KINDS[kind]
+    assert (driver.calibration.network.host, driver.calibration.network.port) == ("afm.example", 7000)
+    assert driver.heartbeat_s == 0.0
+    guarded = instrument_of({"driver": kind, kind: {"calibration": section["calibration"]}})
+    assert guarded.heartbeat_s == guarded.calibration.heartbeat_s > 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_section_that_is_not_there_is_named(kind: str) -> None:
+    with pytest.raises(ValueError, match=f"driver: {kind} needs a section {kind} with calibration"):
+        afm_config({"driver": kind})
+
+
+def test_a_file_of_the_other_controller_is_refused_by_its_key(tmp_path: Path) -> None:
+    path = calibration("nanonis", tmp_path)
+    with pytest.raises(ConfigError, match="controller: Input should be 'gwyscope', got 'nanonis'"):
+        instrument_of({"driver": "gwyscope", "gwyscope": {"calibration": str(path)}})
+
+
+def test_a_gwyscope_is_refused_no_law_and_no_program() -> None:
+    programs = ("", "scan", "curve", "path", "tactile", "push")
+    assert {refusal("gwyscope", law, program) for law in LAWS for program in programs} == {""}
