@@ -1,6 +1,6 @@
 """What `telenano up` is to run, checked as a whole before anything is started."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +22,7 @@ from proto.nodes import (
     name_of,
     site_of,
 )
+from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
 from services.afm_node.section_config import ModbusConfig
@@ -166,6 +167,8 @@ class Plan:
     @property
     def stiffness_warning(self) -> str:
         """Why the sample of the scenario is too stiff for its law, or for how late its instrument is; else empty."""
+        if driver_is_absent(self.loaded, "afm_node"):
+            return ""
         afm = self.loaded.section("afm_node", AfmConfig)
         controller = self.loaded.section("controller", ControllerConfig)
         stiffness, latency_s = afm.stiffest_n_per_m, 0.0
@@ -258,7 +261,8 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     out = (request.out or default_out).absolute()
     given = find_scenario(request.scenario).absolute()
     loaded = effective_scenario(given, request, out)
-    check_sections(loaded)
+    elsewhere = {name_of(node) for node in other_nodes(request)} - {name_of(node) for node in own}
+    check_sections(loaded, elsewhere)
     plan = Plan(
         book=book,
         site_file=site_file,
@@ -375,13 +379,30 @@ def _anchored_value(key: str, value: Any, folder: Path) -> Any:
     return str(folder / value) if named else value
 
 
-def check_sections(loaded: LoadedScenario) -> None:
+def driver_is_absent(loaded: LoadedScenario, name: str) -> bool:
+    """Return whether no package on this machine has the driver that the section of a node names."""
+    from services.haptic_node.config import DRIVERS as HANDLES
+
+    drivers = {"afm_node": INSTRUMENTS, "haptic_node": HANDLES}.get(name)
+    return drivers is not None and drivers.is_absent(getattr(loaded.scenario, name).get("driver"))
+
+
+def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> None:
     """Check every node's section with the node's own model; ConfigError names file and key.
 
     A law or a program that the driver of the instrument cannot be used with is refused as well.
+
+    Args:
+        loaded: The scenario.
+        elsewhere: The nodes that run on other machines: each checks its own section there, and its driver's package
+            does not have to be on this one.
     """
+    absent = {name for name in elsewhere if driver_is_absent(loaded, name)}
     for name in SERVICES:
-        loaded.section(name, node_kind(name).config)
+        if name not in absent:
+            loaded.section(name, node_kind(name).config)
+    if "afm_node" in absent:
+        return
     afm, law = loaded.section("afm_node", AfmConfig), loaded.section("controller", ControllerConfig).law
     program = "" if afm.begin is None else afm.begin.program or ""
     if text := refusal(afm.driver, law, program):

@@ -84,6 +84,10 @@ class Drivers:
             self._asked[name] = loaded.found.get(name)
         return self._asked[name]
 
+    def is_absent(self, name: object) -> bool:
+        """Return whether a driver is neither one of the node's own nor one of a package on this machine."""
+        return isinstance(name, str) and name not in self._own and name not in installed("devices")
+
     def all(self) -> Loaded[DeviceDriver]:
         """Return every driver for this node, all of them imported now."""
         return load("devices", self._check, self._taken)

@@ -1,0 +1,91 @@
+"""What a machine says and does without the package of a driver, and what each node imports where it is installed."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from presets import plugins
+from proto.errors import ConfigError
+from services.afm_node import config as afm
+from services.afm_node.instrument import calibration_of_file
+from services.launcher.plan import Plan, UpRequest, make_plan
+from services.runtime.settings.config import validate
+from telenano.cli import lazy_commands
+from telenano.cli.root import app
+
+PACKAGE = "telenano-afm-controllers"
+NAMED = ("afm_node.driver=gwyscope", "afm_node.gwyscope={calibration: gwyscope.yaml}")
+
+IMPORTED = """
+import json, sys
+from proto.nodes import SERVICES
+from services.runtime.loop.main import node_kind
+for name in SERVICES:
+    node_kind(name).config()
+print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules if name.startswith("telenano_")})))
+"""
+
+
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let no package be installed."""
+    for module in ("presets.plugins", "services.runtime.settings.device_drivers"):
+        monkeypatch.setattr(f"{module}.installed", lambda kind: {})
+    monkeypatch.setattr(afm.DRIVERS, "_asked", {})
+    yield
+
+
+def plan(site: str | None, folder: Path) -> Plan:
+    request = UpRequest.model_validate({"scenario": "fig12", "settings": NAMED, "site": site})
+    return make_plan(request, folder)
+
+
+def test_no_node_imports_a_package_that_its_section_does_not_name() -> None:
+    done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == []
+
+
+@pytest.mark.usefixtures("bare")
+def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=f"the driver gwyscope is in the package {PACKAGE}: pip install -e '"):
+        validate(afm.AfmConfig, {"driver": "gwyscope"}, "file", "afm_node")
+    file = tmp_path / "gwyscope.yaml"
+    file.write_text("controller: gwyscope\n")
+    with pytest.raises(ConfigError, match=f"gwyscope.yaml: controller: gwyscope: .* {PACKAGE}: pip install -e '"):
+        calibration_of_file(file)
+    file.write_text("controller: somebodys\n")
+    with pytest.raises(ConfigError, match="no driver is installed that has calibration files of this name"):
+        calibration_of_file(file)
+
+
+@pytest.mark.parametrize(
+    "words", ["device image", "device approach", "device guard nanonis", "device simulate gwyscope"]
+)
+def test_a_command_that_needs_a_package_names_it_and_its_command(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lazy_commands, "package_commands", dict)
+    done = CliRunner().invoke(app, words.split())
+    assert done.exit_code == 2
+    assert f"is in the package {PACKAGE}: pip install -e '" in " ".join(done.stderr.split())
+
+
+@pytest.mark.usefixtures("bare")
+def test_a_master_is_planned_without_the_package_of_the_slave(tmp_path: Path) -> None:
+    found = plan("master", tmp_path)
+    assert found.scenario.afm_node["driver"] == "gwyscope"
+    assert found.stiffness_warning == ""
+    for site in (None, "slave"):
+        with pytest.raises(ConfigError, match=f"the driver gwyscope is in the package {PACKAGE}"):
+            plan(site, tmp_path)
+
+
+def test_with_the_package_a_master_refuses_what_the_instrument_cannot_do(tmp_path: Path) -> None:
+    assert "nanonis" in plugins.installed("devices")
+    settings = ("afm_node.driver=nanonis", "afm_node.nanonis={calibration: nanonis.yaml}", "controller.law=wave")
+    request = UpRequest.model_validate({"scenario": "fig12", "settings": settings, "site": "master"})
+    with pytest.raises(ConfigError, match="wave closes a loop through the instrument, and nanonis gives 50 samples"):
+        make_plan(request, tmp_path)
