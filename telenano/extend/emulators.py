@@ -25,6 +25,7 @@ from services.haptic_node.coupling import (
 from services.haptic_node.devices.firmware import compiled as compile_library
 from services.haptic_node.devices.servo_process import ProcessLink, ServoLoop, SharedServo
 from services.haptic_node.impedance_config import CouplingConfig
+from services.haptic_node.physics.coupled import arm_step
 from services.haptic_node.physics.hand_motion import HandMotion
 from services.haptic_node.physics.operator import OperatorInputs
 from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
@@ -56,6 +57,7 @@ __all__ = [
     "SharedServo",
     "Take",
     "Verdict",
+    "arm_step",
     "compile_library",
     "hand_of",
     "operator_at_rest",

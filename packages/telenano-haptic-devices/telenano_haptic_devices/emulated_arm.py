@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from telenano.extend.emulators import HandMotion, OperatorInputs, operator_at_rest, operator_step
+from telenano.extend.emulators import HandMotion, OperatorInputs, arm_step, operator_at_rest, operator_step
 from telenano.extend.impedance import ZERO, Vector
 from telenano_haptic_devices.arm_model import ArmModel
 
@@ -88,8 +88,6 @@ class EmulatedArm:
             self.force_n = self._late.popleft()[1]
         self.time_s += dt
         motion = self.motion
-        kept = math.exp(-b * dt / m)
-        given = (1.0 - kept) / b if b > 0.0 else dt / m
         places, speeds = [], []
         for axis in range(3):
             v = self.velocity_m_per_s[axis]
@@ -101,14 +99,12 @@ class EmulatedArm:
                 drive += self._hand_force_n if self.push_n is None else 0.0 - self.push_n
             if c > 0.0:
                 drive -= math.copysign(c, v) if v != 0.0 else max(-c, min(drive, c))
-            new = kept * v + given * drive
+            place, speed = arm_step(m, b, self.position_m[axis], v, drive, dt)
             # Friction stops a motion, and never turns it round.
-            if c > 0.0 and v * new < 0.0:
-                new = 0.0
-            if self.held:
-                v = new = 0.0
-            speeds.append(new)
-            places.append(self.position_m[axis] + dt * 0.5 * (v + new))
+            if self.held or (c > 0.0 and v * speed < 0.0):
+                place, speed = self.position_m[axis], 0.0
+            speeds.append(speed)
+            places.append(place)
         before_z = self.position_m[2]
         distance = math.sqrt(places[0] ** 2 + places[1] ** 2 + places[2] ** 2)
         if distance > radius_m:
