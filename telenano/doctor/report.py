@@ -178,10 +178,15 @@ def extensions() -> list[Finding]:
         return []
     # the models of a node load what packages add to them
     from proto.nodes import SERVICES
+    from services.afm_node.config import DRIVERS as INSTRUMENTS
+    from services.haptic_node.config import DRIVERS as HANDLES
     from services.runtime.loop.main import node_kind
 
     for name in SERVICES:
         node_kind(name)
+    # A driver is loaded when a section names it, and here.
+    for drivers in (INSTRUMENTS, HANDLES):
+        drivers.all()
     scenario_files()
     name, texts = "laws and devices", known_problems()
     if not texts:

@@ -26,7 +26,7 @@ from telenano.extend.instruments import (
     modbus_line,
     read_controller,
 )
-from telenano.extend.testing import RefusedError, afm_node, instrument_of
+from telenano.extend.testing import RefusedError, afm_config, afm_node, instrument_of
 
 NEAR_M = -70e-9
 RETRACTED_M = PARAMS.safety.retract_position_m
@@ -214,7 +214,7 @@ def test_an_image_by_the_node_is_that_of_the_sample_with_a_gain_that_the_latency
         lines += rig.bench.take("afm/scanline")
         if len(lines) == 2:
             break
-    surface = config.to_surface()
+    surface = afm_config(config).to_surface()
     assert surface is not None
     xs = ((np.arange(32) + 0.5) / 32 - 0.5) * 60e-9 + 0.5 * surface.width_m
     truth = surface.height_m[surface.height_m.shape[0] // 2, (xs / surface.step_x_m).astype(int)]

@@ -17,7 +17,7 @@ from recording.export import export_recording
 from services.recorder.provenance import plugin_facts
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
-from telenano.doctor.report import checks_of_packages, stale
+from telenano.doctor.report import checks_of_packages, extensions, stale
 from telenano.extend.exports import write_recording
 from telenano.extend.messages import example, recorded
 
@@ -167,6 +167,13 @@ def test_checks_of_packages_are_findings_and_one_that_fails_is_one_too(make: Any
     assert found["cable"].level == "ok" and found["cable"].advice == ""
     assert found["broken"].level == "warning" and "ZeroDivisionError" in found["broken"].found
     assert any("bad of the package checker" in text for text in plugins.known_problems())
+
+
+def test_a_driver_that_cannot_be_used_is_told_though_no_section_names_it(make: Any) -> None:
+    make("sick", {"device.py": "raise RuntimeError('no licence')"}, {"devices": "sick = sick.device:DEVICE"})
+    (finding,) = extensions()
+    assert (finding.name, finding.level) == ("laws and devices", "warning")
+    assert "sick of the package sick" in finding.found and "no licence" in finding.found
 
 
 def test_an_environment_older_than_the_settings_of_its_checkout_is_stale(tmp_path: Path) -> None:
