@@ -1,0 +1,54 @@
+"""The core only gets smaller: its lines of Python are at most `core-lines-at-most` of `pyproject.toml`."""
+
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# each has its own measure: what they have more of is no burden of who reads the core
+APART = ("tests", "benchmarks", "packages")
+
+
+def core_files() -> list[Path]:
+    command = ["git", "ls-files", "-z", "--", "*.py", *(f":(exclude){folder}" for folder in APART)]
+    try:
+        listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"which files belong to the core is known in a checkout of git alone: {error}")
+    # a file that was deleted and not yet committed is still listed
+    files = [path for name in listed.split("\0") if name and (path := ROOT / name).is_file()]
+    if not files:
+        pytest.skip(f"git keeps nothing of {ROOT}: this is a copy inside another checkout")
+    return files
+
+
+def lines_of(path: Path) -> int:
+    return path.read_bytes().count(b"\n")
+
+
+def excess(lines: int, most: int) -> str:
+    """Say what to do about a core of `lines` lines, or nothing if it has no more than `most`."""
+    if lines <= most:
+        return ""
+    return (
+        f"the core has {lines} lines of Python, {lines - most} more than core-lines-at-most of pyproject.toml allows: "
+        "take as many out elsewhere in the core, or put what is new into a package in packages/; never raise the number"
+    )
+
+
+def test_core_has_no_more_lines_than_pyproject_allows() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    said = excess(sum(map(lines_of, core_files())), settings["tool"]["telenano"]["core-lines-at-most"])
+    assert not said, said
+
+
+def test_core_is_without_tests_benchmarks_and_packages() -> None:
+    folders = {path.relative_to(ROOT).parts[0] for path in core_files()}
+    assert {"proto", "services", "telenano"} <= folders and folders.isdisjoint(APART)
+
+
+def test_one_line_too_many_is_answered_by_what_to_do() -> None:
+    assert excess(100, 100) == ""
+    assert "101 lines of Python, 1 more than" in excess(101, 100) and "packages/" in excess(101, 100)
