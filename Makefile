@@ -7,9 +7,11 @@ PYTHON ?= $(or $(firstword $(foreach python,/usr/bin/python3 python3,\
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/fig12
-# the images of deploy/ and the extras of pyproject.toml that each one has
-IMAGES := haptic_node:haptic controller:controller delay_node:delay afm_node:afm recorder:recorder \
-  session:launcher,haptic,afm,controller,delay viz_node:launcher,view,controller,delay study:studies
+# the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in docker-compose.yml
+IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay_node:delay \
+  afm_node:afm:telenano-afm-controllers recorder:recorder \
+  session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
+  study:studies
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 comma := ,
@@ -140,6 +142,7 @@ lock: $(BIN)/uv ## Renew requirements.lock and the locks of the images.
 	@$(MAKE) --no-print-directory image-locks
 
 # each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
+# and what its packages need
 image-locks: $(BIN)/uv ## Renew the locks of the images alone.
 	@mkdir -p deploy/locks
 	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
@@ -154,9 +157,10 @@ $(BIN)/uv: | setup
 images: ## Build the container images of deploy/.
 	cd deploy && $(COMPOSE) --profile study build
 
-# $(call image_lock,IMAGE EXTRA,EXTRA)
+# $(call image_lock,IMAGE EXTRA,EXTRA PACKAGE,PACKAGE)
 define image_lock
-$(COMPILE) pyproject.toml --constraint requirements.lock \
+$(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(subst $(comma), ,$(word 3,$(1)))) \
+	  --constraint requirements.lock --no-emit-package telenano \
 	  $(addprefix --extra ,$(subst $(comma), ,$(word 2,$(1)))) -o deploy/locks/$(word 1,$(1)).lock
 
 endef

@@ -41,12 +41,12 @@ def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
     return {pin: frozenset(hashes) for pin, hashes in found.items()}
 
 
-def makefile_images() -> dict[str, list[str]]:
-    """Give the extras of each image as `make image-locks` has them."""
+def makefile_images() -> dict[str, tuple[list[str], list[str]]]:
+    """Give the extras and the packages of each image as `make image-locks` has them."""
     words = re.search(r"^IMAGES := (.*?)\n\w", (ROOT / "Makefile").read_text(), re.M | re.S)
     assert words is not None
-    pairs = [word.split(":") for word in words.group(1).replace("\\\n", " ").split() if ":" in word]
-    return {image: extras.split(",") for image, extras in pairs}
+    rows = [[*word.split(":"), ""][:3] for word in words.group(1).replace("\\\n", " ").split() if ":" in word]
+    return {image: (extras.split(","), packages.split(",") if packages else []) for image, extras, packages in rows}
 
 
 def compose(path: Path) -> dict[str, Any]:
@@ -82,9 +82,19 @@ def test_every_image_has_a_lock_and_its_extras_exist() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     images = makefile_images()
     assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {*images, "build", "page", "release"}
-    assert {name for used in images.values() for name in used} <= set(extras)
-    built = {service["build"]["args"]["SERVICE"] for service in effective(WHOLE).values()}
-    assert built == set(images)
+    assert {name for used, _ in images.values() for name in used} <= set(extras)
+    built = [service["build"]["args"] for service in effective(WHOLE).values()]
+    packages = {arguments["SERVICE"]: arguments.get("PACKAGES", "").split() for arguments in built}
+    assert packages == {image: packages for image, (_, packages) in images.items()}
+
+
+@pytest.mark.parametrize(
+    ("driver", "image"), [("haply", "haptic_node"), ("gwyscope", "afm_node"), ("nanonis", "session")]
+)
+def test_the_image_of_a_device_has_the_package_of_its_drivers(driver: str, image: str) -> None:
+    _, packages = makefile_images()[image]
+    projects = [tomllib.loads((ROOT / "packages" / name / "pyproject.toml").read_text()) for name in packages]
+    assert driver in {name for project in projects for name in project["project"]["entry-points"]["telenano.devices"]}
 
 
 @pytest.mark.parametrize("lock", sorted((DEPLOY / "locks").glob("*.lock")), ids=lambda path: path.stem)
@@ -103,7 +113,7 @@ def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
 
 
 @pytest.mark.parametrize("image", sorted(makefile_images()))
-def test_locks_have_what_their_extras_ask_for(image: str) -> None:
+def test_locks_have_what_their_extras_and_packages_ask_for(image: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
 
@@ -117,8 +127,15 @@ def test_locks_have_what_their_extras_ask_for(image: str) -> None:
                 found.add(re.split(r"[\[<>=~! ]", requirement)[0].lower().replace("_", "-"))
         return found
 
-    wanted = names(project["dependencies"] + [r for extra in makefile_images()[image] for r in extras[extra]])
-    assert wanted <= {name for name, _ in pins(DEPLOY / "locks" / f"{image}.lock")}
+    chosen, packages = makefile_images()[image]
+    wanted = names(project["dependencies"] + [requirement for extra in chosen for requirement in extras[extra]])
+    for package in packages:
+        own = tomllib.loads((ROOT / "packages" / package / "pyproject.toml").read_text())["project"]
+        wanted |= names(own["dependencies"]) - {"telenano"}
+    locked = {name for name, _ in pins(DEPLOY / "locks" / f"{image}.lock")}
+    assert wanted <= locked
+    # the project goes in as wheels, and the lock of an image has packages of an index alone
+    assert not {name for name in locked if name.startswith("telenano")}
 
 
 def test_one_service_for_each_node() -> None:

@@ -19,6 +19,13 @@ for node in ("controller", "afm_node", "haptic_node", "delay_node"):
 """
 
 
-def test_the_nodes_and_their_entry_point_import_only_what_their_images_have() -> None:
-    done = subprocess.run([sys.executable, "-c", _IMPORTS], cwd=ROOT, capture_output=True, text=True)
+# a driver is imported by its node; the wire of a device that takes a force in the servo's process
+_DRIVERS = """
+import telenano_afm_controllers.gwyscope_driver, telenano_afm_controllers.nanonis_driver
+import telenano_haptic_devices.dhd, telenano_haptic_devices.haply, telenano_haptic_devices.hd
+"""
+
+
+def test_the_nodes_their_drivers_and_their_entry_point_import_only_what_their_images_have() -> None:
+    done = subprocess.run([sys.executable, "-c", _IMPORTS + _DRIVERS], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
