@@ -10,18 +10,21 @@ from proto.messages import (
     TeleopForward,
 )
 from services.controller import energy
+from services.controller.clamp import clamped
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import DeadbandState, deadband, initial_deadband_state
 from services.controller.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
 from services.controller.lateral import NO_STORE, Store
 from services.controller.law import (
     NO_SIGNAL,
+    NO_TIP,
     EnergyAccount,
+    HandSample,
     Law,
     PortSignal,
+    SlaveReference,
     port_signal,
 )
-from services.controller.warm_up import warm_up
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.freshness import FreshnessState
@@ -99,7 +102,7 @@ class ControllerHalf(Node):
         """Run each step of a law once. Raises ConfigError where the law in force, of another package, fails in it."""
         changed = self.config.model_copy(update={"law": law.name})
         try:
-            warm_up(law, changed.params(), changed)
+            _call_every_step(law, changed.params(), changed)
         # The code of a package may raise anything; it must not end a session that does without it.
         except Exception as error:
             if law.name not in PACKAGE_LAWS.found:
@@ -325,3 +328,22 @@ class ControllerHalf(Node):
 
     def _silence_s(self) -> float:
         return silence_ns(self.heard, self.clock.now_ns()) * 1e-9
+
+
+def _call_every_step(law: Law, params: Any, config: ControllerConfig) -> None:
+    """Call every step of a law, so that none is compiled or specialised when the first tick needs it."""
+    period_s = config.period_s
+    hand, tip = HandSample(0.0, 0.0, 0.0, False), NO_TIP
+    state = law.master_resume(params, hand, 0.0)
+    state, signal = law.master_send(params, law.master_start(params, hand), hand, period_s)
+    state, _ = law.master_receive(params, state, hand, signal, period_s)
+    law.master_energy_account(params, state)
+    slave, _ = law.slave_receive(params, law.slave_start(params, tip), signal, tip, period_s)
+    slave, _ = law.slave_send(params, slave, tip, period_s)
+    energy.is_passive(0.0, False, law.slave_energy_account(params, slave))
+    law.retune(params, params, state)
+    deadband(config.deadband.to_params(), initial_deadband_state(signal), signal, period_s)
+    clamped(config.clamp_params(), SlaveReference(0.0, True), signal, tip)
+    port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)
+    energy.with_inflow(port, 0.0, 0.0)
+    energy.with_outflow(port, 0.0, 0.0)

@@ -12,7 +12,6 @@ from typing import IO, Any
 from proto.errors import RecordingError, RigError, TelenanoError
 from proto.nodes import DEVICES, FAR_RECORDER, LINK, RECORDER, STOP_ORDER
 from recording.reader import Recording
-from services.launcher.disk_space import disk_warning
 from services.launcher.external_recording import ExternalRecording, readable_here
 from services.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
 from services.launcher.plan import RECORDING_NAME, Plan
@@ -22,6 +21,8 @@ from services.launcher.session import SessionNode
 from services.launcher.site_node import SiteNode
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcFiles, Watchdog
+from services.recorder.config import RecorderConfig
+from services.recorder.disk_watch import free_bytes
 from services.runtime.bus.address_book import RELAY
 from services.runtime.bus.bus import ZmqBus
 from services.runtime.loop.kept_stop import forget
@@ -34,6 +35,8 @@ from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 Observer = Callable[[RigNode], None]
 # A recording of a minute has so much: its report takes seconds.
 _LONG_BYTES = 20_000_000
+# A whole rig records so much in a second, by compression; the figures are measured, with a margin of a fifth.
+_BYTES_PER_S = {"zstd": 600_000, "lz4": 1_200_000, "none": 3_500_000}
 
 
 @dataclass(frozen=True)
@@ -297,3 +300,23 @@ def make_report(
     from analysis.report import write_report
 
     return write_report(recordings, out, missing, options, show)
+
+
+def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:
+    """Return a sentence when the disk has less room than the recording of a session is expected to take; else empty.
+
+    None for a recorder that is set to record less, or in snapshots: how much it will write is not known.
+    """
+    recorders = [node for node in plan.nodes if node.startswith("recorder@")]
+    config = plan.loaded.section("recorder", RecorderConfig)
+    if not recorders or config.topics or config.exclude or config.snapshot_s is not None:
+        return ""
+    needed = round(_BYTES_PER_S[config.compression] * plan.scenario.duration_s)
+    needed = min(needed, config.quota_bytes or needed)
+    left = free(plan.out)
+    if left is None or left >= needed:
+        return ""
+    return (
+        f"the disk of {plan.out} has {left / 1e6:.1f} MB left, and a session of {plan.scenario.duration_s:g} s takes "
+        f"about {needed / 1e6:.1f} MB: the recording may end before the session; give another --out"
+    )

@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import importlib
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -16,7 +17,6 @@ from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import probably_meant
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
-from telenano.cli.rig_choice import choose_rig
 
 # typer has no other name for the base of all errors of the command line.
 _UsageError: Any = typer.BadParameter.__base__
@@ -198,6 +198,18 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
     return command
 
 
+def _choose_rig(name: str | None) -> None:
+    """Have this process, and those that it starts, speak to a rig of this name; None leaves it as it is."""
+    if name is None:
+        return
+    # An emergency stop has no time for these imports.
+    from services.runtime.security.private_files import check_rig_name
+    from telenano.cli.output import report_errors
+
+    with report_errors("--json" in sys.argv):
+        os.environ[RIG_VARIABLE] = check_rig_name(name)
+
+
 def _rig_option() -> Any:
     """Return `--rig`, which chooses the rig and is no argument of a command; typer makes it of a signature alone."""
     option = typer.Option(
@@ -206,7 +218,7 @@ def _rig_option() -> Any:
         help=f"Rig of several on this machine; default: {RIG_VARIABLE}, else the first one, {FIRST_RIG}.",
         expose_value=False,
         is_eager=True,
-        callback=choose_rig,
+        callback=_choose_rig,
     )
     alone = typer.Typer(add_completion=False)
 

@@ -8,8 +8,8 @@ import yaml
 from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, known_scenarios
 from proto.errors import ConfigError
 from proto.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
-from services.launcher.disk_space import disk_warning
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
+from services.launcher.run import disk_warning
 from services.runtime.loop.main import load_site
 from services.runtime.settings.config import read_yaml
 
