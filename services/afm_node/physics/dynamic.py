@@ -62,15 +62,13 @@ class DynamicState(NamedTuple):
 class Reading(NamedTuple):
     """What was measured over some steps; amplitude and phase need whole periods.
 
-    in_phase_m and quadrature_m: components of zeta with cos and sin of the drive [m]; mean_deflection_m; mean and
-    greatest force on the tip [N]; dissipated_j: energy that the sample took from the tip [J]; contact_share of the
-    time.
+    in_phase_m and quadrature_m: components of zeta with cos and sin of the drive [m]; mean_deflection_m; greatest
+    force on the tip [N]; dissipated_j: energy that the sample took from the tip [J]; contact_share of the time.
     """
 
     in_phase_m: float
     quadrature_m: float
     mean_deflection_m: float
-    mean_force_n: float
     peak_force_n: float
     dissipated_j: float
     contact_share: float
@@ -134,7 +132,7 @@ def advance(
     force = grid_force(cubics, start_m, cells_per_m, attraction, h, 2 * int(contact) + int(meniscus))
     if charge > 0.0:
         force += _electrostatic(charge, radius, contact_m, h)
-    in_phase, quadrature, mean, mean_force, peak = 0.0, 0.0, 0.0, 0.0, force
+    in_phase, quadrature, mean, peak = 0.0, 0.0, 0.0, force
     work, touched, kick = 0.0, 0, 0
     i, fine_until = 0, 0
     while i < steps:
@@ -162,7 +160,6 @@ def advance(
                     force += _electrostatic(charge, radius, contact_m, h)
                 v = v_far + force * half_far
                 work -= 0.5 * (force_before + force) * (h - before)
-                mean_force += 0.5 * (force_before + force) * FAR_STEPS
                 i += FAR_STEPS
                 continue
             fine_until = i + FAR_STEPS
@@ -215,7 +212,6 @@ def advance(
                 slower = speed * (1.0 - x) / (1.0 + x)
                 work += 0.5 * mass * (speed * speed - slower * slower)
                 v += slower - speed
-            mean_force += 0.5 * (force_before + force) * size / whole
             peak = max(peak, force)
             touched += int(contact) * size
         base += base_step
@@ -231,7 +227,6 @@ def advance(
         2.0 * in_phase / steps,
         2.0 * quadrature / steps,
         mean / steps,
-        mean_force / steps,
         peak,
         work,
         touched / (steps * whole),
@@ -350,10 +345,10 @@ def damping_at(viscosity: Viscosity, h: float) -> float:
     return viscosity.liquid_kg_per_s * max(1.0 - h / viscosity.liquid_thickness_m, 0.0)
 
 
-def steady_state(plant: DynamicPlant, base_m: float, drive_m: float, surface_m: float = 0.0) -> DynamicState:
+def steady_state(plant: DynamicPlant, base_m: float, drive_m: float) -> DynamicState:
     """Return the state of a tip that vibrates steadily far from any sample: what a scan or a curve begins with."""
     velocity = plant.steady_quadrature * 2.0 * math.pi * plant.drive_hz
-    return DynamicState(plant.steady_in_phase * drive_m, velocity * drive_m, base_m, 0.0, surface_m, False, False, 0)
+    return DynamicState(plant.steady_in_phase * drive_m, velocity * drive_m, base_m, 0.0, 0.0, False, False, 0)
 
 
 def free_amplitude_m(plant: DynamicPlant, drive_m: float) -> float:

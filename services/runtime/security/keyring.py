@@ -165,15 +165,15 @@ class Keyring:
             )
         return pair
 
-    def expiring(self, days: int = EXPIRES_SOON_DAYS) -> list[str]:
-        """Return a sentence for each key of this folder that has expired, or will within so many days."""
+    def expiring(self) -> list[str]:
+        """Return a sentence for each key of this folder that has expired, or will within EXPIRES_SOON_DAYS."""
         today = self.today()
         own = [(f"the key of this machine, {name},", self.own(name).expires) for name in self.names()]
         others = [(f"the key of {key.name}", key.expires) for key in self.allowed().keys if not key.revoked]
         return [
             f"{what} {'expired' if expires < today else 'expires'} at the end of {expires} (UTC)"
             for what, expires in (*own, *others)
-            if expires is not None and (expires - today).days <= days
+            if expires is not None and (expires - today).days <= EXPIRES_SOON_DAYS
         ]
 
     def create(self, name: str, *, replace: bool = False, expires: date | None = None) -> KeyPair:
