@@ -56,8 +56,8 @@ from services.controller.laws.shared.surface import (
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
+    MassConfig,
     MassParams,
-    SteeredConfig,
     at_rest,
     followed,
     is_coupled,
@@ -96,7 +96,7 @@ class ModelMediatedParams(NamedTuple):
     margin_n: float
 
 
-class ModelMediatedConfig(SteeredConfig):
+class ModelMediatedConfig(MassConfig):
     """Section `controller.model_mediated`."""
 
     cantilever_stiffness_n_per_m: StiffnessNPerM = Field(

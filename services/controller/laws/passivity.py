@@ -81,8 +81,8 @@ from services.controller.law import (
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
+    MassConfig,
     MassParams,
-    SteeredConfig,
     at_rest,
     followed,
     has_arrived,
@@ -135,7 +135,7 @@ class PassivityParams(NamedTuple):
     shared: float
 
 
-class PassivityConfig(SteeredConfig):
+class PassivityConfig(MassConfig):
     """Section `controller.passivity`; energies, stiffness and damping at the hand's scale."""
 
     silence_limit_s: TimeS = Field(

@@ -64,8 +64,8 @@ from services.controller.law import (
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
+    MassConfig,
     MassParams,
-    SteeredConfig,
     at_rest,
     followed,
     is_coupled,
@@ -93,7 +93,7 @@ class WaveParams(NamedTuple):
     margin_n: float
 
 
-class WaveConfig(SteeredConfig):
+class WaveConfig(MassConfig):
     """Section `controller.wave`."""
 
     impedance_n_s_per_m: DampingNSPerM = Field(default=100.0, description="Impedance of the line b [N s/m]")

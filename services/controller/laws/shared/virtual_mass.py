@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from proto.topics import deadline_of
 from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal, TipMeasurement
-from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, StiffnessOrNoneNPerM, TimeS
+from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
 from services.numerics.compiled import compiled
 
 # No hand and no tip comes so far; in an unstable loop a reference stays finite here.
@@ -87,15 +87,6 @@ class MassConfig(ScaledConfig):
             gamma_x_m_per_n=step.gamma_x,
             gamma_v_m_per_n_s=step.gamma_v,
         )
-
-
-class SteeredConfig(MassConfig):
-    """A law whose slave half moves the base against the force by itself, on the instrument's clock."""
-
-    guard_stiffness_n_per_m: StiffnessOrNoneNPerM = Field(
-        default=20.0,
-        description="Without effect: the force is measured in every period. Accepted for scenarios made before [N/m]",
-    )
 
 
 def stiffness_limit_n_per_m(
