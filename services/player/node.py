@@ -272,7 +272,7 @@ class PlayerNode(Node):
         ends = (parameters.get(name) for name in ("player.a_s", "player.b_s"))
         self.playback.limit(*(None if end is None else self.playback.at(float(end)) for end in ends))
         for name, (_, change) in SETTERS.items():
-            if name in parameters:
+            if change is not None and name in parameters:
                 change(self, parameters[name])
 
     def _check_rate(self, rate: float) -> None:
@@ -480,12 +480,12 @@ def _health(state: str, rate_hz: float, clock: Clock, begun_ns: int) -> dict[str
 
 _NUMBER = (float, int)
 # in the order in which they are applied when one command names several
-SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None]]] = {
+SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None] | None]] = {
     "player.rate": (_NUMBER, lambda player, value: player.set_rate(float(value))),
     "player.loop": ((bool,), lambda player, value: player._set_loop(value)),
-    # Both ends are set together, before all others.
-    "player.a_s": (_NUMBER, lambda player, value: None),
-    "player.b_s": (_NUMBER, lambda player, value: None),
+    # `_set` sets both ends together, before all others.
+    "player.a_s": (_NUMBER, None),
+    "player.b_s": (_NUMBER, None),
     "player.seek_s": (_NUMBER, lambda player, value: player.seek(value)),
     "player.skip_s": (_NUMBER, lambda player, value: player.seek(player.playback.time_s + value)),
     "player.next_event": ((bool,), lambda player, value: player.seek_event() if value else None),
