@@ -59,29 +59,43 @@ class Loaded(NamedTuple, Generic[T]):
     problems: dict[str, str]
 
 
-@cache
 def installed(kind: str) -> dict[str, Plugin]:
     """Return the entries of a kind by name, without importing them.
 
     A name is that of a key in a scenario; one that two packages use belongs to neither.
     """
-    rows: dict[str, Plugin] = {}
-    for entry in sorted(entry_points(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
-        package, its_version = (entry.dist.name, entry.dist.version) if entry.dist else ("unknown", "unknown")
-        row = Plugin(kind, entry.name, package, its_version, entry.value, _other_version(entry.dist))
-        if not NAME.fullmatch(entry.name):
-            text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
-            row = row._replace(problem=text)
-        known = rows.get(entry.name)
-        if known is not None and known.package != row.package:
-            row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
-        rows[entry.name] = row
-    return rows
+    return _installed()[kind]
 
 
-def _other_version(package: Distribution | None) -> str:
+@cache
+def _installed() -> dict[str, dict[str, Plugin]]:
+    # Both are read once, since their files are dear: the entries of all that is installed, and who each package is.
+    entries, packages = entry_points(), dict[int, tuple[str, str, str]]()
+    found: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
+    for kind, rows in found.items():
+        for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
+            if id(entry.dist) not in packages:
+                packages[id(entry.dist)] = _package(entry.dist)
+            package, its_version, problem = packages[id(entry.dist)]
+            row = Plugin(kind, entry.name, package, its_version, entry.value, problem)
+            if not NAME.fullmatch(entry.name):
+                text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
+                row = row._replace(problem=text)
+            known = rows.get(entry.name)
+            if known is not None and known.package != row.package:
+                row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
+            rows[entry.name] = row
+    return found
+
+
+def _package(package: Distribution | None) -> tuple[str, str, str]:
+    """Return name and version of a package, and what hinders its use."""
+    return (package.name, package.version, _other_version(package)) if package else ("unknown", "unknown", "")
+
+
+def _other_version(package: Distribution) -> str:
     """Return that a package is for another version of telenano than this one, by what it requires; empty if not."""
-    for text in (package.requires if package else None) or ():
+    for text in package.requires or ():
         if text.startswith("telenano") and any(sign in text for sign in "<>=~!"):
             from packaging.requirements import Requirement
 

@@ -20,14 +20,15 @@ def entry(kind: str, name: str, target: str, package: str = "pack") -> Any:
 @pytest.fixture
 def entries(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
     rows: list[Any] = []
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [row for row in rows if row.group == group])
+    found = SimpleNamespace(select=lambda group: [row for row in rows if row.group == group])
+    monkeypatch.setattr(plugins, "entry_points", lambda: found)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(plugins, "_problems", {})
-    for cached in (plugins.installed, plugins._digest):
+    for cached in (plugins._installed, plugins._digest):
         cached.cache_clear()
     yield rows
-    for cached in (plugins.installed, plugins._digest):
+    for cached in (plugins._installed, plugins._digest):
         cached.cache_clear()
 
 
@@ -56,6 +57,26 @@ def test_what_can_be_used_is_loaded_and_what_cannot_says_why(entries: list[Any],
     with pytest.raises(ValueError, match="no licence"):
         plugins.refuse(loaded, "broken")
     plugins.refuse(loaded, "good")
+
+
+def test_a_package_of_many_entries_is_read_once(entries: list[Any]) -> None:
+    class Package:
+        name, version = "pack", "1.2"
+        reads = 0
+
+        @property
+        def requires(self) -> list[str]:
+            self.reads += 1
+            return ["telenano>=99"]
+
+    package = Package()
+    for kind in ("laws", "devices", "checks"):
+        for name in ("first", "second"):
+            entries.append(entry(kind, name, "pack:ENTRY"))
+            object.__setattr__(entries[-1], "dist", package)
+    assert [row.name for row in plugins.all_installed()] == ["first", "second"] * 3
+    assert all("it needs telenano >=99" in row.problem for row in plugins.all_installed())
+    assert package.reads == 1
 
 
 def test_a_digest_is_of_every_file_of_the_package(entries: list[Any], tmp_path: Path) -> None:
@@ -98,7 +119,7 @@ def test_a_scenario_of_a_package_is_known_by_its_name(entries: list[Any], tmp_pa
 def problem_of(entries: list[Any], tmp_path: Path, name: str, source: str) -> str:
     (tmp_path / f"{name}.py").write_text(source)
     entries.append(entry("laws", name, f"{name}:LAW"))
-    plugins.installed.cache_clear()
+    plugins._installed.cache_clear()
     loaded = plugins.load("laws", number)
     assert name not in loaded.found
     return loaded.problems[name]

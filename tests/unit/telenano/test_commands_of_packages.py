@@ -46,7 +46,7 @@ class Made:
 
 
 def forget() -> None:
-    plugins.installed.cache_clear()
+    plugins._installed.cache_clear()
     plugins._digest.cache_clear()
     lazy_commands.package_commands.cache_clear()
 
