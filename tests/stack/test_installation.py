@@ -283,4 +283,4 @@ def test_the_driver_of_the_inverse3_is_in_its_package_which_the_wheel_names(whee
         assert "Traceback" not in done.stderr
     # what the package depends on is not there
     assert "the Haply Inverse3 needs websockets: pip install 'websockets>=15'" in probed.stderr
-    assert "websockets is not installed: pip install" in simulated.stderr
+    assert "the emulated Inverse Service needs websockets: pip install 'websockets>=15'" in simulated.stderr

@@ -35,6 +35,7 @@ from telenano.extend.impedance import (
 from telenano_haptic_devices.arm_model import INVERSE3
 
 SERVICE = "ws://127.0.0.1:10001"
+NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
 INSTALL = "start Haply's Inverse Service (Haply Hub, docs.haply.co), or run `telenano device simulate haply`"
 # What Haply's CHAI3D driver declares.
 MAX_FORCE_N = 10.0
@@ -160,7 +161,7 @@ class Conversation:
             from websockets.exceptions import InvalidHandshake, InvalidURI
             from websockets.uri import parse_uri
         except ImportError as error:
-            raise DeviceError("the Haply Inverse3 needs websockets: pip install 'websockets>=15'") from error
+            raise DeviceError(f"the Haply Inverse3 {NEEDS_WEBSOCKETS}") from error
         self._service = service
         try:
             uri = parse_uri(service)

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from typing import Any
 
 from telenano.extend.emulators import HandMotion
-from telenano.extend.impedance import ZERO, Vector
+from telenano.extend.impedance import ZERO, DeviceError, Vector
 from telenano_haptic_devices.emulated_arm import EmulatedArm
-from telenano_haptic_devices.haply import BUTTONS, EMULATED, SESSION_RUNS
+from telenano_haptic_devices.haply import BUTTONS, EMULATED, NEEDS_WEBSOCKETS, SESSION_RUNS
 
 FORCE_HOLD_S = 0.05
 PROJECT_VERSION = "3.5.0"
@@ -262,10 +262,16 @@ async def serve_haply(
         ready: Called once, with the port.
         lines: What a person types; see `obey`.
         say: Prints what was done.
+
+    Raises:
+        DeviceError: websockets is not installed.
     """
-    from websockets.asyncio.server import ServerConnection, serve
-    from websockets.exceptions import ConnectionClosed
-    from websockets.http11 import Request, Response
+    try:
+        from websockets.asyncio.server import ServerConnection, serve
+        from websockets.exceptions import ConnectionClosed
+        from websockets.http11 import Request, Response
+    except ImportError as error:
+        raise DeviceError(f"the emulated Inverse Service {NEEDS_WEBSOCKETS}") from error
 
     async def converse(connection: ServerConnection) -> None:
         try:

@@ -170,10 +170,14 @@ def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
         HaplyWire(served.address, device_id="FFFF").open()
 
 
-def test_without_websockets_the_driver_names_what_it_depends_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_websockets_driver_and_emulator_name_what_they_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "websockets.client", None)
     with pytest.raises(DeviceError, match=r"the Haply Inverse3 needs websockets: pip install 'websockets>=15'"):
         HaplyWire("ws://127.0.0.1:1").open()
+    monkeypatch.setitem(sys.modules, "websockets.asyncio.server", None)
+    service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
+    with pytest.raises(DeviceError, match=r"Inverse Service needs websockets: pip install 'websockets>=15'"):
+        asyncio.run(serve_haply(service, "127.0.0.1", 0, print))
     document = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())
     assert "websockets>=15" in document["project"]["dependencies"]
 
