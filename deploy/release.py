@@ -74,7 +74,7 @@ def release(out: Path, recording: Path) -> None:
     check_wheel(wheel)
     (source,) = out.glob("telenano-*.tar.gz")
     check_source(source)
-    run([sys.executable, "-P", "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano-*")))])
+    run([sys.executable, "-P", "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano*")))])
     rig = installed("rig", Path(sys.executable), wheel, out, "[rig]")
     inventory = [str(Path(sys.executable).parent / "cyclonedx-py"), "environment", str(rig), "--output-reproducible"]
     run([*inventory, "--of", "JSON", "-o", str(out / "sbom.json")])
