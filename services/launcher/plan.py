@@ -25,7 +25,6 @@ from proto.nodes import (
 from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
-from services.afm_node.section_config import ModbusConfig
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook
@@ -171,9 +170,7 @@ class Plan:
             return ""
         afm = self.loaded.section("afm_node", AfmConfig)
         controller = self.loaded.section("controller", ControllerConfig)
-        stiffness, latency_s = afm.stiffest_n_per_m, 0.0
-        if afm.driver == "modbus":
-            stiffness, latency_s = _declared(afm.modbus, controller.period_s)
+        stiffness, latency_s = (afm.stiffest_n_per_m, 0.0) if afm.simulated else _declared(afm, self.scenario.period_s)
         return controller.stiffness_doubts(stiffness, latency_s) if stiffness is not None else ""
 
     @property
@@ -234,21 +231,21 @@ class Plan:
             raise RigError(f"{self.out}: cannot be written: {error.strerror}") from error
 
 
-def _declared(modbus: ModbusConfig | None, period_s: float) -> tuple[float | None, float]:
+def _declared(afm: AfmConfig, period_s: float) -> tuple[float | None, float]:
     """Return the stiffness [N/m] that a real instrument meets at most, and its latency [s], by its calibration.
 
     A sample is never felt stiffer than the cantilever. Where the file cannot be read there is no stiffness: it may be
     on another machine, and the instrument's own node names what is wrong with it.
     """
-    from services.afm_node.devices.converter_calibration import read_calibration
-    from services.afm_node.devices.register_map import read_map
+    from services.afm_node.instrument import driver_of
 
+    package = INSTRUMENTS.find(afm.driver)
     try:
-        calibration = read_calibration(Path(modbus.calibration if modbus is not None else ""))
-        latency_s = calibration.declared_latency_s(read_map(calibration.instrument.map), period_s)
+        driver = driver_of(afm, period_s) if package is None or package.calibration is not None else None
     except ConfigError:
         return None, 0.0
-    return calibration.cantilever.stiffness_n_per_m, latency_s
+    cantilever = getattr(getattr(driver, "calibration", None), "cantilever", None)
+    return getattr(cantilever, "stiffness_n_per_m", None), getattr(driver, "latency_s", 0.0)
 
 
 def make_plan(request: UpRequest, default_out: Path) -> Plan:

@@ -25,6 +25,7 @@ _TICKS, _READS = 4, 200
 # A server whose samples stand for so long does not run its loop.
 _CLOCK_STANDS_S = 0.05
 _SLOWEST_TICK_S = 1.0
+_SHIPPED_TICK_S = 3e-3
 # A motion over the sample goes to a z as well, beside the z that is sent at once: it is not to get there.
 _Z_SPEED_M_PER_S = 1e-12
 _ALWAYS_READ = ("e", "adc1", "adc2")
@@ -46,11 +47,12 @@ class GwyscopeAfm(RequestDriver[GwyscopeCalibration]):
         """Return what the controller adds to the round trip [s]: from a command to its sample, in the mean.
 
         The answer to the sample after z comes after two periods and is used for two, 2.5 periods in the mean; and the
-        server samples at its tick, of which half is waited for in the mean.
+        server samples at its tick, of which half is waited for in the mean. The tick is that of a server as shipped
+        until it is measured.
         """
         if self.calibration.latency_s is not None:
             return self.calibration.latency_s
-        return 2.5 * self._period_s + 0.5 * self.tick_s
+        return 2.5 * self._period_s + 0.5 * (self.tick_s or _SHIPPED_TICK_S)
 
     def talk(self) -> Talk:
         """Return the requests: who it is, what it does at present, z away from the sample, its tick; then cycles."""

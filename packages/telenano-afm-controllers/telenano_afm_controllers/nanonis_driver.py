@@ -44,6 +44,7 @@ _RESTS, _REST_M, _NEAR_SHARE, _LOOK_NS = 6, 2e-9, 0.25, 50_000_000
 # a request and its answer over a network and through the vendor's software
 _LOST_NS = 250_000_000
 _LONGEST_TAP_S = 10.0
+_SHIPPED_TAP_S = 20e-3
 _LOG_HEADER = struct.Struct(">IfQH")
 _LOG_LIST, _LOG_DATA = 2, 4
 _MOST_CHANNELS = 24
@@ -76,11 +77,13 @@ class NanonisAfm(RequestDriver[NanonisCalibration]):
         """Return what the controller adds to the round trip [s]: from a command to its sample, in the mean.
 
         The answer comes after two periods and is used for two; a value is averaged over a Tap and published after it,
-        and waits for half of the next one in the mean.
+        and waits for half of the next one in the mean. Until the Tap is measured it is that of a controller
+        as shipped, and none where the file names a TCP Logger.
         """
         if self.calibration.latency_s is not None:
             return self.calibration.latency_s
-        return 2.5 * self._period_s + (0.0 if self._logger.port else self.tick_s)
+        tap_s = self.tick_s or (0.0 if self.calibration.logger_port else _SHIPPED_TAP_S)
+        return 2.5 * self._period_s + (0.0 if self._logger.port else tap_s)
 
     @property
     def channels(self) -> Mapping[str, float]:

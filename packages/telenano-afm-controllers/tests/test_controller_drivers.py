@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from telenano_afm_controllers import gwyscope_model, nanonis_model
+from telenano_afm_controllers.drivers import GWYSCOPE, NANONIS
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
@@ -18,6 +19,7 @@ from telenano.extend.testing import afm_config, instrument_of
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "smith", "model_mediated", "tactile")
 MODELS = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}
 KINDS = {"gwyscope": GwyscopeAfm, "nanonis": NanonisAfm}
+DECLARED_S = {"gwyscope": GWYSCOPE.capabilities.latency_s, "nanonis": NANONIS.capabilities.latency_s}
 
 IMPORTED = """
 import json, sys
@@ -65,6 +67,21 @@ def test_a_file_of_the_other_controller_is_refused_by_its_key(tmp_path: Path) ->
     path = calibration("nanonis", tmp_path)
     with pytest.raises(ConfigError, match="controller: Input should be 'gwyscope', got 'nanonis'"):
         instrument_of({"driver": "gwyscope", "gwyscope": {"calibration": str(path)}})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_before_a_tick_is_measured_it_is_as_late_as_it_declares(kind: str, tmp_path: Path) -> None:
+    def latency_s(**changes: object) -> float:
+        section = {"calibration": str(calibration(kind, tmp_path, **changes))}
+        return float(instrument_of({"driver": kind, kind: section}).latency_s)
+
+    assert latency_s() == pytest.approx(DECLARED_S[kind], rel=1e-9)
+    assert latency_s(latency_s=7e-3) == 7e-3
+
+
+def test_a_nanonis_that_pushes_its_samples_waits_for_no_tap(tmp_path: Path) -> None:
+    section = {"calibration": str(calibration("nanonis", tmp_path, logger_port=6590))}
+    assert instrument_of({"driver": "nanonis", "nanonis": section}).latency_s == pytest.approx(2.5e-3, rel=1e-9)
 
 
 def test_a_gwyscope_is_refused_no_law_and_no_program() -> None:

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
+from telenano_afm_controllers import gwyscope_model, nanonis_model
 from typer.testing import CliRunner
 
 from presets import plugins
@@ -19,6 +21,7 @@ from telenano.cli import lazy_commands
 from telenano.cli.root import app
 
 PACKAGE = "telenano-afm-controllers"
+MODELS = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}
 NAMED = ("afm_node.driver=gwyscope", "afm_node.gwyscope={calibration: gwyscope.yaml}")
 
 IMPORTED = """
@@ -81,6 +84,27 @@ def test_a_master_is_planned_without_the_package_of_the_slave(tmp_path: Path) ->
     for site in (None, "slave"):
         with pytest.raises(ConfigError, match=f"the driver gwyscope is in the package {PACKAGE}"):
             plan(site, tmp_path)
+
+
+@pytest.mark.parametrize(("driver", "late"), [("gwyscope", "4"), ("nanonis", "22.5")])
+def test_an_instrument_of_a_package_that_is_too_late_for_its_cantilever_is_named(
+    driver: str, late: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "controller.yaml"
+
+    def warned(stiffness_n_per_m: float, **changes: object) -> str:
+        file.write_text(yaml.safe_dump(MODELS[driver].calibration_of(6.25e6, stiffness_n_per_m) | changes))
+        named = (f"afm_node.driver={driver}", f"afm_node.{driver}={{calibration: {file}}}")
+        settings = (*named, "controller.law=model_mediated")
+        request = UpRequest.model_validate({"scenario": "fig12", "settings": settings})
+        warning = make_plan(request, tmp_path).stiffness_warning
+        file.unlink()
+        # a file that is on the other machine is that machine's affair
+        assert make_plan(request, tmp_path).stiffness_warning == ""
+        return warning
+
+    assert f"with an instrument that answers {late} ms late (400 N/m with a prompt one)" in warned(70.0)
+    assert warned(70.0, latency_s=0.0) == warned(5.0) == ""
 
 
 def test_with_the_package_a_master_refuses_what_the_instrument_cannot_do(tmp_path: Path) -> None:
