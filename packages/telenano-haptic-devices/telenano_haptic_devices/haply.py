@@ -47,7 +47,9 @@ EMULATED = "telenano emulator"
 SESSION_RUNS, SESSION_RESTS = "org.telenano:session-runs", "org.telenano:servo"
 BUTTONS = ("a", "b", "c")
 _OPEN_S = 3.0
-_ANSWER_S = 0.5
+# The service may take this long for a list, and for a place only as long as the coupling bears silence. Each is in so
+# many looks: a process that stood still as a whole has missed one of them.
+_ANSWER_S, _SILENT_S, _LOOKS = 0.5, 0.05, 5
 _CHECK_S = 0.1
 # So many readings more with unasked messages than without are no accident; more reads than these never end.
 _MOST_UNASKED, _MOST_READS = 50, 64
@@ -197,9 +199,12 @@ class Conversation:
         Raises:
             DeviceError: The service is gone or silent.
         """
-        self._socket.settimeout(patience_s)
+        self._socket.settimeout(patience_s / _LOOKS)
+        looks = 0
         while not self._messages:
-            self._receive()
+            looks = 0 if self._receive() else looks + 1
+            if looks == _LOOKS:
+                raise DeviceError(f"{self._service}: the service has been silent for {patience_s:g} s")
 
     def receive(self, patience_s: float = _ANSWER_S) -> Answer:
         """Return the next message.
@@ -242,13 +247,14 @@ class Conversation:
         except OSError as error:
             raise DeviceError(f"{self._service}: the service has closed the connection: {INSTALL}") from error
 
-    def _receive(self) -> None:
+    def _receive(self) -> bool:
+        """Take what comes in the time of a look; False if nothing does."""
         from websockets.frames import Frame, Opcode
 
         try:
             data = self._socket.recv(65_536)
-        except TimeoutError as error:
-            raise DeviceError(f"{self._service}: the service has been silent for {_ANSWER_S:g} s") from error
+        except TimeoutError:
+            return False
         except OSError as error:
             raise DeviceError(f"{self._service}: the service has closed the connection ({error})") from error
         if not data:
@@ -262,6 +268,7 @@ class Conversation:
                     self._messages.append(bytes(event.data))
         # Pongs and the answer to a close
         self._flush()
+        return True
 
 
 class HaplyWire:
@@ -376,7 +383,7 @@ class HaplyWire:
             # The state is taken between sending and receipt: its age is bounded by the earlier of the two.
             before_ns, sent_ns = sent_ns, self._now_ns()
             self._send(force)
-            self._conversation.wait()
+            self._conversation.wait(_SILENT_S)
             unasked += self._conversation.drop(keep=1)
             self._count(unasked)
             # Where more came than was asked for, this may be the answer to the request before.

@@ -273,3 +273,13 @@ def test_lines_that_are_typed_or_pasted_at_once_are_all_obeyed() -> None:
         assert whole_lines(reading, begun) is None
     finally:
         os.close(reading)
+
+
+def test_service_that_answers_no_more_is_lost() -> None:
+    server, found, wire = clocked(lambda number: (number < 20, 0.0))
+    wire.open()
+    with pytest.raises(DeviceError, match=r"the service has been silent for 0\.05 s"):
+        wire.run(ages(found, 200))
+    assert len(found) < 25
+    wire.close()
+    server.shutdown()

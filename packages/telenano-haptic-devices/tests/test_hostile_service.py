@@ -39,7 +39,7 @@ class HostileConversation(haply.Conversation):
         self._come()
         while not self._messages:
             if self._time.s > until_s:
-                raise DeviceError("the service has been silent for 0.5 s")
+                raise DeviceError(f"the service has been silent for {patience_s:g} s")
             self._time.sleep(1e-4)
             self._come()
 
@@ -76,6 +76,17 @@ def inverse3(kind: str) -> list[TakenReading]:
         finally:
             device.close()
     return readings
+
+
+def test_a_service_that_falls_silent_holds_the_last_force_no_longer_than_the_coupling_bears() -> None:
+    time, asked_s = VirtualTime(), list[float]()
+    device = haply.HaplyWire(
+        connect=lambda address: HostileConversation("never", time), now_ns=time.now_ns, sleep=time.sleep
+    )
+    device.open()
+    with pytest.raises(DeviceError, match=r"silent for 0\.05 s"):
+        device.run(lambda sample: (asked_s.append(time.s), (0.0, 0.0, 1.0))[1])
+    assert time.s - asked_s[-1] <= 0.055
 
 
 @pytest.mark.parametrize("kind", HOSTILITIES)
