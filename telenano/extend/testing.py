@@ -1,4 +1,4 @@
-"""What the tests of a package put around their code: nodes in virtual time, and hostile services.
+"""What the tests of a package put around their code: messages of a rig, nodes in virtual time, hostile services.
 
 A test of a driver gives the time, and lets the place that its service answers with be the time at which it was taken.
 So it knows the true age of every reading, and compares it with the age that the driver tells.
@@ -17,8 +17,10 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from services.runtime.settings.config import merge, validate
+from telenano.extend.messages import RecordedMessage, example, recorded
 
 __all__ = [
+    "EPOCH_NS",
     "HOSTILITIES",
     "HostileService",
     "NodeBench",
@@ -27,8 +29,11 @@ __all__ = [
     "VirtualClock",
     "afm_config",
     "afm_node",
+    "hand_state",
     "instrument_of",
     "merge",
+    "numbered",
+    "received",
     "unseen",
     "validate",
 ]
@@ -46,6 +51,24 @@ HOSTILITIES = {
 }
 _MS = 1_000_000
 _LATE_NS, _HELD_NS, _AGAIN_NS, _PUSHED = 80 * _MS, 200 * _MS, _MS // 2, 40
+# when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before
+EPOCH_NS = 1_750_000_000_000_000_000
+
+
+def numbered(topic: str, seq: int, **changes: Any) -> Message:
+    """Return an example of a message with this number and its time of sending, with some fields changed."""
+    return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * _MS} | changes))
+
+
+def hand_state(seq: int, **changes: Any) -> Message:
+    """Return a numbered `haptic/state`, whose place and force are others with every number."""
+    fields = {"position_m": (0.0, 0.0, -1e-3 * seq), "operator_force_n": (0.1, 0.2, -0.5 - seq)}
+    return numbered("haptic/state", seq, **({"src": "haptic_node@master", "limited": seq % 2 == 1} | fields | changes))
+
+
+def received(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:
+    """Return a message as received `number` milliseconds after `EPOCH_NS`; for `site` see `messages.recorded`."""
+    return recorded(topic, message, EPOCH_NS + number * _MS, site)
 
 
 class HostileService:

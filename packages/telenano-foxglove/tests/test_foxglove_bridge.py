@@ -10,10 +10,9 @@ import pytest
 from telenano_foxglove.bridge import LEFT_OUT, Bridge, FoxgloveServer, address_of
 
 from telenano.extend.commands import TelenanoError
-from telenano.extend.messages import TOPICS, Message, RecordedMessage, example, recorded
+from telenano.extend.messages import TOPICS
 from telenano.extend.serving import Access, bind
-
-EPOCH_NS, MILLISECOND_NS = 1_750_000_000_000_000_000, 1_000_000
+from telenano.extend.testing import EPOCH_NS, hand_state, numbered, received
 
 
 class Server:
@@ -34,34 +33,17 @@ class Server:
         return Outlet()
 
 
-def sample(topic: str, seq: int, **changes: Any) -> Message:
-    return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * MILLISECOND_NS} | changes))
-
-
-def haptic_state(seq: int) -> Message:
-    fields = {
-        "position_m": (0.0, 0.0, -1e-3 * seq),
-        "operator_force_n": (0.1, 0.2, -0.5 - seq),
-        "limited": seq % 2 == 1,
-    }
-    return sample("haptic/state", seq, src="haptic_node@master", **fields)
-
-
-def of_rig(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:
-    return recorded(topic, message, EPOCH_NS + number * MILLISECOND_NS, site)
-
-
 @pytest.mark.parametrize(("rate_hz", "count"), [(100.0, 100), (250.0, 250), (0.0, 1000)])
 def test_a_channel_has_the_rate_that_was_asked_for(rate_hz: float, count: int) -> None:
     server = Server()
-    Bridge(server, rate_hz).run(of_rig("haptic/state", haptic_state(i % 500), i) for i in range(1000))
+    Bridge(server, rate_hz).run(received("haptic/state", hand_state(i % 500), i) for i in range(1000))
     assert len(server.sent) == count
     assert {name for name, _, _ in server.sent} == {"haptic/state/haptic_node@master"}
 
 
 def test_what_is_sent_on_change_is_never_left_out() -> None:
     server = Server()
-    Bridge(server, 1.0).run(of_rig("session/event", sample("session/event", i), i) for i in range(20))
+    Bridge(server, 1.0).run(received("session/event", numbered("session/event", i), i) for i in range(20))
     assert [fields["seq"] for _, fields, _ in server.sent] == list(range(20))
 
 
@@ -69,7 +51,7 @@ def test_copies_and_sources_are_lines_of_their_own() -> None:
     server = Server()
     sources = [("controller@master", ""), ("controller@slave", ""), ("controller@slave", "master")]
     messages = [
-        of_rig("law/status", sample("law/status", 0, src=src), i, site) for i, (src, site) in enumerate(sources)
+        received("law/status", numbered("law/status", 0, src=src), i, site) for i, (src, site) in enumerate(sources)
     ]
     Bridge(server, 100.0).run(messages)
     assert list(server.schemas) == [
@@ -82,13 +64,13 @@ def test_copies_and_sources_are_lines_of_their_own() -> None:
 @pytest.mark.parametrize("topic", sorted(TOPICS))
 def test_every_message_has_the_keys_and_kinds_of_its_schema(topic: str) -> None:
     server = Server()
-    Bridge(server, 0.0).take(of_rig(topic, sample(topic, 3), 0))
+    Bridge(server, 0.0).take(received(topic, numbered(topic, 3), 0))
     if topic in LEFT_OUT:
         assert server.sent == []
         return
     (name, fields, time_ns), schema = server.sent[0], next(iter(server.schemas.values()))
     assert name.startswith(f"{topic}/")
-    assert time_ns == EPOCH_NS + 3 * MILLISECOND_NS
+    assert time_ns == EPOCH_NS + 3_000_000
     kinds = {"number": int | float, "integer": int, "boolean": bool, "string": str, "array": list, "object": dict}
     for key, value in fields.items():
         assert isinstance(value, kinds[schema["properties"][key]["type"]]), key
@@ -142,16 +124,16 @@ def first_data(found: Any, send: Callable[[int], None]) -> bytes:
 def test_a_viewer_finds_the_channels_and_gets_the_messages(served: FoxgloveServer, is_early: bool) -> None:
     bridge = Bridge(served, 0.0)
     if is_early:
-        bridge.take(of_rig("haptic/state", haptic_state(0), 0))
+        bridge.take(received("haptic/state", hand_state(0), 0))
     with viewer(served) as found:
         assert found.subprotocol == SUBPROTOCOL
         assert json.loads(found.recv())["op"] == "serverInfo"
         if not is_early:
-            bridge.take(of_rig("haptic/state", haptic_state(0), 0))
+            bridge.take(received("haptic/state", hand_state(0), 0))
         channel = advertised(found, "haptic/state/haptic_node@master")
         assert channel["schemaName"] == "telenano.HapticState"
         found.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 7, "channelId": channel["id"]}]}))
-        frame = first_data(found, lambda i: bridge.take(of_rig("haptic/state", haptic_state(i % 500), i + 1)))
+        frame = first_data(found, lambda i: bridge.take(received("haptic/state", hand_state(i % 500), i + 1)))
         # one byte of kind, the subscription, the time [ns], the message
         assert (frame[0], int.from_bytes(frame[1:5], "little")) == (1, 7)
         assert int.from_bytes(frame[5:13], "little") >= EPOCH_NS
@@ -211,14 +193,14 @@ def test_a_viewer_of_another_protocol_is_refused(served: FoxgloveServer) -> None
 )
 def test_what_a_viewer_may_not_say_is_answered_and_disturbs_nobody(served: FoxgloveServer, text: str | bytes) -> None:
     bridge = Bridge(served, 0.0)
-    bridge.take(of_rig("haptic/state", haptic_state(0), 0))
+    bridge.take(received("haptic/state", hand_state(0), 0))
     with viewer(served) as other, viewer(served) as found:
         found.send(text)
         status = next(fields for fields in map(json.loads, found) if fields["op"] == "status")
         assert status["level"] == 2
         channel = advertised(other, "haptic/state/haptic_node@master")
         other.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]}))
-        assert first_data(other, lambda i: bridge.take(of_rig("haptic/state", haptic_state(i % 500), i + 1)))
+        assert first_data(other, lambda i: bridge.take(received("haptic/state", hand_state(i % 500), i + 1)))
 
 
 def test_what_is_said_is_what_the_server_of_the_sdk_says(served: FoxgloveServer) -> None:

@@ -10,31 +10,13 @@ import pytest
 from telenano_ros2.bridge import Ros2Bridge, close_session, is_connected, zenoh_publishers
 
 from telenano.extend.commands import ConfigError
-from telenano.extend.messages import Message, RecordedMessage, example, recorded
+from telenano.extend.testing import hand_state, numbered, received
 
 zenoh = pytest.importorskip("zenoh")
 typesys = pytest.importorskip("rosbags.typesys")
 # The threads of zenoh outlive its sessions, and the other tests of a worker have processes forked beside them.
 pytestmark = pytest.mark.endurance
 WAIT_S = 20.0
-EPOCH_NS, MILLISECOND_NS = 1_750_000_000_000_000_000, 1_000_000
-
-
-def sample(topic: str, seq: int, **changes: Any) -> Message:
-    return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * MILLISECOND_NS} | changes))
-
-
-def haptic_state(seq: int) -> Message:
-    fields = {
-        "position_m": (0.0, 0.0, -1e-3 * seq),
-        "operator_force_n": (0.1, 0.2, -0.5 - seq),
-        "limited": seq % 2 == 1,
-    }
-    return sample("haptic/state", seq, src="haptic_node@master", **fields)
-
-
-def of_rig(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:
-    return recorded(topic, message, EPOCH_NS + number * MILLISECOND_NS, site)
 
 
 class Kept:
@@ -59,13 +41,15 @@ class Kept:
 @pytest.mark.parametrize(("rate_hz", "count"), [(100.0, 100), (0.0, 1000)])
 def test_a_topic_has_the_rate_that_was_asked_for(rate_hz: float, count: int) -> None:
     kept = Kept()
-    Ros2Bridge(kept, rate_hz).run(of_rig("haptic/state", haptic_state(i % 500), i) for i in range(1000))
+    Ros2Bridge(kept, rate_hz).run(received("haptic/state", hand_state(i % 500), i) for i in range(1000))
     assert [topic for topic, _ in kept.sent].count("/hand/measured_cp") == count
 
 
 def test_events_are_never_left_out_and_copies_always() -> None:
     kept = Kept()
-    events = [of_rig("session/event", sample("session/event", i), i, site) for i in range(5) for site in ("", "master")]
+    events = [
+        received("session/event", numbered("session/event", i), i, site) for i in range(5) for site in ("", "master")
+    ]
     bridge = Ros2Bridge(kept, 1.0, "lab")
     bridge.run(events)
     bridge.close()
@@ -75,7 +59,7 @@ def test_events_are_never_left_out_and_copies_always() -> None:
 
 def test_what_cannot_be_read_is_left_out() -> None:
     kept = Kept()
-    whole = of_rig("haptic/state", haptic_state(1), 1)
+    whole = received("haptic/state", hand_state(1), 1)
     Ros2Bridge(kept, 0.0).run([whole._replace(payload=b"\xc1"), whole._replace(payload=b"\x80"), whole])
     assert [topic for topic, _ in kept.sent].count("/hand/measured_cp") == 1
 
@@ -114,7 +98,7 @@ def test_another_process_of_ros_sees_the_topic_and_reads_the_message(router: tup
     try:
         end_s = time.monotonic() + WAIT_S
         while not arrived.is_set() and time.monotonic() < end_s:
-            bridge.run([of_rig("haptic/state", haptic_state(3), 3)])
+            bridge.run([received("haptic/state", hand_state(3), 3)])
             arrived.wait(0.05)
         assert is_connected()
         tokens = [str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/7/**")]
@@ -128,6 +112,6 @@ def test_another_process_of_ros_sees_the_topic_and_reads_the_message(router: tup
     kind = "geometry_msgs/msg/PoseStamped"
     assert key == f"7/hand/measured_cp/geometry_msgs::msg::dds_::PoseStamped_/{ros.hash_rihs01(kind)}"
     message: Any = ros.deserialize_cdr(payload, kind)
-    state = haptic_state(3)
+    state = hand_state(3)
     assert (message.pose.position.x, message.pose.position.y, message.pose.position.z) == state.position_m
     assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == state.t_ns

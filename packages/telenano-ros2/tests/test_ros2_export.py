@@ -13,19 +13,10 @@ from rosbags.highlevel import AnyReader
 from telenano_ros2.crtk import Encoder, definitions
 
 from telenano.extend.exports import RecordedMessage, export_recording, write_recording
-from telenano.extend.messages import Message, example, recorded
+from telenano.extend.messages import recorded
+from telenano.extend.testing import EPOCH_NS, hand_state, numbered
 
 SECOND_NS = 10**9
-EPOCH_NS, MILLISECOND_NS = 1_750_000_000_000_000_000, 1_000_000
-
-
-def hand_state(seq: int) -> Message:
-    fields = {"position_m": (0.0, 0.0, -1e-3 * seq), "operator_force_n": (0.1, 0.2, -0.5 - seq)}
-    return made("haptic/state", seq, "haptic_node@master", **fields)
-
-
-def made(topic: str, seq: int, src: str, **fields: Any) -> Message:
-    return example(topic, src=src, seq=seq, t_ns=EPOCH_NS + seq * MILLISECOND_NS, **fields)
 
 
 def session() -> Iterator[RecordedMessage]:
@@ -33,11 +24,13 @@ def session() -> Iterator[RecordedMessage]:
     for seq in range(4):
         log_ns = EPOCH_NS + seq
         yield recorded("haptic/state", hand_state(seq), log_ns)
-        yield recorded("afm/state", made("afm/state", seq, "afm_node@slave", deflection_m=1e-9, **vectors), log_ns)
+        yield recorded(
+            "afm/state", numbered("afm/state", seq, src="afm_node@slave", deflection_m=1e-9, **vectors), log_ns
+        )
         for mode in ("position", "hold"):
             fields = {"mode": mode, "base_position_m": (0.0, 0.0, -4e-9)}
-            yield recorded("afm/command", made("afm/command", seq, "controller@slave", **fields), log_ns)
-        event = made("session/event", seq, "afm_node@slave", text=f"µ {seq}")
+            yield recorded("afm/command", numbered("afm/command", seq, src="controller@slave", **fields), log_ns)
+        event = numbered("session/event", seq, src="afm_node@slave", text=f"µ {seq}")
         yield recorded("session/event", event, log_ns)
         # the copy that crossed the link is not said twice
         yield recorded("session/event", event, log_ns, "master")
