@@ -124,7 +124,8 @@ FAULTS = {
     "late by 100 ms": Fault(
         order("latency_s", 0.1),
         order("latency_s", 0.0),
-        "it has sent no sample within the deadline|is silent: the device counts as lost|switched off by its watchdog",
+        "it has sent no sample within the deadline|is silent: the device counts as lost|switched off by its watchdog"
+        "|the service has been silent for 0.05 s",
     ),
     "lost calibration": Fault(order("uncalibrated", 1.0), order("uncalibrated", 0.0), "is not calibrated: put its"),
     "killed service": Fault(
