@@ -11,7 +11,7 @@ OUT ?= out/fig12
 IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay_node:delay \
   afm_node:afm:telenano-afm-controllers recorder:recorder \
   session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
-  study:studies
+  study:studies,dask
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 comma := ,

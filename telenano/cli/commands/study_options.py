@@ -10,7 +10,7 @@ WorkersOption = Annotated[
 ]
 SchedulerOption = Annotated[
     str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://host:8786."),
+    typer.Option("--scheduler", metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786 (extra `dask`)."),
 ]
 OutOption = Annotated[
     Path,

@@ -20,6 +20,7 @@ from studies.loops.sweep import Sweep
 from studies.option_values import Jitter
 from studies.pages.compare import over_seeds_rows
 from telenano.cli.commands.study import app
+from telenano.cli.root import app as root
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
@@ -116,6 +117,14 @@ def test_a_sample_that_is_too_stiff_for_a_law_is_named(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert result.stderr.count("telenano: warning: law wave: 500 N/m is stiffer than the 444.4 N/m") == 1
     assert "20 N/m is stiffer" not in result.stderr
+
+
+def test_a_cluster_without_dask_names_what_adds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dask.distributed", None)
+    options = ["--delay", "0", "--stiffness", "38", "--scheduler", "tcp://h:1", "--out", str(tmp_path / "out")]
+    result = RUN.invoke(root, ["study", *STABILITY, *options])
+    assert result.exit_code == 2
+    assert "dask is not installed: pip install" in result.stderr
 
 
 def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
