@@ -1,6 +1,5 @@
 """The sites, scenarios and networks that come with the project, and the way from a name to their files."""
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from presets.plugins import scenario_files
@@ -9,7 +8,6 @@ from proto.errors import ConfigError, probably_meant
 _FOLDER = Path(__file__).resolve().parent
 SITE_DIRECTORY = _FOLDER / "sites"
 SCENARIO_DIRECTORY = _FOLDER / "scenarios"
-EXPERIMENT_DIRECTORY = _FOLDER / "experiments"
 NETWORK_DIRECTORY = _FOLDER / "networks"
 SCHEMA_DIRECTORY = _FOLDER / "schemas"
 DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
@@ -37,24 +35,9 @@ def find_scenario(name: str) -> Path:
     path = Path(name)
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
-    raise ConfigError(f"unknown scenario {name!r}: {_known(name, known_scenarios())}")
-
-
-def _known(name: str, names: Iterable[str]) -> str:
-    names = list(names)
-    return f"known are {', '.join(names)}, or give a .yaml file{probably_meant(name, names)}"
-
-
-def find_experiment(name: str) -> Path:
-    """Return the file of an experiment that comes with the project or is given as a path; ConfigError lists names."""
-    own = EXPERIMENT_DIRECTORY / f"{name}.yaml"
-    if "/" not in name and own.is_file():
-        return own
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml") or path.exists():
-        return path
-    known = sorted(file.stem for file in EXPERIMENT_DIRECTORY.glob("*.yaml"))
-    raise ConfigError(f"unknown experiment {name!r}: {_known(name, known)}")
+    known = known_scenarios()
+    listed = f"known are {', '.join(known)}, or give a .yaml file{probably_meant(name, known)}"
+    raise ConfigError(f"unknown scenario {name!r}: {listed}")
 
 
 def site_file_named(given: Path | None) -> Path | None:

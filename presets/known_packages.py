@@ -1,7 +1,8 @@
 """The packages that this project keeps beside its core: the one table that suggests them where they are missing."""
 
-# A command, a format of `bag export` or a name that a scenario may give, and the distribution that has it.
+# A command, a format of `bag export` or a name that a scenario or an experiment may give, and its distribution.
 KNOWN_PACKAGES = {
+    "benchmark": "telenano-experiments",
     "bridge foxglove": "telenano-foxglove",
     "bridge lsl": "telenano-lsl",
     "bridge ros2": "telenano-ros2",
@@ -17,6 +18,13 @@ KNOWN_PACKAGES = {
     "driver haply": "telenano-haptic-devices",
     "driver hd": "telenano-haptic-devices",
     "driver nanonis": "telenano-afm-controllers",
+    "experiment": "telenano-experiments",
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
+    "task detect_contact": "telenano-experiments",
+    "task discriminate_stiffness": "telenano-experiments",
+    "task follow_profile": "telenano-experiments",
+    "task push_particle": "telenano-experiments",
+    "task touch_and_hold": "telenano-experiments",
+    "task track": "telenano-experiments",
 }

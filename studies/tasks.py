@@ -1,4 +1,4 @@
-"""What a task is: parameters, instruction, target, settings of the rig, declared measures, and a pure judge of them.
+"""What a task of an experiment is: parameters, instruction, target, settings, declared measures, and a pure judge.
 
 A task judges tables that have the names of the bus (`TrialData`): it cannot tell a recording from lockstep. The force
 of a task is the force on the tip [N]; the hand feels it by the scale of the law.
@@ -14,11 +14,28 @@ from pydantic import BaseModel, ConfigDict
 
 from proto.experiment_messages import Question
 from recording.column_table import ColumnTable
-from studies.experiments.types import TrialData
 
 Series = npt.NDArray[np.float64]
 Judged = dict[str, float | bool | None]
 Quantity = Literal["none", "force", "position", "place"]
+
+
+class TrialData(NamedTuple):
+    """What a task judges, the same from a recording as from lockstep; the tables have the columns of the bus.
+
+    Args:
+        afm: The messages of afm/state.
+        haptic: The messages of haptic/state.
+        status: The messages of law/status, with the energies at the ports.
+        answers: What the participant answered: name, value and time_s, the time since the trial began [s].
+        particles: Where the first particle of a simulation really is: time_s, x_m, y_m; None without particles.
+    """
+
+    afm: ColumnTable
+    haptic: ColumnTable
+    status: ColumnTable
+    answers: tuple[Mapping[str, Any], ...] = ()
+    particles: ColumnTable | None = None
 
 
 class Measure(NamedTuple):
@@ -50,9 +67,6 @@ class Course(NamedTuple):
     def at(self, times_s: Series) -> Series:
         """Return the target at some times, the end values held outside; for a target of one dimension."""
         return np.interp(times_s, self.times_s, self.values)
-
-
-NO_COURSE = Course(np.empty(0), np.empty(0), "none")
 
 
 class Interval(NamedTuple):
@@ -137,41 +151,34 @@ class Plain:
         return ()
 
 
-def joined(parts: Sequence[TrialData], durations_s: Sequence[float]) -> TrialData:
-    """Return the data of a trial whose intervals ran one after another: times go on, `interval` counts from 0.
-
-    Args:
-        parts: The data of each interval, with times from its own beginning.
-        durations_s: How long each interval took [s].
-    """
-    starts = np.concatenate(([0.0], np.cumsum(durations_s)))[: len(parts)]
-    afm, haptic, status = (
-        _joined([getattr(part, name) for part in parts], starts) for name in ("afm", "haptic", "status")
-    )
-    answers = tuple(
-        {**answer, "time_s": answer["time_s"] + start}
-        for part, start in zip(parts, starts.tolist(), strict=True)
-        for answer in part.answers
-    )
-    return TrialData(afm, haptic, status, answers)
-
-
-def _joined(tables: Sequence[ColumnTable], starts: Series) -> ColumnTable:
-    first = tables[0]
-    columns = {name: np.concatenate([table[name] for table in tables]) for name in first}
-    sizes = [len(table["time_s"]) for table in tables]
-    columns["time_s"] = columns["time_s"] + np.repeat(starts, sizes)
-    columns["interval"] = np.repeat(np.arange(len(tables)), sizes)
-    units, texts = {**first.units, "interval": ""}, {**first.descriptions, "interval": "Interval of the trial, from 0"}
-    return ColumnTable("a trial of several intervals", columns, units, texts)
-
-
 class Tip(NamedTuple):
     """The course of the instrument in a trial, as arrays of one length: times [s], force on the tip [N], base [m]."""
 
     time_s: Series
     force_n: Series
     base_m: Series
+
+
+def scale(
+    name: str, text: str, low: str, high: str, least: float = 1.0, most: float = 7.0, step: float = 1.0
+) -> Question:
+    """Return a rating scale; the default is one of seven points.
+
+    Args:
+        name: The name of the value in the answer and in the table.
+        text: The question in words.
+        low: What the lower end means.
+        high: What the upper end means.
+        least: The lowest value.
+        most: The highest value.
+        step: The distance of the values.
+    """
+    return Question(name=name, text=text, low=low, high=high, least=least, most=most, step=step, options=())
+
+
+def choice(name: str, text: str, options: Sequence[str]) -> Question:
+    """Return a question with some options, of which one is chosen; the answer is the option in words."""
+    return Question(name=name, text=text, low="", high="", least=0.0, most=0.0, step=0.0, options=tuple(options))
 
 
 def tip_of(data: TrialData) -> Tip:
@@ -201,16 +208,6 @@ def common_of(data: TrialData) -> Judged:
         "effort_n_s": _integral(np.abs(force_n), time_s),
         "hand_path_m": math.fsum(np.abs(np.diff(place_m)).tolist()) if place_m.size > 1 else None,
     }
-
-
-def steady_force(force_n: float, duration_s: float) -> Course:
-    """Return the target of a force [N] that stays the same over a trial [s]."""
-    return Course(np.array([0.0, duration_s]), np.full(2, force_n), "force")
-
-
-def rms(values: Series) -> float:
-    """Return the root mean square of one or more values."""
-    return math.sqrt(math.fsum((values * values).tolist()) / len(values))
 
 
 def held_from(time_s: Series, inside: npt.NDArray[np.bool_], hold_s: float) -> float | None:

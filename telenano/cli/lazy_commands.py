@@ -62,12 +62,6 @@ LAZY_COMMANDS = {
         "app",
         "Study each law in lockstep: stability, transparency.",
     ),
-    "experiment": LazyCommand(
-        "telenano.cli.commands.experiment", "app", "Run trials of people or simulated operators over conditions."
-    ),
-    "benchmark": LazyCommand(
-        "telenano.cli.commands.benchmark", "benchmark", "Run the benchmark of laws: which law for which network."
-    ),
     "scenario": LazyCommand("telenano.cli.commands.scenario", "app", "List, show, check and make scenarios."),
     "param": LazyCommand("telenano.cli.commands.param", "app", "List the keys of a scenario, and get their values."),
     "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
@@ -106,6 +100,7 @@ LAZY_COMMANDS = {
 }
 
 
+# The order of the list of commands; those of packages of the project stand in it where they are installed.
 GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
@@ -302,11 +297,12 @@ class LazyRoot(OpenGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands under the headings of GROUPS, each with its whole line."""
         rows = self.rows()
-        others = tuple(name for name in rows if name not in LAZY_COMMANDS)
+        placed = {name for names in GROUPS.values() for name in names}
+        others = tuple(name for name in rows if name not in placed)
         for heading, names in {**GROUPS, "Packages": others}.items():
-            if names:
+            if listed := [(name, rows[name].about) for name in names if name in rows]:
                 with formatter.section(heading):
-                    formatter.write_dl([(name, rows[name].about) for name in names])
+                    formatter.write_dl(listed)
 
 
 @contextlib.contextmanager

@@ -36,9 +36,9 @@ def _taken(kind: str) -> Collection[str]:
 
         return TAKEN_LAWS
     if kind == "task":
-        from studies.experiments.tasks import OWN_TASKS
+        from presets.known_packages import KNOWN_PACKAGES
 
-        return [task.name for task in OWN_TASKS]
+        return [words.removeprefix("task ") for words in KNOWN_PACKAGES if words.startswith("task ")]
     if kind == "command":
         from telenano.cli.lazy_commands import LAZY_COMMANDS
 

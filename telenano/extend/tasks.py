@@ -2,8 +2,7 @@
 
 from pydantic import Field
 
-from studies.experiments.asked import choice, scale
-from studies.experiments.tasks.base import (
+from studies.tasks import (
     COMMON,
     Course,
     Interval,
@@ -11,11 +10,15 @@ from studies.experiments.tasks.base import (
     Measure,
     Parameters,
     Plain,
+    Series,
+    Task,
+    TrialData,
+    choice,
     common_of,
     held_from,
+    scale,
     tip_of,
 )
-from studies.experiments.types import TrialData
 
 __all__ = [
     "COMMON",
@@ -26,6 +29,8 @@ __all__ = [
     "Measure",
     "Parameters",
     "Plain",
+    "Series",
+    "Task",
     "TrialData",
     "choice",
     "common_of",

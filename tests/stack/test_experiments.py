@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 import yaml
 from stack_rig import ROOT
+from telenano_experiments import journal
 
 from proto.errors import RecordingError
 from recording.reader import Recording
-from studies.experiments import journal
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance]
 

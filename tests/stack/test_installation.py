@@ -235,7 +235,6 @@ ALONE = {
     "view": "-c import services.viz_node.server",
     "launcher": "report REFERENCE --out report",
     "studies": "study transparency --law wave --delay 0 --out study",
-    "experiments": "-c import statsmodels.api, studies.experiments.analyse",
     "rig": "curve --out curve",
     "peers": "-c import zenoh, iceoryx2",
     "notebooks": "-c import hatchling, ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",

@@ -15,10 +15,9 @@ import pytest
 from browser_page import AXE, Page, browser, needs_browser
 from documents import ROOT, run
 from experiment_tables import demo
+from telenano_experiments.folder_tables import describe
+from telenano_experiments.table import tidy, write_tables
 from test_gallery_page import MOVE, SAID
-
-from studies.experiments.folder_tables import describe
-from studies.experiments.table import tidy, write_tables
 
 pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(1500)]
 

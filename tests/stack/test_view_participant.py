@@ -21,14 +21,15 @@ import numpy as np
 import pytest
 from browser_page import AXE, PATIENCE_S, PATIENT, View, browser, keep, needs_browser, until
 from stack_rig import Rig
+from telenano_experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX
+from telenano_experiments.bus import Answer, ExperimentBus
+from telenano_experiments.journal import read as read_journal
+from telenano_experiments.recorded_trial import RecordedTrial
+from telenano_experiments.tasks import TASKS
+from telenano_experiments.types import Trial
 
 from presets import DEFAULT_SITE_FILE
-from studies.experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX, choice
-from studies.experiments.bus import Answer, ExperimentBus
-from studies.experiments.journal import read as read_journal
-from studies.experiments.recorded_trial import RecordedTrial
-from studies.experiments.tasks import TASKS
-from studies.experiments.types import Trial
+from telenano.extend.tasks import choice
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
-from proto.extras import how_to_install
-from studies.experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
-from studies.experiments.effects import Effects, Factor, Test, as_rows, effects
-from studies.experiments.psychophysics.methods import replay
-from studies.experiments.table import ANSWER, CONDITION, FIXED, Row, Tables
+from proto.extras import how_to_add_package
+from telenano_experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
+from telenano_experiments.effects import Effects, Factor, Test, as_rows, effects
+from telenano_experiments.psychophysics.methods import replay
+from telenano_experiments.table import ANSWER, CONDITION, FIXED, Row, Tables
 
 PACKAGES = ("telenano", "numpy", "scipy", "pandas", "statsmodels", "matplotlib")
 
@@ -84,12 +84,12 @@ EVERYTHING = Choice()
 
 
 def require_packages() -> None:
-    """Raise ConfigError, which says what adds them, where packages of the extra are not installed."""
+    """Raise ConfigError, which says what adds them, where what it takes is not installed."""
     from importlib.util import find_spec
 
     missing = [name for name in ("pandas", "scipy", "statsmodels") if find_spec(name) is None]
     if missing:
-        raise ConfigError(f"the analysis needs {', '.join(missing)}: {how_to_install('experiments')}")
+        raise ConfigError(f"the analysis needs {', '.join(missing)}: {how_to_add_package('telenano-experiments')}")
 
 
 def versions() -> dict[str, str]:

@@ -11,11 +11,11 @@ import numpy as np
 
 from services.recorder.provenance import versions as origin_of
 from services.viz_node.figure_style import COLUMN_IN, LINES, FigureOptions, lettered, styled
-from studies.experiments.analyse import Analysis, versions
-from studies.experiments.effects import Factor
-from studies.experiments.psychophysics.function import Psychometric
-from studies.experiments.table import Row, Tables, write_tables
 from studies.pages.page import Page, write_images
+from telenano_experiments.analyse import Analysis, versions
+from telenano_experiments.effects import Factor
+from telenano_experiments.psychophysics.function import Psychometric
+from telenano_experiments.table import Row, Tables, write_tables
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

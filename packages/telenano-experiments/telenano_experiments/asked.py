@@ -1,35 +1,12 @@
 """What participants are asked: consent, NASA-TLX without weights, rating scales and choices, as data of the bus."""
 
-from collections.abc import Sequence
-
 from proto.experiment_messages import Question
+from telenano.extend.tasks import choice, scale
 
 CONSENT_TEXT = (
     "You take part of your own will, and may end it at any time without giving a reason: say so, or close the page. "
     "What you do and answer is recorded under a pseudonym, never under your name."
 )
-
-
-def scale(
-    name: str, text: str, low: str, high: str, least: float = 1.0, most: float = 7.0, step: float = 1.0
-) -> Question:
-    """Return a rating scale; the default is one of seven points.
-
-    Args:
-        name: The name of the value in the answer and in the table.
-        text: The question in words.
-        low: What the lower end means.
-        high: What the upper end means.
-        least: The lowest value.
-        most: The highest value.
-        step: The distance of the values.
-    """
-    return Question(name=name, text=text, low=low, high=high, least=least, most=most, step=step, options=())
-
-
-def choice(name: str, text: str, options: Sequence[str]) -> Question:
-    """Return a question with some options, of which one is chosen; the answer is the option in words."""
-    return Question(name=name, text=text, low="", high="", least=0.0, most=0.0, step=0.0, options=tuple(options))
 
 
 CONSENT = choice("consent", "Do you agree to take part?", ("yes", "no"))

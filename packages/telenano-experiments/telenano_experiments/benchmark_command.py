@@ -40,12 +40,12 @@ def benchmark(
 ) -> None:
     """Run the benchmark of laws: fixed tasks, networks and hands in lockstep; one page, and a digest of the runs."""
     with report_errors(as_json, INTERRUPTED):
-        from studies.benchmark.plan import plan_of
-        from studies.benchmark.recordings import write_recordings
-        from studies.benchmark.results import rows_of, runs_text, summary_of
-        from studies.benchmark.run import RUNS
-        from studies.pages.benchmark_page import CHOICE_HEAD, benchmark_figure, benchmark_page, choice_rows
         from studies.pages.page import write_images
+        from telenano_experiments.benchmark.plan import plan_of
+        from telenano_experiments.benchmark.recordings import write_recordings
+        from telenano_experiments.benchmark.results import rows_of, runs_text, summary_of
+        from telenano_experiments.benchmark.run import RUNS
+        from telenano_experiments.benchmark_page import CHOICE_HEAD, benchmark_figure, benchmark_page, choice_rows
 
         plan = plan_of(option_values.laws(law), quick=quick, settings=option_values.settings(settings or ()))
         options, command = figure_options(formats, style), _command(law, quick=quick, settings=settings or ())

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from services.delay_node.profiles import PROFILES
-from studies.benchmark.plan import HANDS, TASKS, VERSION, Plan
-from studies.benchmark.results import Row, Spread, choices
-from studies.benchmark.run import DIGITS, MEASURES, MOST_PEAK
 from studies.pages.page import Page, text
+from telenano_experiments.benchmark.plan import HANDS, TASKS, VERSION, Plan
+from telenano_experiments.benchmark.results import Row, Spread, choices
+from telenano_experiments.benchmark.run import DIGITS, MEASURES, MOST_PEAK
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -18,12 +18,13 @@ from proto.nodes import EXPERIMENT, VIEW
 from services.runtime.bus.ends import publish_end
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import open_participant
-from studies.experiments.tasks.base import NO_COURSE, Course
-from studies.experiments.types import Trial
+from telenano.extend.tasks import Course
+from telenano_experiments.types import Trial
 
 # A cue is told again after this time, to pages that came meanwhile.
 _REPEAT_S = 0.5
 _POLL_MS = 50
+_NO_COURSE = Course(np.empty(0), np.empty(0), "none")
 
 
 class Answer(NamedTuple):
@@ -109,7 +110,7 @@ class ExperimentBus:
             band: Half the width of the band about the target, in its unit.
         """
         self._issued += 1
-        shown = NO_COURSE if course is None else course
+        shown = _NO_COURSE if course is None else course
         self._cue = {
             "id": f"{self._sender}-{self._issued}",
             "stage": stage,

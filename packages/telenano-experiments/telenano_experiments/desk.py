@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from proto.experiment_messages import Question
-from studies.experiments.asked import CONSENT, CONSENT_TEXT
-from studies.experiments.bus import Answer, ExperimentBus
-from studies.experiments.operators import Simulated
-from studies.experiments.plan import PICTURE_DELAY, Plan, parameters_of
-from studies.experiments.types import Trial, TrialData, TrialOutcome
+from telenano.extend.tasks import TrialData
+from telenano_experiments.asked import CONSENT, CONSENT_TEXT
+from telenano_experiments.bus import Answer, ExperimentBus
+from telenano_experiments.operators import Simulated
+from telenano_experiments.plan import PICTURE_DELAY, Plan, parameters_of
+from telenano_experiments.types import Trial, TrialOutcome
 
 Answers = tuple[Mapping[str, Any], ...]
 _COUNTDOWN_S = 3.0

@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from studies.experiments.effect_sizes import Matrix, compared, corrected, partial_eta2, sphericity
+from telenano_experiments.effect_sizes import Matrix, compared, corrected, partial_eta2, sphericity
 
 Test = Literal["mixed", "anova"]
 # one after the other, until a search for the greatest likelihood ends

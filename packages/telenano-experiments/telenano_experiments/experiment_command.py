@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from presets import find_experiment
 from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
-from telenano.cli.commands.experiment_analyse import analyse
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import fail, print_document, print_json, print_rows, report_errors
+from telenano_experiments.analyse_command import analyse
+from telenano_experiments.plans import find_experiment
 
 if TYPE_CHECKING:
-    from studies.experiments.apparatus.base import Apparatus
-    from studies.experiments.desk import Desk
-    from studies.experiments.plan import Plan
+    from telenano_experiments.apparatus.base import Apparatus
+    from telenano_experiments.desk import Desk
+    from telenano_experiments.plan import Plan
 
 app = command_group()
 people = command_group()
@@ -83,7 +83,7 @@ def new(
 def check(file: FileArgument, as_json: JsonOption = False) -> None:
     """Check an experiment: how many trials, how long, which factor varies where, and whether the order is balanced."""
     with report_errors(as_json):
-        from studies.experiments.summary import summary_of
+        from telenano_experiments.summary import summary_of
 
         plan = _load(find_experiment(file))
         found = summary_of(plan)
@@ -132,7 +132,7 @@ def run(
 def resume(folder: FolderArgument, participant: ParticipantOption = None, as_json: JsonOption = False) -> None:
     """Go on with an experiment after a break or a crash: no trial is lost, and none is done twice."""
     with report_errors(as_json, _INTERRUPTED):
-        from studies.experiments.runner import folder_plan
+        from telenano_experiments.runner import folder_plan
 
         folder_plan(folder)
         _run(folder, participant, as_json=as_json)
@@ -142,9 +142,9 @@ def resume(folder: FolderArgument, participant: ParticipantOption = None, as_jso
 def status(folder: FolderArgument, as_json: JsonOption = False) -> None:
     """Show how far an experiment is: trials done, left and disturbed of each participant."""
     with report_errors(as_json):
-        from studies.experiments import journal
-        from studies.experiments.runner import folder_plan
-        from studies.experiments.summary import state_of
+        from telenano_experiments import journal
+        from telenano_experiments.runner import folder_plan
+        from telenano_experiments.summary import state_of
 
         path = folder / journal.NAME
         plan = _load(folder_plan(folder))
@@ -169,8 +169,8 @@ def publish(
 ) -> None:
     """Make a folder or archive for others: plan, tables, dictionary, checksums and versions, nothing personal."""
     with report_errors(as_json):
-        from studies.experiments.publish import publish as made
-        from studies.experiments.runner import folder_plan
+        from telenano_experiments.publish import publish as made
+        from telenano_experiments.runner import folder_plan
 
         found = made(_load(folder_plan(folder)), folder, out, with_recordings=recordings)
     print_document(found, str(out), as_json=as_json)
@@ -188,7 +188,7 @@ def erase(
 ) -> None:
     """Erase all data of a participant, with a proof of what is gone; it cannot be undone."""
     with report_errors(as_json):
-        from studies.experiments.people import erase as erased
+        from telenano_experiments.people import erase as erased
 
         if not yes and not typer.confirm(f"Erase everything of {pseudonym} in {folder}?"):
             raise ConfigError("nothing was erased")
@@ -212,7 +212,7 @@ def add(
 ) -> None:
     """Add a participant, or note handedness and consent of one."""
     with report_errors(as_json):
-        from studies.experiments.people import People
+        from telenano_experiments.people import People
 
         known: dict[str, Any] = {"handedness": handedness.value} if handedness is not Handedness.UNKNOWN else {}
         person = People(folder).change(pseudonym, **known, **({"consent": True} if consent else {}))
@@ -228,8 +228,8 @@ def exclude(
 ) -> None:
     """Exclude a participant's data with a reason, or take them back with an empty one; nothing is deleted."""
     with report_errors(as_json):
-        from studies.experiments.journal import NAME, Journal
-        from studies.experiments.people import People
+        from telenano_experiments.journal import NAME, Journal
+        from telenano_experiments.people import People
 
         with Journal(folder / NAME) as journal:
             person = People(folder).change(pseudonym, excluded=reason)
@@ -241,7 +241,7 @@ def exclude(
 def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
     """List the participants."""
     with report_errors(as_json):
-        from studies.experiments.people import People, shown
+        from telenano_experiments.people import People, shown
 
         rows = shown(People(folder).known)
     if as_json:
@@ -276,7 +276,7 @@ _INTERRUPTED = "interrupted; `telenano experiment resume` goes on with the trial
 
 
 def _load(path: Path) -> "Plan":
-    from studies.experiments.plan import load_plan
+    from telenano_experiments.plan import load_plan
 
     return load_plan(path)
 
@@ -297,10 +297,10 @@ def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | N
 
 def _run(folder: Path, participants: list[str] | None, *, as_json: bool) -> None:
     """Run what is left of the experiment in a folder, and print how far it is."""
-    from studies.experiments.journal import NAME, Journal
-    from studies.experiments.people import People
-    from studies.experiments.runner import Runner, remaining
-    from studies.experiments.summary import state_of
+    from telenano_experiments.journal import NAME, Journal
+    from telenano_experiments.people import People
+    from telenano_experiments.runner import Runner, remaining
+    from telenano_experiments.summary import state_of
 
     def show(text: str) -> None:
         typer.echo(text, err=as_json)
@@ -335,8 +335,8 @@ def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> lis
 @contextlib.contextmanager
 def _apparatus(plan: "Plan", folder: Path, show: Any) -> Iterator[tuple["Apparatus", "Desk"]]:
     """Yield what the trials run on, and who is told and asked; a rig ends with the block."""
-    from studies.experiments.apparatus.lockstep import Lockstep
-    from studies.experiments.desk import BusDesk, Desk, PersonDesk
+    from telenano_experiments.apparatus.lockstep import Lockstep
+    from telenano_experiments.desk import BusDesk, Desk, PersonDesk
 
     is_person = plan.experiment.operator.kind == "person"
     if plan.experiment.apparatus == "lockstep":
@@ -345,7 +345,7 @@ def _apparatus(plan: "Plan", folder: Path, show: Any) -> Iterator[tuple["Apparat
         desk = Desk(plan)
         yield Lockstep(plan, desk), desk
         return
-    from studies.experiments.apparatus.live import Live
+    from telenano_experiments.apparatus.live import Live
 
     desk = PersonDesk(plan) if is_person else BusDesk(plan)
     with contextlib.closing(Live(plan, folder, desk, show)) as apparatus:

@@ -9,8 +9,9 @@ from proto.errors import known_names
 from proto.experiment_messages import Question
 from proto.messages import Scalar
 from services.runtime.settings.config import Settings, flatten
-from studies.experiments.asked import INSTRUMENTS, choice, scale
-from studies.experiments.orders import OrderKind
+from telenano.extend.tasks import choice, scale
+from telenano_experiments.asked import INSTRUMENTS
+from telenano_experiments.orders import OrderKind
 
 # Factors that stand for the delay of both directions: the delay of one way for a unit of the level [s].
 DELAYS = {"round_trip_ms": 0.5e-3, "delay_ms": 1e-3}

@@ -5,10 +5,10 @@ from typing import Any
 
 from proto.errors import ConfigError
 from services.runtime.settings.config import read_yaml, validate
-from studies.experiments.experiment_file import Experiment
-from studies.experiments.journal import NAME, read
-from studies.experiments.table import Tables, tidy
-from studies.experiments.tasks import TASKS
+from telenano_experiments.experiment_file import Experiment
+from telenano_experiments.journal import NAME, read
+from telenano_experiments.table import Tables, tidy
+from telenano_experiments.tasks import TASKS
 
 FILE = "experiment.yaml"
 _ORDERS = {

@@ -25,10 +25,10 @@ from pydantic import Field
 
 from services.delay_node.config import LinkSettings
 from services.runtime.settings.config import nested, validate
-from studies.experiments.tasks.base import Course, Parameters, Series, Task
-from studies.experiments.tasks.detect_contact import CONTACT
-from studies.experiments.tasks.discriminate_stiffness import ANSWER, FIRST, SECOND, comparison_is_first
-from studies.experiments.types import Trial, TrialData
+from telenano.extend.tasks import Course, Parameters, Series, Task, TrialData
+from telenano_experiments.tasks.detect_contact import CONTACT
+from telenano_experiments.tasks.discriminate_stiffness import ANSWER, FIRST, SECOND, comparison_is_first
+from telenano_experiments.types import Trial
 
 # Seconds of completion time of touch_and_hold for a second of the round trip: law wave, spring of 20 N/m, no scatter.
 SLOPE_OF_WAVE = 4.5

@@ -17,7 +17,7 @@ from pydantic import Field
 from proto.errors import ConfigError, RigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import Settings, validate
-from studies.experiments.journal import Journal, Record, now_utc
+from telenano_experiments.journal import Journal, Record, now_utc
 
 NAME = "people.json"
 ERASURES = "erased"

@@ -16,8 +16,9 @@ from proto.messages import Scalar
 from services.launcher.plan import anchored, check_sections
 from services.runtime.settings.config import flatten, merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.experiments.experiment_file import DELAYS, Experiment, TaskEntry
-from studies.experiments.orders import (
+from telenano.extend.tasks import Task
+from telenano_experiments.experiment_file import DELAYS, Experiment, TaskEntry
+from telenano_experiments.orders import (
     MOST_PERMUTED,
     Balance,
     OrderKind,
@@ -25,10 +26,9 @@ from studies.experiments.orders import (
     sequence,
     sequences_of_design,
 )
-from studies.experiments.psychophysics.methods import checked, most_trials
-from studies.experiments.tasks import INSTALLED, TASKS
-from studies.experiments.tasks.base import Task
-from studies.experiments.types import Trial
+from telenano_experiments.psychophysics.methods import checked, most_trials
+from telenano_experiments.tasks import INSTALLED, TASKS
+from telenano_experiments.types import Trial
 
 # Factors that stand for a key.
 SHORT_NAMES = {"law": "controller.law", "network": "delay_node.profile"}

@@ -15,12 +15,12 @@ from typing import Any
 
 from proto.errors import ConfigError
 from recording.whole_files import whole_file, whole_folder
-from studies.experiments.folder_tables import describe
-from studies.experiments.journal import NAME, Journal, Record, now_utc
-from studies.experiments.people import People, digest_of
-from studies.experiments.plan import Plan
-from studies.experiments.runner import versions
-from studies.experiments.table import Tables, tidy, write_tables
+from telenano_experiments.folder_tables import describe
+from telenano_experiments.journal import NAME, Journal, Record, now_utc
+from telenano_experiments.people import People, digest_of
+from telenano_experiments.plan import Plan
+from telenano_experiments.runner import versions
+from telenano_experiments.table import Tables, tidy, write_tables
 
 # An answer of a choice or a rating; whatever is longer may be a sentence about somebody.
 _LONGEST_ANSWER = 40

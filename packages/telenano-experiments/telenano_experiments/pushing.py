@@ -19,11 +19,11 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.experiments.operators import Profile
-from studies.experiments.tasks.base import Course
 from studies.loops.push_hand import Hand, Push, new_hand
 from studies.loops.push_study import SPEED_M_PER_S
 from studies.loops.simulation import instrument_params
+from telenano.extend.tasks import Course
+from telenano_experiments.operators import Profile
 
 # It begins when the tip has touched the sample, and leaves a particle this share of its circle from the goal.
 _TOUCHED_S, _LEAVES = 1.0, 0.5

@@ -14,8 +14,9 @@ from recording.quantities import quantity
 from recording.reader import Recording
 from recording.site_clock import Timeline
 from recording.tables import columns_of, uniform
-from studies.experiments.disturbances import Evidence, Hold, Passage
-from studies.experiments.types import TrialData, particle_table
+from telenano.extend.tasks import TrialData
+from telenano_experiments.disturbances import Evidence, Hold, Passage
+from telenano_experiments.types import particle_table
 
 _TABLES = ("afm/state", "haptic/state", "law/status")
 _PARTICLES = "afm/particles"

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from proto.errors import ConfigError
-from studies.experiments.apparatus.base import Apparatus
-from studies.experiments.desk import Desk, Place
-from studies.experiments.journal import Journal, Record
-from studies.experiments.people import People, Person
-from studies.experiments.plan import Plan, attempt_seed, seed_of
-from studies.experiments.psychophysics.methods import Method, replay
-from studies.experiments.types import Trial, TrialOutcome
+from telenano_experiments.apparatus.base import Apparatus
+from telenano_experiments.desk import Desk, Place
+from telenano_experiments.journal import Journal, Record
+from telenano_experiments.people import People, Person
+from telenano_experiments.plan import Plan, attempt_seed, seed_of
+from telenano_experiments.psychophysics.methods import Method, replay
+from telenano_experiments.types import Trial, TrialOutcome
 
 _PACKAGES = ("telenano", "numpy", "numba", "scipy")
 

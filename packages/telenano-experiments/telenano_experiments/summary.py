@@ -4,10 +4,10 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from studies.experiments.journal import Record
-from studies.experiments.plan import Plan, changes_while_running, parameters_of
-from studies.experiments.runner import progress_of, remaining
-from studies.experiments.types import Trial
+from telenano_experiments.journal import Record
+from telenano_experiments.plan import Plan, changes_while_running, parameters_of
+from telenano_experiments.runner import progress_of, remaining
+from telenano_experiments.types import Trial
 
 # What a rig needs between two trials, and to start [s], and what a person reads before each.
 _BETWEEN_S, _START_S, _COUNTDOWN_S = 5.0, 15.0, 3.0

@@ -38,24 +38,6 @@ class Trial(NamedTuple):
     seed: int
 
 
-class TrialData(NamedTuple):
-    """What a task judges, the same from a recording as from lockstep; the tables have the columns of the bus.
-
-    Args:
-        afm: The messages of afm/state.
-        haptic: The messages of haptic/state.
-        status: The messages of law/status, with the energies at the ports.
-        answers: What the participant answered: name, value and time_s, the time since the trial began [s].
-        particles: Where the first particle of a simulation really is: time_s, x_m, y_m; None without particles.
-    """
-
-    afm: ColumnTable
-    haptic: ColumnTable
-    status: ColumnTable
-    answers: tuple[Mapping[str, Any], ...] = ()
-    particles: ColumnTable | None = None
-
-
 class TrialOutcome(NamedTuple):
     """What came of one attempt at a trial.
 

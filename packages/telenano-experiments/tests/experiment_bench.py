@@ -6,14 +6,13 @@ from typing import Any
 
 import yaml
 from pydantic import Field
+from telenano_experiments import tasks
+from telenano_experiments.apparatus.base import Apparatus, Course, Take
+from telenano_experiments.apparatus.lockstep import empty
+from telenano_experiments.desk import Desk
+from telenano_experiments.plan import Plan, load_plan
 
-from studies.experiments import tasks
-from studies.experiments.apparatus.base import Apparatus, Course, Take
-from studies.experiments.apparatus.lockstep import empty
-from studies.experiments.desk import Desk
-from studies.experiments.plan import Plan, load_plan
-from studies.experiments.tasks.base import Judged, Measure, Parameters, Plain, Task
-from studies.experiments.types import TrialData
+from telenano.extend.tasks import Judged, Measure, Parameters, Plain, Task, TrialData
 
 
 class Tiny(Parameters):

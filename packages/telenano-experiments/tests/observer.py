@@ -3,8 +3,7 @@
 import random
 
 import numpy as np
-
-from studies.experiments.psychophysics.function import Psychometric
+from telenano_experiments.psychophysics.function import Psychometric
 
 
 class Observer:

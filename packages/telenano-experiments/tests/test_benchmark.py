@@ -11,6 +11,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from telenano_experiments.benchmark import plan as plan_module
+from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
+from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
+from telenano_experiments.benchmark.recordings import course_text, write_recordings
+from telenano_experiments.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
+from telenano_experiments.benchmark.run import MEASURES, MOST_PEAK, RUNS, STRUCK, Outcome, outcome_from, run
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
@@ -18,12 +24,6 @@ from services.controller.config import OWN_LAWS
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 from services.controller.laws.wave import WaveConfig
 from services.delay_node.profiles import PROFILES
-from studies.benchmark import plan as plan_module
-from studies.benchmark.etvo import LAG_WEIGHT, etvo
-from studies.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
-from studies.benchmark.recordings import course_text, write_recordings
-from studies.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
-from studies.benchmark.run import MEASURES, MOST_PEAK, RUNS, STRUCK, Outcome, outcome_from, run
 from studies.loops.link import schedule_of
 from studies.loops.sweep import Journal, Sweep
 from telenano.cli.root import app
@@ -219,9 +219,9 @@ def test_the_command_writes_page_figure_runs_and_recordings_with_checksums(tmp_p
 
 SUBSET = """
 import sys
-from studies.benchmark.plan import Run
-from studies.benchmark.results import digest_of, runs_text
-from studies.benchmark.run import run
+from telenano_experiments.benchmark.plan import Run
+from telenano_experiments.benchmark.results import digest_of, runs_text
+from telenano_experiments.benchmark.run import run
 runs = [
     Run(task=task, network=network, law=law, hand=hand, seed=0)
     for law, task, network, hand in (

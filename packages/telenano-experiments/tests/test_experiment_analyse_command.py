@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 from experiment_tables import LAWS, demo, trial
+from telenano_experiments.analyse import Choice, analyse
+from telenano_experiments.plans import find_experiment
+from telenano_experiments.table import tidy
 from typer.testing import CliRunner
 
-from presets import find_experiment
-from studies.experiments.analyse import Choice, analyse
-from studies.experiments.table import tidy
 from telenano.cli.root import app
 
 pytest.importorskip("statsmodels")

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from experiment_tables import DELAYS_MS, LAWS, SLOPE, demo, trial
 from observer import Observer
+from telenano_experiments import analyse as analyse_module
+from telenano_experiments.analyse import Choice, analyse
+from telenano_experiments.effect_sizes import corrected, partial_eta2, sphericity
+from telenano_experiments.effects import Effects
+from telenano_experiments.psychophysics.function import Psychometric
+from telenano_experiments.table import tidy
 
 from proto.errors import ConfigError
 from services.viz_node.figure_style import figure_options
-from studies.experiments import analyse as analyse_module
-from studies.experiments.analyse import Choice, analyse
-from studies.experiments.effect_sizes import corrected, partial_eta2, sphericity
-from studies.experiments.effects import Effects
-from studies.experiments.psychophysics.function import Psychometric
-from studies.experiments.table import tidy
 
 pytest.importorskip("pandas")
 pytest.importorskip("statsmodels")
@@ -77,7 +77,7 @@ def test_the_analysis_of_variance_agrees_with_the_mixed_model_and_corrects_for_s
 def test_where_no_mixed_model_converges_the_rule_goes_on_to_the_analysis_of_variance(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from studies.experiments import effects
+    from telenano_experiments import effects
 
     monkeypatch.setattr(effects, "_fit_mixed", lambda *given: (None, "the search did not end"))
     found = of_time(demo(1))
@@ -225,13 +225,13 @@ def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
         analyse(tidy(demo(1)), adaptive={"delay_ms": {}})
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(
-        ConfigError, match=r"the analysis needs pandas, scipy, statsmodels: pip install .*\[experiments\]"
+        ConfigError, match=r"the analysis needs pandas, scipy, statsmodels: pip install .*telenano-experiments"
     ):
         analyse_module.require_packages()
 
 
 def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> None:
-    from studies.experiments.analysis_page import write_analysis
+    from telenano_experiments.analysis_page import write_analysis
 
     tables = tidy(demo(1), lambda task: {"completion_time_s": ("s", "Completion time")})
     found = analyse(tables, ANOVA)

@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_experiments.asked import CONSENT, NASA_TLX
+from telenano_experiments.bus import Answer, ExperimentBus
+from telenano_experiments.types import Trial
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, EndpointError
 from services.runtime.bus.observer import Observer
 from services.runtime.loop.main import load_site
 from services.viz_node.commander import RigHand
-from studies.experiments.asked import CONSENT, NASA_TLX
-from studies.experiments.bus import Answer, ExperimentBus
-from studies.experiments.tasks.base import Course
-from studies.experiments.types import Trial
+from telenano.extend.tasks import Course
 
 PATIENCE_S = 20.0
 TRIAL = Trial("P07", 1, 2, 5, "main", "track", {}, {"law": "wave", "delay_s": 0.1, "on": (1, 2)}, {}, 11)

@@ -7,16 +7,15 @@ from typing import Any
 import pytest
 import yaml
 from experiment_bench import DOCUMENT, TASKS, Bench
+from telenano_experiments import journal
+from telenano_experiments.experiment_command import app
 from typer.testing import CliRunner
-
-from studies.experiments import journal
-from telenano.cli.commands.experiment import app
 
 
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("studies.experiments.plan.TASKS", TASKS)
-    monkeypatch.setattr("studies.experiments.apparatus.lockstep.Lockstep", Bench)
+    monkeypatch.setattr("telenano_experiments.plan.TASKS", TASKS)
+    monkeypatch.setattr("telenano_experiments.apparatus.lockstep.Lockstep", Bench)
     path = tmp_path / "tiny.yaml"
     document = {**DOCUMENT, "apparatus": "lockstep", "tasks": ["tiny"]}
     path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

@@ -7,12 +7,11 @@ from typing import Any
 
 import pytest
 from experiment_bench import Bench, plan_of
+from telenano_experiments.bus import Answer
+from telenano_experiments.desk import PersonDesk
+from telenano_experiments.journal import Journal
+from telenano_experiments.people import People
 from test_experiment_runner import run, trials_in
-
-from studies.experiments.bus import Answer
-from studies.experiments.desk import PersonDesk
-from studies.experiments.journal import Journal
-from studies.experiments.people import People
 
 
 class Bus:

@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from studies.experiments.disturbances import Evidence, Hold, Passage, disturbances, longest_gap
+from telenano_experiments.disturbances import Evidence, Hold, Passage, disturbances, longest_gap
 
 STALL_S = 0.02
 TIMES = np.arange(0.0, 4.0, 1e-3)

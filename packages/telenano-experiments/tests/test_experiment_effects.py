@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from telenano_experiments.operators import SLOPE_OF_WAVE
 from typer.testing import CliRunner
 
-from studies.experiments.operators import SLOPE_OF_WAVE
 from telenano.cli.root import app
 
 pytest.importorskip("statsmodels")

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from telenano_experiments import journal
+from telenano_experiments.journal import Journal
 
 from proto.errors import ConfigError, RigError
-from studies.experiments import journal
-from studies.experiments.journal import Journal
 
 
 @pytest.fixture

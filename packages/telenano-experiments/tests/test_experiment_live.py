@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from experiment_bench import plan_of
+from telenano_experiments.apparatus.live import Live
+from telenano_experiments.apparatus.wanted import Wanted, constant_delays_ns, kept_keys, wanted_of
+from telenano_experiments.desk import Desk
+from telenano_experiments.disturbances import disturbances
+from telenano_experiments.recorded_trial import RecordedTrial
 
 from proto.errors import RecordingError, RigError
 from recording.channel_filter import Selection
 from recording.rewrite import filter_recording
 from services.controller.config import ControllerConfig, changed_config
 from services.delay_node.config import changed, flattened, parse_settings
-from studies.experiments.apparatus.live import Live
-from studies.experiments.apparatus.wanted import Wanted, constant_delays_ns, kept_keys, wanted_of
-from studies.experiments.desk import Desk
-from studies.experiments.disturbances import disturbances
-from studies.experiments.recorded_trial import RecordedTrial
 
 
 def documents(folder: Path, **changes: Any) -> list[dict[str, Any]]:

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 import yaml
 from experiment_bench import task_named
+from telenano_experiments.asked import NASA_TLX
+from telenano_experiments.operators import SLOPE_OF_WAVE, Simulated, round_trip_s
+from telenano_experiments.plan import load_plan
+from telenano_experiments.tasks import TASKS
+from telenano_experiments.types import Trial
 
 from proto.errors import ConfigError
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import nested, validate
-from studies.experiments.asked import NASA_TLX
-from studies.experiments.operators import SLOPE_OF_WAVE, Simulated, round_trip_s
-from studies.experiments.plan import load_plan
-from studies.experiments.tasks import TASKS
-from studies.experiments.types import Trial, TrialData
+from telenano.extend.tasks import TrialData
 
 SPRING = {
     "afm_node.environment": "spring",
@@ -143,8 +144,8 @@ PUSH = {
 
 @pytest.mark.endurance
 def test_a_hand_that_steers_pushes_the_particle_into_the_circle_and_takes_longer_over_a_delay(tmp_path: Path) -> None:
-    from studies.experiments.apparatus.lockstep import Lockstep
-    from studies.experiments.desk import Desk
+    from telenano_experiments.apparatus.lockstep import Lockstep
+    from telenano_experiments.desk import Desk
 
     path = tmp_path / "push.yaml"
     path.write_text(yaml.safe_dump(PUSH))

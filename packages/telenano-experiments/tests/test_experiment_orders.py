@@ -3,8 +3,7 @@
 import itertools
 
 import pytest
-
-from studies.experiments.orders import ORDERS, balance, sequence, sequences_of_design, williams
+from telenano_experiments.orders import ORDERS, balance, sequence, sequences_of_design, williams
 
 
 @pytest.mark.parametrize("size", range(1, 13))

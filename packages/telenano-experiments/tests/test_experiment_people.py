@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 from experiment_bench import Bench, plan_of
+from telenano_experiments import journal
+from telenano_experiments.journal import Journal
+from telenano_experiments.people import People, checked_pseudonym, digest_of, erase
+from telenano_experiments.runner import remaining
 from test_experiment_runner import run
 
 from proto.errors import ConfigError, RigError
-from studies.experiments import journal
-from studies.experiments.journal import Journal
-from studies.experiments.people import People, checked_pseudonym, digest_of, erase
-from studies.experiments.runner import remaining
 
 
 @pytest.mark.parametrize(

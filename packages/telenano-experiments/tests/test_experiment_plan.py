@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 from experiment_bench import plan_of
+from telenano_experiments.plan import attempt_seed, changes_while_running, load_plan
+from telenano_experiments.plans import FOLDER
+from telenano_experiments.summary import summary_of
+from telenano_experiments.tasks import INSTALLED
 
-from presets import EXPERIMENT_DIRECTORY
 from proto.errors import ConfigError
-from studies.experiments.plan import attempt_seed, changes_while_running, load_plan
-from studies.experiments.summary import summary_of
-from studies.experiments.tasks import INSTALLED
 from tests.contract.command_table import settable
 
 
@@ -147,7 +147,7 @@ def test_why_a_task_of_a_package_cannot_be_used_is_said(tmp_path: Path, monkeypa
         plan_of(tmp_path, tasks=["press"])
 
 
-@pytest.mark.parametrize("path", sorted(EXPERIMENT_DIRECTORY.glob("*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.stem)
 def test_the_experiments_that_come_with_the_project_are_sound(path: Path) -> None:
     plan = load_plan(path)
     assert plan.experiment.name == path.stem

@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 from experiment_bench import Bench, plan_of
+from telenano_experiments import journal
+from telenano_experiments.journal import Journal
+from telenano_experiments.people import People
+from telenano_experiments.plan import Plan
+from telenano_experiments.publish import public, publish
 from test_experiment_runner import run
 
 from proto.errors import ConfigError, RigError
-from studies.experiments import journal
-from studies.experiments.journal import Journal
-from studies.experiments.people import People
-from studies.experiments.plan import Plan
-from studies.experiments.publish import public, publish
 
 SECRET = "because Anna Miller had a migraine at nine"
 

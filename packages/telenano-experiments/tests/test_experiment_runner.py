@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 from experiment_bench import Bench, plan_of
+from telenano_experiments.desk import Desk
+from telenano_experiments.journal import Journal
+from telenano_experiments.people import People
+from telenano_experiments.plan import Plan
+from telenano_experiments.runner import Runner, progress_of, remaining
+from telenano_experiments.summary import state_of
 
 from proto.errors import ConfigError, RigError
-from studies.experiments.desk import Desk
-from studies.experiments.journal import Journal
-from studies.experiments.people import People
-from studies.experiments.plan import Plan
-from studies.experiments.runner import Runner, progress_of, remaining
-from studies.experiments.summary import state_of
 
 
 class Killed(BaseException):

@@ -6,6 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from experiment_bench import task_named
+from telenano_experiments.apparatus.base import joined
+from telenano_experiments.tasks import TASKS, checked
+from telenano_experiments.tasks.discriminate_stiffness import ANSWER, comparison_is_first
+from telenano_experiments.tasks.push_particle import PLACE_M, goal_of
+from telenano_experiments.tasks.track import lag_s, sum_of_sines
+from telenano_experiments.types import particle_table
 
 from presets import find_scenario
 from recording.column_table import ColumnTable
@@ -14,12 +20,7 @@ from services.controller.config import ControllerConfig
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.experiments.tasks import TASKS, checked
-from studies.experiments.tasks.base import Plain, Series, held_from, joined
-from studies.experiments.tasks.discriminate_stiffness import ANSWER, comparison_is_first
-from studies.experiments.tasks.push_particle import PLACE_M, goal_of
-from studies.experiments.tasks.track import lag_s, sum_of_sines
-from studies.experiments.types import TrialData, particle_table
+from telenano.extend.tasks import Plain, Series, TrialData, held_from
 
 SEEDS = range(2)
 

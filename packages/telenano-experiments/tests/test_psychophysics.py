@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from observer import Observer
+from telenano_experiments.psychophysics import exact
+from telenano_experiments.psychophysics.fit import fit
+from telenano_experiments.psychophysics.function import Psychometric
+from telenano_experiments.psychophysics.methods import Method, QuestPlus, make, most_trials, replay
 
 from proto.errors import ConfigError
-from studies.experiments.psychophysics import exact
-from studies.experiments.psychophysics.fit import fit
-from studies.experiments.psychophysics.function import Psychometric
-from studies.experiments.psychophysics.methods import Method, QuestPlus, make, most_trials, replay
 
 LINEAR = {"shape": "logistic", "axis": "linear", "guess": 0.5}
 RATIOS = {"shape": "weibull", "axis": "log", "guess": 0.5}
@@ -124,7 +124,7 @@ def test_quest_chooses_the_level_of_least_expected_entropy() -> None:
 
 _BITS = """
 import random
-from studies.experiments.psychophysics.methods import make
+from telenano_experiments.psychophysics.methods import make
 source = random.Random(5)
 for shape in ("normal", "weibull"):
     method = make({**%r, "function": {"shape": shape, "axis": "log"}}, 0)

@@ -47,13 +47,13 @@ SAYS_IT = {
     "proto/topics.py",
     "services/afm_node/node.py",
     "studies/assembly/recording.py",
-    "studies/experiments/recorded_trial.py",
-    "studies/experiments/tasks/push_particle.py",
+    "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
+    "packages/telenano-experiments/telenano_experiments/tasks/push_particle.py",
 }
 
 
 def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
-    folders = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+    folders = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "packages")
     names = set()
     for folder in folders:
         for path in (ROOT / folder).rglob("*"):

@@ -74,8 +74,8 @@ VARIANTS = (
 # why a command with --out is not in the table
 ELSEWHERE = {
     "up": "a session ends with its recording, figure and summary: tests/stack/test_fig12.py",
-    "experiment publish": "renames a folder when it is whole: tests/unit/studies/test_experiment_publish.py",
-    "experiment run": "each trial is in the journal when it is over: tests/unit/studies/test_experiment_runner.py",
+    "experiment publish": "renames a folder when it is whole: test_experiment_publish.py",
+    "experiment run": "each trial is in the journal when it is over: test_experiment_runner.py",
     "experiment analyse": "reads a journal, and writes all at once at the end by `results_in`",
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
@@ -84,12 +84,12 @@ ELSEWHERE = {
     "particles": "reads an image, and writes one file at the end by `whole_file`",
     "device accept": "reads a device for a minute, and then writes its files at once by `results_in`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
-    "device image": "asks a controller for an image, and then writes its files at once by `results_in`",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
 }
 _COMMANDS_WITH_RESULTS = """
 import studies
+from presets.known_packages import KNOWN_PACKAGES
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 
 def walk(path, command):
@@ -98,7 +98,7 @@ def walk(path, command):
     if any("--out" in parameter.opts for parameter in command.params):
         yield " ".join(path)
 
-for name in LAZY_COMMANDS:
+for name in (*LAZY_COMMANDS, *(words for words in KNOWN_PACKAGES if " " not in words)):
     print(*walk((name,), load(name)), sep="\\n")
 """
 

@@ -2,15 +2,18 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from studies.experiments.desk import AbortedError, Answers, Desk
-from studies.experiments.journal import now_utc
-from studies.experiments.operators import Simulated
-from studies.experiments.plan import Plan, checked_document, parameters_of
-from studies.experiments.tasks.base import joined
-from studies.experiments.types import Trial, TrialData, TrialOutcome
+import numpy as np
+
+from recording.column_table import ColumnTable
+from telenano.extend.tasks import Series, TrialData
+from telenano_experiments.desk import AbortedError, Answers, Desk
+from telenano_experiments.journal import now_utc
+from telenano_experiments.operators import Simulated
+from telenano_experiments.plan import Plan, checked_document, parameters_of
+from telenano_experiments.types import Trial, TrialOutcome
 
 
 class Take(NamedTuple):
@@ -117,13 +120,13 @@ class Apparatus(ABC):
         return Simulated(operator.profile, trial.seed) if operator.kind == "simulated" else None
 
     def steering(self, course: Course) -> Any:
-        """Return what makes the hand that steers the tip in a course (`studies.experiments.pushing`); None for none."""
+        """Return what makes the hand that steers the tip in a course (`pushing`); None for none."""
         trial, hand = course.trial, self.simulated(course.trial)
         task = self.plan.tasks[trial.task]
         if hand is None or not hand.steers(task, course.parameters, trial.seed):
             return None
         # The particles take a second to load, which other tasks do not need.
-        from studies.experiments.pushing import steering_of
+        from telenano_experiments.pushing import steering_of
 
         goal_m = task.target(course.parameters, trial.seed)
         assert goal_m is not None
@@ -141,3 +144,32 @@ def _finite(value: Any) -> Any:
     """Return a value as a journal keeps it: None for a number that is none, plain numbers for those of numpy."""
     plain = value.item() if hasattr(value, "item") else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain
+
+
+def joined(parts: Sequence[TrialData], durations_s: Sequence[float]) -> TrialData:
+    """Return the data of a trial whose intervals ran one after another: times go on, `interval` counts from 0.
+
+    Args:
+        parts: The data of each interval, with times from its own beginning.
+        durations_s: How long each interval took [s].
+    """
+    starts = np.concatenate(([0.0], np.cumsum(durations_s)))[: len(parts)]
+    afm, haptic, status = (
+        _joined([getattr(part, name) for part in parts], starts) for name in ("afm", "haptic", "status")
+    )
+    answers = tuple(
+        {**answer, "time_s": answer["time_s"] + start}
+        for part, start in zip(parts, starts.tolist(), strict=True)
+        for answer in part.answers
+    )
+    return TrialData(afm, haptic, status, answers)
+
+
+def _joined(tables: Sequence[ColumnTable], starts: Series) -> ColumnTable:
+    first = tables[0]
+    columns = {name: np.concatenate([table[name] for table in tables]) for name in first}
+    sizes = [len(table["time_s"]) for table in tables]
+    columns["time_s"] = columns["time_s"] + np.repeat(starts, sizes)
+    columns["interval"] = np.repeat(np.arange(len(tables)), sizes)
+    units, texts = {**first.units, "interval": ""}, {**first.descriptions, "interval": "Interval of the trial, from 0"}
+    return ColumnTable("a trial of several intervals", columns, units, texts)

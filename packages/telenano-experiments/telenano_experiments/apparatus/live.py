@@ -27,11 +27,12 @@ from services.haptic_node.config import HapticConfig
 from services.runtime.bus.observer import Observer
 from services.runtime.loop.commands import Command, CommandName
 from services.runtime.loop.main import load_site
-from studies.experiments.apparatus.base import Apparatus, Course, Take
-from studies.experiments.apparatus.lockstep import empty
-from studies.experiments.apparatus.page_hand import PageHand
-from studies.experiments.apparatus.rig_process import RigProcess, wait_for_others
-from studies.experiments.apparatus.wanted import (
+from telenano.extend.tasks import TrialData
+from telenano_experiments.apparatus.base import Apparatus, Course, Take
+from telenano_experiments.apparatus.lockstep import empty
+from telenano_experiments.apparatus.page_hand import PageHand
+from telenano_experiments.apparatus.rig_process import RigProcess, wait_for_others
+from telenano_experiments.apparatus.wanted import (
     NO_HAND,
     Wanted,
     constant_delays_ns,
@@ -40,11 +41,11 @@ from studies.experiments.apparatus.wanted import (
     section_of,
     wanted_of,
 )
-from studies.experiments.desk import Desk
-from studies.experiments.disturbances import disturbances
-from studies.experiments.plan import Plan, parameters_of
-from studies.experiments.recorded_trial import RecordedTrial
-from studies.experiments.types import Trial, TrialData
+from telenano_experiments.desk import Desk
+from telenano_experiments.disturbances import disturbances
+from telenano_experiments.plan import Plan, parameters_of
+from telenano_experiments.recorded_trial import RecordedTrial
+from telenano_experiments.types import Trial
 
 _HALVES = ("controller@master", "controller@slave")
 _REPORTS = ("link/status", "link/delay", "law/status", "node/health")

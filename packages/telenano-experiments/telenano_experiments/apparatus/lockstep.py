@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from recording.column_table import ColumnTable
-from studies.experiments.apparatus.base import Apparatus, Course, Take
-from studies.experiments.types import TrialData, particle_table
+from telenano.extend.tasks import TrialData
+from telenano_experiments.apparatus.base import Apparatus, Course, Take
+from telenano_experiments.types import particle_table
 
 
 def _simulate(document: Mapping[str, Any], origin: str, steers: Any = None) -> Any:

@@ -16,9 +16,9 @@ from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import OBSERVER, Participant, open_participant
 from services.viz_node.commander import RigHand
-from studies.experiments.operators import PRESSES
 from studies.loops.across import steering_force_n
 from studies.loops.push_hand import Hand, hand_moves
+from telenano_experiments.operators import PRESSES
 
 # A page sends a force thirty times a second; an arm is faster.
 _PERIOD_MS = 5

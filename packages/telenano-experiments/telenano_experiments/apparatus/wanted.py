@@ -11,7 +11,7 @@ from services.delay_node.config import LinkSettings, flattened
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from services.runtime.settings.config import flatten, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
-from studies.experiments.plan import changes_while_running
+from telenano_experiments.plan import changes_while_running
 
 NO_HAND = {"kind": "force_profile", "points": [{"time_s": 0.0, "force_n": 0.0}]}
 _SIMULATED = ("simulated", "simulated_impedance")

@@ -8,9 +8,9 @@ import hashlib
 import json
 from pathlib import Path
 
-from studies.benchmark.plan import VERSION, Plan, Run
-from studies.benchmark.run import course_of, rounded
 from studies.loops.cells import scales_of
+from telenano_experiments.benchmark.plan import VERSION, Plan, Run
+from telenano_experiments.benchmark.run import course_of, rounded
 
 STEP_S = 0.05
 _COLUMNS = (

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 from analysis.intervals import wilson
 from services.delay_node.profiles import PROFILES
-from studies.benchmark.plan import TASKS, VERSION, Plan
-from studies.benchmark.run import MEASURES, Outcome, rounded
+from telenano_experiments.benchmark.plan import TASKS, VERSION, Plan
+from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded
 
 # A run is held when its verdict is one of these.
 HELD = ("stable",)

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from studies.experiments.psychophysics.exact import Numbers, log
-from studies.experiments.psychophysics.function import Psychometric
+from telenano_experiments.psychophysics.exact import Numbers, log
+from telenano_experiments.psychophysics.function import Psychometric
 
 Answer = tuple[float, bool]
 METHOD = "maximum likelihood, interval by profile likelihood"

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from services.runtime.settings.config import Settings
-from studies.experiments.psychophysics.exact import Numbers, exp, log, normal_share
+from telenano_experiments.psychophysics.exact import Numbers, exp, log, normal_share
 
 Shape = Literal["logistic", "normal", "weibull"]
 

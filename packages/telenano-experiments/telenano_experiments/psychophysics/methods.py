@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field, RootModel, model_validator
 
 from services.runtime.settings.config import Settings, validate
-from studies.experiments.psychophysics.exact import Numbers, exp, log, total
-from studies.experiments.psychophysics.fit import Answer, Estimate, fit, posterior
-from studies.experiments.psychophysics.function import Psychometric
+from telenano_experiments.psychophysics.exact import Numbers, exp, log, total
+from telenano_experiments.psychophysics.fit import Answer, Estimate, fit, posterior
+from telenano_experiments.psychophysics.function import Psychometric
 
 _MOST_TRIALS = 10_000
 

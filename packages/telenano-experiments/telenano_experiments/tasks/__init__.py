@@ -5,13 +5,13 @@ from typing import Any
 from pydantic import BaseModel
 
 from presets.plugins import load
-from studies.experiments.tasks.base import Measure, Task
-from studies.experiments.tasks.detect_contact import DETECT_CONTACT
-from studies.experiments.tasks.discriminate_stiffness import DISCRIMINATE_STIFFNESS
-from studies.experiments.tasks.follow_profile import FOLLOW_PROFILE
-from studies.experiments.tasks.push_particle import PUSH_PARTICLE
-from studies.experiments.tasks.touch_and_hold import TOUCH_AND_HOLD
-from studies.experiments.tasks.track import TRACK
+from telenano.extend.tasks import Measure, Task
+from telenano_experiments.tasks.detect_contact import DETECT_CONTACT
+from telenano_experiments.tasks.discriminate_stiffness import DISCRIMINATE_STIFFNESS
+from telenano_experiments.tasks.follow_profile import FOLLOW_PROFILE
+from telenano_experiments.tasks.push_particle import PUSH_PARTICLE
+from telenano_experiments.tasks.touch_and_hold import TOUCH_AND_HOLD
+from telenano_experiments.tasks.track import TRACK
 
 OWN_TASKS: tuple[Task, ...] = (
     TOUCH_AND_HOLD,

@@ -6,9 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from proto.experiment_messages import Question
-from studies.experiments.asked import choice
-from studies.experiments.tasks.base import COMMON, Judged, Measure, Parameters, Plain, common_of, tip_of
-from studies.experiments.types import TrialData
+from telenano.extend.tasks import COMMON, Judged, Measure, Parameters, Plain, TrialData, choice, common_of, tip_of
 
 # The name of the answer that is given during the trial, by a button of the page.
 CONTACT = "contact"

@@ -8,18 +8,18 @@ import numpy as np
 from pydantic import Field
 
 from proto.experiment_messages import Question
-from studies.experiments.asked import choice
-from studies.experiments.tasks.base import (
+from telenano.extend.tasks import (
     COMMON,
     Interval,
     Judged,
     Measure,
     Parameters,
     Plain,
+    TrialData,
+    choice,
     common_of,
     tip_of,
 )
-from studies.experiments.types import TrialData
 
 ANSWER, FIRST, SECOND = "stiffer", "first", "second"
 

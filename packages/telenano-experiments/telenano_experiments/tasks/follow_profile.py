@@ -7,19 +7,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from studies.experiments.tasks.base import (
-    COMMON,
-    Course,
-    Judged,
-    Measure,
-    Parameters,
-    Plain,
-    common_of,
-    rms,
-    steady_force,
-    tip_of,
-)
-from studies.experiments.types import TrialData
+from telenano.extend.tasks import COMMON, Course, Judged, Measure, Parameters, Plain, TrialData, common_of, tip_of
+from telenano_experiments.tasks.common import rms, steady_force
 
 
 class FollowProfile(Parameters):

@@ -12,16 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from studies.experiments.tasks.base import (
-    COMMON,
-    Course,
-    Judged,
-    Measure,
-    Parameters,
-    Plain,
-    common_of,
-)
-from studies.experiments.types import TrialData
+from telenano.extend.tasks import COMMON, Course, Judged, Measure, Parameters, Plain, TrialData, common_of
 
 
 class PushParticle(Parameters):

@@ -5,20 +5,19 @@ import math
 import numpy as np
 from pydantic import Field
 
-from studies.experiments.tasks.base import (
+from telenano.extend.tasks import (
     COMMON,
     Course,
     Judged,
     Measure,
     Parameters,
     Plain,
+    TrialData,
     common_of,
     held_from,
-    rms,
-    steady_force,
     tip_of,
 )
-from studies.experiments.types import TrialData
+from telenano_experiments.tasks.common import rms, steady_force
 
 
 class TouchAndHold(Parameters):

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from studies.experiments.tasks.base import (
+from telenano.extend.tasks import (
     COMMON,
     Course,
     Judged,
@@ -15,11 +15,11 @@ from studies.experiments.tasks.base import (
     Parameters,
     Plain,
     Series,
+    TrialData,
     common_of,
-    rms,
     tip_of,
 )
-from studies.experiments.types import TrialData
+from telenano_experiments.tasks.common import rms
 
 # Corners of the target this far apart describe its fastest sine, of 1 Hz, to 1 % of its amplitude.
 _CORNER_S = 0.05
