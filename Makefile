@@ -61,8 +61,10 @@ demo: setup ## Set everything up and run the experiment of Fig. 12.
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite --brief
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
+# PACKAGE=lsl runs the tests of packages/telenano-lsl alone.
 test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 8 minutes on two cores.
-	@mkdir -p out; failed=0; \
+	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
+	mkdir -p out; failed=0; \
 	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
 	$(BIN)/pytest -m "not stack and not check and not endurance" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
 	wait $$lint || failed=1; cat out/lint.txt; \
