@@ -200,11 +200,11 @@ class NodeBench:
         message = self.make(topic, src, **fields)
         return Received(topic, message, encode(message), self.clock.now_ns(), Arrival.NEXT)
 
-    def link_delay(self, direction: str, delay_ns: int, hand_t_ns: int = 0, **changes: int) -> Received:
+    def link_delay(self, direction: str, delay_ns: int) -> Received:
         """Return what the link tells a reader of its delay."""
         src = "delay_node@" + self.context.key.partition("@")[2]
-        fields = {"direction": direction, "hand_t_ns": hand_t_ns, "delay_ns": delay_ns}
-        return self.received("link/delay", src, **{**fields, "transit_ns": 0, "clock_ahead_ns": 0, **changes})
+        unknown = {"hand_t_ns": 0, "transit_ns": 0, "clock_ahead_ns": 0}
+        return self.received("link/delay", src, direction=direction, delay_ns=delay_ns, **unknown)
 
     def take(self, topic: str) -> list[Any]:
         """Return and remove what was published on a topic."""
