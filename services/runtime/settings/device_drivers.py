@@ -169,17 +169,17 @@ class _Name:
 
 @dataclass(frozen=True)
 class _Section:
-    """The rule of a driver's section."""
+    """The rule of a driver's section; what is written out of one node has those of the other's drivers, as None."""
 
     drivers: Drivers
     name: str
 
     def _checked(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel | None:
+        if value is None:
+            return None
         driver = self.drivers.find(self.name)
         if driver is None:
             raise PydanticKnownError("extra_forbidden")
-        if value is None:
-            return None
         if info.mode == "json":
             # A strict model takes a list for a tuple from JSON alone.
             return driver.config.model_validate_json(json.dumps(value))
