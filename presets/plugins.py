@@ -74,9 +74,10 @@ def _installed() -> dict[str, dict[str, Plugin]]:
     found: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
     for kind, rows in found.items():
         for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
-            if id(entry.dist) not in packages:
-                packages[id(entry.dist)] = _package(entry.dist)
-            package, its_version, problem = packages[id(entry.dist)]
+            dist, unknown = entry.dist, ("unknown", "unknown", "")
+            if id(dist) not in packages:
+                packages[id(dist)] = (dist.name, dist.version, _other_version(dist)) if dist else unknown
+            package, its_version, problem = packages[id(dist)]
             row = Plugin(kind, entry.name, package, its_version, entry.value, problem)
             if not NAME.fullmatch(entry.name):
                 text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
@@ -86,11 +87,6 @@ def _installed() -> dict[str, dict[str, Plugin]]:
                 row = row._replace(problem=f"{known.package} and {row.package} both have one of this name: remove one")
             rows[entry.name] = row
     return found
-
-
-def _package(package: Distribution | None) -> tuple[str, str, str]:
-    """Return name and version of a package, and what hinders its use."""
-    return (package.name, package.version, _other_version(package)) if package else ("unknown", "unknown", "")
 
 
 def _other_version(package: Distribution) -> str:
