@@ -62,7 +62,7 @@ demo: setup ## Set everything up and run the experiment of Fig. 12.
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=lsl runs the tests of packages/telenano-lsl alone.
-test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 8 minutes on two cores.
+test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 7 minutes on two cores.
 	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
 	mkdir -p out; failed=0; \
 	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
@@ -72,7 +72,7 @@ test: setup ## Run lint, the tests and one rig of real processes; before every c
 	exit $$failed
 
 # deaths, stalls, two machines, containers, browsers, the lines of the documents, and the grids that one law stands for
-check: setup ## Run everything else that ends by itself, before a change is merged; some 25 minutes.
+check: setup ## Run everything else that ends by itself, before a change is merged; some 15 minutes.
 	@failed=0; \
 	$(BIN)/pytest -m "check and not stack" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
 	$(BIN)/pytest -m "check and stack" tests/stack || failed=1; \
