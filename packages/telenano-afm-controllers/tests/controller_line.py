@@ -209,6 +209,16 @@ class ControllerRig:
             fields["hand_t_ns"] = self.bench.clock.now_ns()
             self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
 
+    def arm_and_follow_to(self, x_s_m: float) -> list[float]:
+        """Arm, and follow to a place; give where the base was after each tick, towards the sample [m]."""
+        self.control("arm")
+        bases = [self.line.base_m]
+        while abs(bases[-1] - x_s_m) > 1e-12:
+            self.tick(1, x_s_m)
+            bases.append(self.line.base_m)
+            assert len(bases) < 500, bases[-3:]
+        return bases
+
     def control(self, command: str, **parameters: Any) -> str:
         fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
         return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))

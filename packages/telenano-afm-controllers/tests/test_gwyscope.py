@@ -430,12 +430,7 @@ def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
 def approach(rig: ControllerRig) -> None:
     """Arm, and follow to the place near the sample, no faster than the guard lets the base go."""
     rig.tick(8, NEAR_M)
-    rig.control("arm")
-    bases = [rig.line.base_m]
-    while abs(bases[-1] - NEAR_M) > 1e-12:
-        rig.tick(1, NEAR_M)
-        bases.append(rig.line.base_m)
-        assert len(bases) < 500, bases[-3:]
+    bases = rig.arm_and_follow_to(NEAR_M)
     # from the safe state, z = 0, to the retract position of the guard, where the tip is nowhere near the sample
     assert max(b - a for a, b in pairwise(bases) if a > RETRACTED_M) <= STEP_M
     # and a place over the sample that it has reached

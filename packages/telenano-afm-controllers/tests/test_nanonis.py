@@ -486,12 +486,7 @@ def rig(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> ControllerRig:
 def approach(rig: ControllerRig) -> None:
     """Arm, and follow to the place near the sample."""
     rig.tick(80, NEAR_M)
-    rig.control("arm")
-    bases = [rig.line.base_m]
-    while abs(bases[-1] - NEAR_M) > 1e-12:
-        rig.tick(1, NEAR_M)
-        bases.append(rig.line.base_m)
-        assert len(bases) < 500, bases[-3:]
+    rig.arm_and_follow_to(NEAR_M)
     rig.tick(100, NEAR_M)
     state = rig.bench.take("afm/state")[-1]
     assert (state.mode, state.device) == ("follow", "ok")
