@@ -95,8 +95,8 @@ firmware: ## Build the image of the handle; it needs the AVR compiler.
 lint: setup ## Check style, types, layers and the contract of the wire.
 	$(LINT)
 
-# the tables of benchmarks/README.md and docs/performance.md, from one run of some eight minutes on a quiet machine
-bench: setup ## Measure the tables of benchmarks/README.md and docs/performance.md; some eight minutes.
+# the tables of docs/performance.md, from one run of some minutes on a quiet machine
+bench: setup ## Measure the tables of docs/performance.md; some minutes.
 	-$(BIN)/python -P -m pip install --quiet --disable-pip-version-check -e '.[peers]'
 	$(BIN)/python benchmarks/tables.py
 
@@ -113,7 +113,7 @@ reliability: setup ## Inject faults into real rigs and renew the table of docs/r
 schemas: setup ## Write the schemas of scenarios, sites and summary.json, and the pages of their keys and of the commands.
 	$(BIN)/telenano scenario schema --core >presets/schemas/scenario.json
 	$(BIN)/telenano scenario schema --site >presets/schemas/site.json
-	$(BIN)/telenano param list --core --markdown >docs/scenarios.md
+	$(BIN)/python tests/doubles/scenario_page.py
 	$(BIN)/python tests/doubles/command_page.py
 	$(BIN)/python -P -m analysis.summary >presets/schemas/summary.json
 	$(BIN)/python -P -m analysis.summary --markdown >docs/summary.md

@@ -1,4 +1,4 @@
-"""Images for other programs: .gwy and .gsf of Gwyddion, PNG for the eye (`nexus_files` has NeXus).
+"""Images for other programs: .gwy and .gsf of Gwyddion, PNG for the eye; packages have others.
 
 Rows are given with y rising, as everywhere here; in the files the first row is the top of the picture.
 """
@@ -35,6 +35,15 @@ class Image(NamedTuple):
     def caption(self) -> str:
         """Return the title, which says of a part of an image that it is one."""
         return f"{self.title} (partial: {self.partial})" if self.partial else self.title
+
+
+class ImageFacts(NamedTuple):
+    """How an image was taken: mode (contact or tapping), instrument, version of telenano, and sample where known."""
+
+    mode: str
+    instrument: str
+    version: str
+    sample: str = ""
 
 
 def images_of_lines(image: "LiveImage", count: int) -> dict[str, Image]:

@@ -171,7 +171,7 @@ def write_report(
     """
     paths = [path] if isinstance(path, Path) else path
     # What is missing is found by reading the whole; the session by the index, which takes half of the time.
-    recording, indexed = open_recordings(paths), open_indexed(paths, in_order=True)
+    recording, indexed = open_recordings(paths), open_indexed(paths)
     show("1 of 4: reading the session")
     session = read_session(indexed)
     show(f"2 of 4: counting the messages of its {session.duration_s:.0f} s")

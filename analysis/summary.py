@@ -242,9 +242,9 @@ def summary_schema() -> dict[str, Any]:
 
 
 def markdown() -> str:
-    """Return the page docs/summary.md: a row for each key, those of parts under the key that holds them."""
-    rows = [f"| `{name}` | {kind} | {meaning} |" for name, kind, meaning in rows_of(summary_schema())]
-    return "\n".join([_PAGE + "| key | type | meaning |", "|---" * 3 + "|", *rows, ""])
+    """Return the page docs/summary.md: a line for each key, those of parts under the key that holds them."""
+    lines = [f"- `{name}` ({kind}): {meaning}" for name, kind, meaning in rows_of(summary_schema())]
+    return "\n".join([_PAGE + lines[0], *lines[1:], ""])
 
 
 def rows_of(schema: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -1,9 +1,9 @@
-"""Make the tables of README.md and docs/performance.md from one run of the benchmarks on this machine: `make bench`.
+"""Make the tables of docs/performance.md from one run of the benchmarks on this machine: `make bench`.
 
     python benchmarks/tables.py [--only loop,lockstep] [--smoke] [--json]
 
-The scripts run one after the other, some eight minutes in all, on a machine that has to be quiet. What is between the
-marks of each file is replaced; a script that fails leaves its table as it was, and is named.
+The scripts run one after the other, some minutes in all, on a machine that has to be quiet. What is between the
+marks of the page is replaced; a script that fails leaves its table as it was, and is named.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 from services.signals import children
 
 FOLDER = Path(__file__).resolve().parent
-PAGES = (FOLDER / "README.md", FOLDER.parent / "docs" / "performance.md")
+PAGE = FOLDER.parent / "docs" / "performance.md"
 Figures = Mapping[str, Any]
 
 
@@ -82,29 +82,12 @@ def lockstep_lines(found: Figures) -> list[str]:
     return table("| times real time | " + " | ".join(environments) + " |", rows)
 
 
-def figure_lines(found: Figures) -> list[str]:
-    """Return the figures that have no table of their own, a row each."""
-    rows = [f"| {name} | {value:.3g} |" for name, value in _flat(found) if isinstance(value, int | float)]
-    return table("| figure | |", rows)
-
-
-def _flat(found: Figures, before: str = "") -> list[tuple[str, Any]]:
-    rows: list[tuple[str, Any]] = []
-    for name, value in found.items():
-        rows += _flat(value, f"{before}{name}, ") if isinstance(value, Mapping) else [(f"{before}{name}", value)]
-    return rows
-
-
 _LOOP = ("--rounds", "1", "--duration", "4")
 TABLES = {
     "loop": Table("loop.py", _LOOP, loop_lines),
     "parts": Table("loop.py", _LOOP, parts_lines),
     "peers": Table("peers.py", _LOOP, peers_lines),
     "lockstep": Table("lockstep.py", ("--session-s", "10", "--repeats", "9"), lockstep_lines),
-    "particles": Table("particles.py", ("--rigs", "6"), figure_lines),
-    "recordings": Table("replay.py", ("--seconds", "3"), figure_lines),
-    "link": Table("link.py", ("--duration", "3"), figure_lines),
-    "network": Table("network.py", ("--rounds", "1", "--messages", "3000"), figure_lines),
 }
 
 
@@ -150,10 +133,10 @@ def replaced(text: str, name: str, lines: list[str]) -> str:
 
 
 def main() -> int:
-    """Run the scripts, and replace the tables in the pages."""
+    """Run the scripts, and replace the tables in the page."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", default=",".join(TABLES), help="tables to make, of " + ",".join(TABLES))
-    parser.add_argument("--smoke", action="store_true", help="the shortest run of each; no page is changed")
+    parser.add_argument("--smoke", action="store_true", help="the shortest run of each; the page is not changed")
     parser.add_argument("--json", action="store_true", help="print one JSON object of all figures")
     given = parser.parse_args()
     wanted = {name: TABLES[name] for name in given.only.split(",")}
@@ -169,8 +152,7 @@ def main() -> int:
             print(f"{chosen.script} failed: {figures}", file=sys.stderr)
         elif not given.smoke:
             command = f"`python benchmarks/{' '.join((chosen.script, *arguments))}`"
-            for page in PAGES:
-                page.write_text(replaced(page.read_text(), name, [where, command, "", *chosen.lines(figures)]))
+            PAGE.write_text(replaced(PAGE.read_text(), name, [where, command, "", *chosen.lines(figures)]))
     if given.json:
         print(json.dumps({script: figures for (script, _), figures in found.items()}))
     return int(any(isinstance(figures, str) for figures in found.values()))

@@ -19,13 +19,13 @@ from traitlets.config import Config
 from studies.pages.gallery import FOLDER, fragment_of
 
 ROOT = Path(__file__).resolve().parents[1]
-# documents beside docs/, which its pages link to
-_BESIDE = ("*.md", "*/README.md", "services/*/README.md", "firmware/*/README.md", "proto/*.md")
+# documents beside docs/, which its pages link to; a package that `telenano new` made here is none
+_BESIDE = ("*.md", *(f"{at}*/README.md" for at in ("", "services/", "firmware/", "packages/")), "proto/*.md")
 _OTHERS = {
     str(path.relative_to(ROOT)): path
     for pattern in _BESIDE
     for path in sorted(ROOT.glob(pattern))
-    if path.parent.name not in ("docs", "out") and not path.parent.name.startswith((".", "telenano-"))
+    if path.parent.name not in ("docs", "out") and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
 }
 _PREFIX = "repository/"
 # pages whose pictures need the place of the table of contents

@@ -1,11 +1,15 @@
 """The packages that this project keeps beside its core: the one table that suggests them where they are missing."""
 
-# A command, a format of `bag export` or a name that a scenario or an experiment may give, and its distribution.
+# A command, a format of `bag export`, what reads files of other makers, or a name that a scenario or an experiment may
+# give, and its distribution.
 KNOWN_PACKAGES = {
+    "assemble": "telenano-assembly",
     "benchmark": "telenano-experiments",
     "bridge foxglove": "telenano-foxglove",
     "bridge lsl": "telenano-lsl",
     "bridge ros2": "telenano-ros2",
+    "calibrate": "telenano-calibration",
+    "device accept": "telenano-acceptance",
     "device approach": "telenano-afm-controllers",
     "device guard gwyscope": "telenano-afm-controllers",
     "device guard nanonis": "telenano-afm-controllers",
@@ -19,8 +23,13 @@ KNOWN_PACKAGES = {
     "driver hd": "telenano-haptic-devices",
     "driver nanonis": "telenano-afm-controllers",
     "experiment": "telenano-experiments",
+    "export nexus": "telenano-nexus",
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
+    "particles": "telenano-assembly",
+    "reader other": "telenano-afm-files",
+    "sample import": "telenano-afm-files",
+    "sample info": "telenano-afm-files",
     "task detect_contact": "telenano-experiments",
     "task discriminate_stiffness": "telenano-experiments",
     "task follow_profile": "telenano-experiments",

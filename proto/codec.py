@@ -150,7 +150,7 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
     return (seq, t_ns, src), fields
 
 
-class Header(msgspec.Struct, gc=False):
+class _Header(msgspec.Struct, gc=False):
     """What every message begins with; `v` is the version of its schema."""
 
     seq: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
@@ -159,9 +159,8 @@ class Header(msgspec.Struct, gc=False):
     v: Annotated[int, msgspec.Meta(ge=1)]
 
 
-# It does not look at the version, the length and the form of `src`, and raises any of HEADER_ERRORS.
-decode_header_alone = msgspec.msgpack.Decoder(Header).decode
-HEADER_ERRORS = (msgspec.MsgspecError, KeyError, ValueError, RecursionError)
+# It does not look at the version, the length and the form of `src`.
+_decode_header_alone = msgspec.msgpack.Decoder(_Header).decode
 
 
 def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
@@ -172,11 +171,11 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
     and a key that is there twice, is left to whoever decodes the message. Raises WireError as `decode` does.
     """
     try:
-        header = decode_header_alone(payload)
+        header = _decode_header_alone(payload)
         form = _FORMS[topic]
         if header.v <= form.version and len(payload) <= form.most_bytes:
             return header.seq, header.t_ns, header.src
-    except HEADER_ERRORS:
+    except (msgspec.MsgspecError, KeyError, ValueError, RecursionError):
         # the error of the other way names what is wrong
         pass
     return decode_header(topic, payload)[0]

@@ -9,7 +9,6 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from functools import cache
 from itertools import cycle
 from pathlib import Path
@@ -20,13 +19,12 @@ from pydantic.json_schema import GenerateJsonSchema
 
 from proto.codec import encode, largest_bytes
 from proto.messages import Array, Message
-from proto.nodes import LINK, NODES, name_of, site_of
 from proto.ranges import RANGES, any_range
 from proto.topics import TOPICS, Topic
 
 FOLDER = Path(__file__).parent
 # These parts of SPEC.md are generated.
-PARTS = ("topics", "nodes", "ranges")
+PARTS = ("topics", "ranges")
 
 WITH_ADDITIONS = "_with_additions"
 
@@ -145,33 +143,12 @@ def topic_table() -> str:
     return "\n".join(rows)
 
 
-def node_table() -> str:
-    """Return in Markdown the topics that each node sends itself, and those of the other site that it forwards."""
-    rows = ["| node | its own | forwarded from the other site |", "|---|---|---|"]
-    every = [topic.name for topic in TOPICS.values() if "*" in topic.publishers]
-    for row in NODES:
-        if row.part == "visitor" and name_of(row.key) == "estop":
-            # It connects to the nodes, and has no endpoint.
-            continue
-        own = [topic.name for topic in TOPICS.values() if _publishes(row.key, topic)]
-        towards = ("forward", "both") if site_of(row.key) == "slave" else ("backward", "both")
-        crossing = [topic.name for topic in TOPICS.values() if topic.bridged in towards]
-        cells = (own, crossing if name_of(row.key) == LINK else [])
-        rows.append(f"| `{row.key}` | {' | '.join(', '.join(f'`{name}`' for name in cell) or '–' for cell in cells)} |")
-    return "\n".join([*rows, "", f"Every node sends {' and '.join(f'`{name}`' for name in every)} as well."])
-
-
-def _publishes(node: str, topic: Topic) -> bool:
-    names = [name for name in topic.publishers if name != "*"]
-    return any(fnmatchcase(node, name) or fnmatchcase(name_of(node), name) for name in names)
-
-
 def range_table() -> str:
     """Return the table of ranges in Markdown."""
-    rows = ["| quantity | from | to | hardest case |", "|---" * 4 + "|"]
+    rows = ["| quantity | from | to |", "|---" * 3 + "|"]
     for entry in RANGES:
         low, high = (f"{bound:g} {entry.unit}" for bound in (entry.low, entry.high))
-        rows.append(f"| {entry.quantity} | {low} | {high} | {entry.reason} |")
+        rows.append(f"| {entry.quantity} | {low} | {high} |")
     return "\n".join(rows)
 
 
@@ -180,7 +157,7 @@ def artefacts(folder: Path = FOLDER) -> dict[Path, str]:
     files = {folder / "schemas" / f"{t.model.__name__}.json": _json_text(schema_of(t)) for t in TOPICS.values()}
     files[folder / "golden" / "vectors.json"] = _json_text(vectors())
     spec = (folder / "SPEC.md").read_text(encoding="utf-8")
-    for part, table in zip(PARTS, (topic_table(), node_table(), range_table()), strict=True):
+    for part, table in zip(PARTS, (topic_table(), range_table()), strict=True):
         spec = _with_table(spec, part, table)
     files[folder / "SPEC.md"] = spec
     return files

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 from recording.clock_line import Bound, ClockLine, are_apart, fitted
@@ -34,17 +35,17 @@ Read = Callable[[int, int], Piece | None]
 
 def piece_of(upper: Iterable[Bound], lower: Iterable[Bound]) -> Piece | None:
     """Return the least upper and the greatest lower bound of each second; None where one side has none."""
+    high = _least_of_seconds(upper)
+    low = [(at_ns, -value_ns) for at_ns, value_ns in _least_of_seconds((at_ns, -value_ns) for at_ns, value_ns in lower)]
+    return Piece(high, low) if high and low else None
+
+
+def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
     least: dict[int, Bound] = {}
-    greatest: dict[int, Bound] = {}
-    for at_ns, value_ns in upper:
-        block = at_ns // _BLOCK_NS
-        if block not in least or value_ns < least[block][1]:
-            least[block] = (at_ns, value_ns)
-    for at_ns, value_ns in lower:
-        block = at_ns // _BLOCK_NS
-        if block not in greatest or value_ns > greatest[block][1]:
-            greatest[block] = (at_ns, value_ns)
-    return Piece(list(least.values()), list(greatest.values())) if least and greatest else None
+    for bound in bounds:
+        second = bound[0] // _BLOCK_NS
+        least[second] = min(least.get(second, bound), bound, key=itemgetter(1))
+    return list(least.values())
 
 
 def stretches(pieces: Sequence[Piece]) -> list[Stretch]:
@@ -70,22 +71,24 @@ def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:
         parts: The lines, in the order of time.
         read: Reads more of the recording, to find when the clock was set between two lines.
     """
-    found = [(parts[0].first_ns, parts[0].line.at(parts[0].first_ns))]
+    runs = [[(parts[0].first_ns, parts[0].line.at(parts[0].first_ns))]]
     for part, after in itertools.pairwise(parts):
         between_ns = (part.last_ns + after.first_ns) // 2
         if abs(part.line.at(between_ns) - after.line.at(between_ns)) <= _SET_NS:
-            found.append((between_ns, 0.5 * (part.line.at(between_ns) + after.line.at(between_ns))))
+            runs[-1].append((between_ns, 0.5 * (part.line.at(between_ns) + after.line.at(between_ns))))
             continue
         last_ns, first_ns = _sought(part, after, read)
-        found += [(last_ns, part.line.at(last_ns)), (first_ns, after.line.at(first_ns))]
-    found.append((max(parts[-1].last_ns, found[-1][0] + 1), parts[-1].line.at(parts[-1].last_ns)))
-    stamped = [(at_ns + round(ahead_ns), ahead_ns) for at_ns, ahead_ns in found]
-    for place in range(1, len(stamped)):
-        if stamped[place][0] < stamped[place - 1][0]:
-            # The clock was set back by more than the site was silent, and has some stamps twice: each has one half.
-            middle_ns = (stamped[place][0] + stamped[place - 1][0]) // 2
-            stamped[place - 1 : place + 1] = [(middle_ns, ahead_ns) for _, ahead_ns in stamped[place - 1 : place + 1]]
-    return stamped
+        runs[-1].append((last_ns, part.line.at(last_ns)))
+        runs.append([(first_ns, after.line.at(first_ns))])
+    runs[-1].append((max(parts[-1].last_ns, runs[-1][-1][0] + 1), parts[-1].line.at(parts[-1].last_ns)))
+    # A clock that was set back far has the stamps of the later run before those of the earlier one.
+    stamped = sorted([(at_ns + round(ahead_ns), ahead_ns) for at_ns, ahead_ns in run] for run in runs)
+    for before, behind in itertools.pairwise(stamped):
+        if behind[0][0] < before[-1][0]:
+            # It was set back by more than the site was silent, and has some stamps twice: each run has one half.
+            middle_ns = (behind[0][0] + before[-1][0]) // 2
+            before[-1], behind[0] = (middle_ns, before[-1][1]), (middle_ns, behind[0][1])
+    return [knot for run in stamped for knot in run]
 
 
 def mean_drift(parts: Sequence[Stretch]) -> float:

@@ -2,15 +2,13 @@
 
 A closed file ends with the places of its chunks and of the messages of each channel in them. A reader that goes by them
 opens hours as fast as seconds, and finds the few events of an hour without unpacking the rest. What it gives up is told
-by `Recording`, which reads the whole file: damage between the chunks, and overtaken messages, which stay where they are
-unless they are asked for in order.
+by `Recording`, which reads the whole file: damage between the chunks.
 """
 
 import mmap
 import struct
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
 from itertools import repeat
 from pathlib import Path
 
@@ -31,7 +29,6 @@ from recording.mcap_scan import (
 )
 from recording.messages import ChannelFilter, RecordedMessage
 from recording.multi_file import MultiFileRecording, RecordingSource
-from recording.overtaken import BlockOrder
 from recording.reader import END_OF_TIME, DamageCallback, Recording, each_block
 from recording.summary import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
@@ -46,19 +43,14 @@ _UNSOUND = (struct.error, ValueError, OverflowError)
 class IndexedRecording(Recording):
     """A recording that is read by its index where it has a sound one, and like any other where it has not."""
 
-    def __init__(self, path: str | Path, *, in_order: bool = False) -> None:
-        """Read the index; `in_order` puts overtaken messages where they belong, for which the whole file is read."""
+    def __init__(self, path: str | Path) -> None:
+        """Read the index."""
         self._indexes: ChannelIndexes = {}
-        self._in_order = in_order
         super().__init__(path)
 
     def info(self) -> RecordingInfo:
         """Return the summary by the index, or by reading the whole file where the index does not tell all."""
         return quick_info(self.path) or super().info()
-
-    @cached_property
-    def _order(self) -> dict[int, BlockOrder]:
-        return self._found_order() if self._in_order else {}
 
     def _read_layout(self, data: mmap.mmap) -> Layout:
         found = layout_by_index(data, str(self.path))
@@ -76,7 +68,7 @@ class IndexedRecording(Recording):
         blocks: Sequence[Block] | None = None,
     ) -> Iterator[RecordedMessage]:
         """Yield messages as those of any recording; with an index the heads of a chunk are read together."""
-        if report is not None or self._in_order or not self._indexes:
+        if report is not None or not self._indexes:
             yield from super().select(wanted, start_ns, end_ns, report, blocks)
             return
         first = 0 if start_ns is None else start_ns
@@ -178,7 +170,7 @@ def message_places(data: mmap.mmap, number: int, start: int, most: int) -> npt.N
     return np.frombuffer(body, dtype="<u8", offset=INDEX_HEAD.size)[1::2]
 
 
-def open_indexed(paths: Sequence[str | Path], *, in_order: bool = False) -> RecordingSource:
+def open_indexed(paths: Sequence[str | Path]) -> RecordingSource:
     """Open a recording, or several files of one, by the index; RecordingError names the file that cannot be read."""
-    recordings = [IndexedRecording(path, in_order=in_order) for path in paths]
+    recordings = [IndexedRecording(path) for path in paths]
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

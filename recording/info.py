@@ -58,10 +58,7 @@ class AttachmentInfo(_Info):
 
 
 class LagInfo(_Info):
-    """Time from the sending of a message to its reception by the recorder [s], at the site of the recorder.
-
-    What came in a batch has the time at which it was sent for that of its reception.
-    """
+    """Time from the sending of a message to its reception by the recorder [s], at the site of the recorder."""
 
     p50_s: float
     p99_s: float

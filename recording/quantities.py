@@ -13,7 +13,7 @@ from recording.records import RECORDS
 # "Base position [m]; z = -x_s", "Time [s], 0 = none"
 _UNIT = re.compile(r"\[([^\[\]0-9]+)\]")
 _RECORD = {
-    "log_ns": ("ns", "Recorder's clock at the reception, in a batch at the sending"),
+    "log_ns": ("ns", "Recorder's clock at the reception"),
     "publish_ns": ("ns", "Publisher's clock at the sending"),
 }
 

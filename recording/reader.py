@@ -1,6 +1,5 @@
 """Reading a recording, whether it was finished, killed, cut off or damaged."""
 
-import contextlib
 import mmap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -23,7 +22,6 @@ from recording.mcap_scan import (
     MESSAGE_HEAD,
     MOST_DEFINITIONS,
     MOST_MAPPED,
-    RECORD_HEAD,
     UNREADABLE,
     Block,
     Damage,
@@ -46,8 +44,6 @@ from recording.messages import (
     recorded_channel,
 )
 from recording.odd_times import LONGEST_PAUSE_NS, Dates, odd_text
-from recording.overtaken import BlockOrder, OvertakenFinder, Place
-from recording.record_topics import RECORD_TOPICS
 
 END_OF_TIME = 2**64
 # A file that ends so is followed by another one, at once or with the next trigger.
@@ -83,8 +79,6 @@ class Recording:
             raise RecordingError(f"{self.path}: {what}")
         with self._open() as data:
             self._layout = self._read_layout(data)
-        # the block that an overtaken message was read from last
-        self._fetched: tuple[int, bytes] = (-1, b"")
 
     @property
     def closed(self) -> bool:
@@ -159,7 +153,7 @@ class Recording:
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages in the order in which they were received; those of one publisher in the order of its numbers.
+        """Yield messages in the order in which they were received.
 
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None; start_ns (included) and
         end_ns (excluded), bounds of the time of reception [ns], none when None.
@@ -186,7 +180,7 @@ class Recording:
         after = END_OF_TIME if end_ns is None else end_ns
         is_whole = start_ns is None and blocks is None
         table = self._recorded_channels(wanted, None if is_whole else self._channels_by_number)
-        for message in self._walk(table, RecordedMessage, report, first, after, blocks, self._order):
+        for message in self._walk(table, RecordedMessage, report, first, after, blocks):
             if first <= message.log_ns < after:
                 yield message
 
@@ -218,7 +212,7 @@ class Recording:
                 continue
             found: dict[RecordedChannel, RecordedMessage] = {}
             table = self._recorded_channels(missing.__contains__, self._channels_by_number)
-            for message in self._walk(table, RecordedMessage, blocks=(block,), order=self._order):
+            for message in self._walk(table, RecordedMessage, blocks=(block,)):
                 if message.log_ns < time_ns:
                     found[message.channel] = message
             newest |= found
@@ -232,11 +226,6 @@ class Recording:
         before.
         """
         return self._walk(_ChannelTable(self._layout, raw_channel), RawMessage, report)
-
-    @property
-    def overtaken(self) -> int:
-        """Number of messages that stand in the file behind later ones of their publisher."""
-        return sum(len(block.left_out) for block in self._order.values())
 
     @property
     def structural_damage(self) -> tuple[Damage, ...]:
@@ -294,14 +283,12 @@ class Recording:
         first_ns: int = 0,
         after_ns: int = END_OF_TIME,
         blocks: Iterable[Block] | None = None,
-        order: Mapping[int, BlockOrder] | None = None,
     ) -> Iterator[_MessageT]:
         """Yield the messages of the selected channels, add new channels to the table, report what cannot be used.
 
-        Blocks that lie outside of the bounds [ns] as a whole are skipped. With `order`, by the offset of a block, what
-        stands behind later messages comes where it belongs, as received no later than those.
+        Blocks that lie outside of the bounds [ns] as a whole are skipped.
         """
-        known, selected, order = channels.known, channels.selected, order or {}
+        known, selected = channels.known, channels.selected
         with self._open() as data:
             for block in each_block(data, self._layout.blocks if blocks is None else blocks):
                 if block.last_ns < first_ns or block.first_ns >= after_ns:
@@ -314,19 +301,13 @@ class Recording:
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
-                moved, end = order.get(block.offset), 0
+                end = 0
                 records = self._records(data, block, content, selected) if report is None else records_of(content)
                 for opcode, start, end in records:
                     if opcode == Opcode.MESSAGE:
                         number, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, start)
                         channel = selected.get(number)
                         if channel is not None:
-                            if moved is not None:
-                                if start in moved.left_out:
-                                    continue
-                                for place in moved.before.get(start, ()):
-                                    head, body = self._message_at(data, place)
-                                    yield message_type(channel, min(head[2], log_ns), head[3], head[1], body)
                             payload = content[start + MESSAGE_HEAD.size : end]
                             yield message_type(channel, log_ns, publish_ns, seq, payload)
                         elif number not in known and report is not None:
@@ -337,48 +318,6 @@ class Recording:
                 if block.whole and end != len(content) and report is not None:
                     rest = len(content) - end
                     report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
-
-    @cached_property
-    def _order(self) -> dict[int, BlockOrder]:
-        """What is read at another place than that in the file, by the offset of its block."""
-        return self._found_order()
-
-    def _found_order(self) -> dict[int, BlockOrder]:
-        finder, table = OvertakenFinder(), self._recorded_channels()
-
-        def is_numbered(number: int) -> bool:
-            # Messages that were received at their publisher have the numbers of one process in the order of sending.
-            channel = table.known.get(number)
-            return (
-                channel is not None
-                and channel.via == "direct"
-                and bool(channel.src)
-                and channel.topic not in RECORD_TOPICS
-            )
-
-        with self._open() as data:
-            for _, content in self._contents(data):
-                for opcode, start, end in finder.scan(content, is_numbered):
-                    table.read(opcode, content[start:end])
-            for block, content in self._contents(data) if finder.suspects else ():
-                finder.place(block.offset, content)
-        return finder.finish()
-
-    def _contents(self, data: mmap.mmap) -> Iterator[tuple[Block, bytes]]:
-        """Yield the blocks that can be read, with what is in them."""
-        for block in each_block(data, self._layout.blocks):
-            with contextlib.suppress(DamagedBlockError):
-                yield block, self._content(data, block)
-
-    def _message_at(self, data: mmap.mmap, place: Place) -> tuple[tuple[int, int, int, int], bytes]:
-        """Return the head and the payload of a message in another block."""
-        if self._fetched[0] != place.block:
-            block = next(block for block in self._layout.blocks if block.offset == place.block)
-            self._fetched = place.block, self._content(data, block)
-        content = self._fetched[1]
-        _, length = RECORD_HEAD.unpack_from(content, place.at - RECORD_HEAD.size)
-        channel, seq, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(content, place.at)
-        return (channel, seq, log_ns, publish_ns), content[place.at + MESSAGE_HEAD.size : place.at + length]
 
 
 class Piece(NamedTuple):

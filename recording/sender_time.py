@@ -1,8 +1,8 @@
 """The messages of a recording in the order and at the times of their sending.
 
-A recording is in the order of reception, and a recorder at ordinary priority may be late by seconds, by a different
-time for each publisher. Played at those times a stream of one message a millisecond would come in bursts with pauses
-between them, and the devices would take each pause for a loss of the connection.
+A recording is in the order of reception, and a recorder, which runs behind the loop, may be late by seconds, by a
+different time for each publisher. Played at those times a stream of one message a millisecond would come in bursts with
+pauses between them, and the devices would take each pause for a loss of the connection.
 """
 
 from bisect import bisect_left

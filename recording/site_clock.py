@@ -232,7 +232,7 @@ def _piece(looks: _Looks, topic: str, window: tuple[int, int]) -> Piece | None:
 
 
 def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
-    """Return the lower bounds that reports of an earlier version tell: each of one exchange, seconds before it."""
+    """Return the lower bounds of reports that name no answer, as those of datagrams: each of an exchange before it."""
     asked = {round(ahead_ns / _SAME_NS): asked_ns for asked_ns, ahead_ns in upper}
     found = []
     for report in reports:

@@ -123,9 +123,6 @@ class _Check:
             else:
                 last_ns = self._check_message(message, stream, last_ns)
         self.messages = count
-        if moved := self._recording.overtaken:
-            text = f"{moved} messages stand behind later ones of their publisher; they are read in the order of sending"
-            self._report("order", "info", "", text)
         for text in describe_damage(damage):
             self._report("crc", "error", "", text)
         for text in self._recording.odd:

@@ -93,8 +93,6 @@ class RecordingWriter:
             compression=_COMPRESSION[settings.compression],
             enable_data_crcs=True,
         )
-        # `write` without its guard, for a recorder: channel, log_ns, payload, publish_ns, seq; it raises OSError
-        self.add = self._mcap.add_message
         with self._guarded():
             self._mcap.start("telenano")
             # from its first moment on the file is one that opens
@@ -141,9 +139,9 @@ class RecordingWriter:
     def write(self, channel: int, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
         """Write a message, byte by byte as it was received."""
         try:
-            self.add(channel, log_ns, payload, publish_ns, seq)
+            self._mcap.add_message(channel, log_ns, payload, publish_ns, seq)
         except OSError as error:
-            raise self.failure(error) from error
+            raise self._failure(error) from error
 
     def write_gap(self, log_ns: int, gap: GapRecord) -> None:
         self._write_own(GAP_TOPIC, log_ns, gap.model_dump())
@@ -223,9 +221,9 @@ class RecordingWriter:
         try:
             yield
         except OSError as error:
-            raise self.failure(error) from error
+            raise self._failure(error) from error
 
-    def failure(self, error: OSError) -> RecordingError:
+    def _failure(self, error: OSError) -> RecordingError:
         """Close the file, which cannot be written, and return the error that says so."""
         # closing flushes once more, which fails for the same reason; the descriptor is given back all the same
         self.abandon()

@@ -108,7 +108,7 @@ class _OwnSections(Settings):
     friction: FrictionConfig = Field(FrictionConfig(), description="Friction, and torsion of the cantilever.")
     torsion: TorsionConfig = Field(TorsionConfig(), description="How the lateral force is measured, errors included.")
     rest_distance_m: float = Field(
-        10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m], up to 1e-4."
+        10e-9, gt=0.0, le=1e-4, description="Tip-sample distance L with the base at 0 and no force [m]."
     )
     safety: SafetyConfig = Field(SafetyConfig(), description="Limits of base, tip force and command age.")
     allow_replay: bool = Field(False, description="Whether commands that come from a recording are obeyed.")

@@ -39,10 +39,10 @@ class FeelConfig(Settings):
     )
     slope_limit_n_per_unit: float = Field(gt=0.0, description="Steepest part that the table may have [N/unit].")
     rate_limit_n_per_s: float = Field(
-        1e-6, gt=0.0, le=1.0, description="Fastest change of the force that is felt [N/s], up to 1."
+        1e-6, gt=0.0, le=1.0, description="Fastest change of the force that is felt [N/s]."
     )
-    least_n: float = Field(-1e-6, ge=-1e-3, le=0.0, description="Least force that is felt [N], -1e-3 to 0.")
-    most_n: float = Field(1e-6, ge=0.0, le=1e-3, description="Greatest force that is felt [N], up to 1e-3.")
+    least_n: float = Field(-1e-6, ge=-1e-3, le=0.0, description="Least force that is felt [N].")
+    most_n: float = Field(1e-6, ge=0.0, le=1e-3, description="Greatest force that is felt [N].")
 
     @model_validator(mode="after")
     def _usable(self) -> Self:

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RefusedError
 from proto.extras import how_to_install
 from services.afm_node.config import DRIVERS, SAMPLES, AfmConfig
 from services.afm_node.driver import AfmDriver
@@ -13,9 +13,11 @@ from services.afm_node.over_map import read_params
 from services.afm_node.physics.sample.surface import Surface
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.afm_node.programs.feedback import remaining
+from services.afm_node.programs.lateral import Place
 from services.afm_node.programs.program import Instrument
 from services.afm_node.programs.reach import Reach
 from services.afm_node.programs.runner import ProgramRunner
+from services.afm_node.programs.settings import LateralTarget
 from services.afm_node.safety import SafetyParams
 from services.afm_node.section_config import ModbusConfig
 from services.runtime.loop.node import LOOP_PERIOD_S
@@ -142,6 +144,41 @@ def reach_of(config: AfmConfig, driver: AfmDriver) -> Reach | None:
         return None
     surface, above_m = driver.relief
     return Reach(surface, config.rest_distance_m, config.to_params().safety, above_m)
+
+
+def sample_text(config: AfmConfig, driver: AfmDriver, reach: Reach | None) -> str:
+    """Return what a person should know of the sample when the tip is armed; empty for nothing."""
+    if reach is None:
+        return getattr(driver, "about", "")
+    surface, sample = reach.surface, config.sample
+    if sample is None or surface is None or not sample.levelled:
+        return ""
+    low, high = float(surface.height_m.min()), float(surface.height_m.max())
+    return (
+        f"sample {sample.name}: {sample.levelled} (afm_node.sample.level={sample.level}); the tip sees {low:.3g} to"
+        f" {high:.3g} m"
+    )
+
+
+def pointed(config: AfmConfig, driver: AfmDriver, target: LateralTarget, pointer: Place) -> Place:
+    """Return where a person wants the tip, after a command: `pointer` itself where the command has no place.
+
+    Raises:
+        RefusedError: The instrument has no stage, or the place is out of reach.
+    """
+    if target.x_m is None and target.y_m is None:
+        return pointer
+    if driver.stage is None:
+        raise RefusedError("lateral: this instrument has no lateral stage")
+    x_m = pointer.x_m if target.x_m is None else target.x_m
+    y_m = pointer.y_m if target.y_m is None else target.y_m
+    reach_x_m, reach_y_m = config.places_m
+    if abs(x_m) > reach_x_m or abs(y_m) > reach_y_m:
+        limit = f"lateral.reach_m = {reach_x_m:g} m"
+        if config.map_span is not None:
+            limit = f"the recorded map, x ± {reach_x_m:g} m, y ± {reach_y_m:g} m"
+        raise RefusedError(f"lateral: {x_m:g}, {y_m:g} m is beyond {limit}")
+    return Place(x_m, y_m)
 
 
 def runner_of(config: AfmConfig, driver: AfmDriver, reach: Reach | None, period_s: float) -> ProgramRunner:

@@ -7,42 +7,10 @@ from typing import TYPE_CHECKING
 from services.afm_node.physics.cantilever import volts_per_m
 from services.afm_node.physics.recorded_map import MapParams
 from services.afm_node.physics.sample.force_map import SI_UNITS, ForceMap, map_params, read_map
-from services.afm_node.programs.lateral import Place
-from services.afm_node.safety import LIMITED_BY_RANGE, MODE_FOLLOW, SafetyOutputs, SafetyParams
+from services.afm_node.safety import SafetyParams
 
 if TYPE_CHECKING:
     from services.afm_node.config import _OwnSections
-
-# A hand that trembles at the edge of a map is told of it once.
-_QUIET_NS = 2_000_000_000
-
-
-class MapEdge:
-    """Keeps the tip on a recorded map in x and y, and says once that it was asked to go further.
-
-    Args:
-        places_m: How far from the middle the map goes in x and in y [m].
-    """
-
-    def __init__(self, places_m: tuple[float, float]) -> None:
-        self._places_m = places_m
-        self._reached_ns: int | None = None
-
-    def kept(self, wanted: Place, allowed: SafetyOutputs, now_ns: int) -> tuple[Place, str]:
-        """Return the place on the map that is next to the one wanted, and a sentence where there is one to say."""
-        x_m, y_m = (min(max(at, -most), most) for at, most in zip(wanted, self._places_m, strict=True))
-        is_outside = x_m != wanted.x_m or y_m != wanted.y_m
-        if not is_outside and not (allowed.limited & LIMITED_BY_RANGE and allowed.mode == MODE_FOLLOW):
-            return wanted, ""
-        is_quiet = allowed.mode != MODE_FOLLOW or (
-            self._reached_ns is not None and now_ns - self._reached_ns < _QUIET_NS
-        )
-        self._reached_ns = now_ns
-        asked = (
-            f"x = {wanted.x_m:.4g} m, y = {wanted.y_m:.4g} m" if is_outside else f"a base beyond {allowed.base_m:.4g} m"
-        )
-        text = f"the recorded map ends here, and the tip stays on it: it was asked to go to {asked}"
-        return Place(x_m, y_m), "" if is_quiet else text
 
 
 def require_feelable(config: "_OwnSections", path: str) -> None:

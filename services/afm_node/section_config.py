@@ -15,14 +15,14 @@ Speed = Annotated[float, Field(gt=0.0, le=1e-3)]
 class CantileverConfig(Settings):
     """Spring and read-out of the cantilever (Table 2, Eq. 3)."""
 
-    stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m], 0.001 to 10000.")
+    stiffness_n_per_m: float = Field(40.0, ge=1e-3, le=1e4, description="Spring constant k [N/m].")
     resonance_hz: float = Field(150e3, gt=0.0, le=1e7, description="Free resonance f [Hz], for the dynamic model.")
     quality: float = Field(100.0, gt=0.5, le=1e7, description="Quality factor Q in air, above 0.5; dynamic model.")
     steps_per_period: int = Field(
         96, ge=16, le=4096, multiple_of=8, description="Steps of a period of the drive, a multiple of 8; dynamic model."
     )
-    bridge_supply_v: float = Field(2.5, gt=0.0, le=100.0, description="Bridge supply voltage V0 [V], up to 100.")
-    amplifier_gain: float = Field(1e4, gt=0.0, le=1e7, description="Gain Gc of the bridge amplifier, up to 1e7.")
+    bridge_supply_v: float = Field(2.5, gt=0.0, le=100.0, description="Bridge supply voltage V0 [V].")
+    amplifier_gain: float = Field(1e4, gt=0.0, le=1e7, description="Gain Gc of the bridge amplifier.")
     sensitivity_per_m: float = Field(
         1e3, gt=0.0, le=1e9, description="Relative change of resistance per deflection Sc [1/m]; 1e3 is 1e-6 per nm."
     )
@@ -36,24 +36,18 @@ class TipSampleConfig(Settings):
     """Tip, sample and the water between them. What is not given comes from the preset."""
 
     preset: Literal["table_2"] = Field("table_2", description="Where unnamed values come from: Table 2 of the paper.")
-    tip_radius_m: float = Field(10e-9, ge=1e-10, le=1e-3, description="Tip radius R [m], 1e-10 to 1e-3.")
-    hamaker_j: float = Field(1.89e-19, gt=0.0, le=1e-17, description="Hamaker constant H [J], up to 1e-17.")
-    sigma_m: float = Field(3.49e-10, ge=1e-11, le=1e-8, description="Interatomic distance sigma [m], 1e-11 to 1e-8.")
-    work_of_adhesion_j_per_m2: float = Field(
-        0.072, ge=1e-6, le=10.0, description="Work of adhesion omega [J/m^2], 1e-6 to 10."
-    )
-    tip_modulus_pa: float = Field(170e9, ge=1e2, le=1e13, description="Young's modulus of the tip [Pa], 1e2 to 1e13.")
-    sample_modulus_pa: float = Field(
-        4e9, ge=1e2, le=1e13, description="Young's modulus of the sample [Pa], 1e2 to 1e13."
-    )
-    tip_poisson: float = Field(0.5, gt=-1.0, le=0.5, description="Poisson ratio of the tip, above -1 to 0.5.")
-    sample_poisson: float = Field(0.3, gt=-1.0, le=0.5, description="Poisson ratio of the sample, above -1 to 0.5.")
+    tip_radius_m: float = Field(10e-9, ge=1e-10, le=1e-3, description="Tip radius R [m].")
+    hamaker_j: float = Field(1.89e-19, gt=0.0, le=1e-17, description="Hamaker constant H [J].")
+    sigma_m: float = Field(3.49e-10, ge=1e-11, le=1e-8, description="Interatomic distance sigma [m].")
+    work_of_adhesion_j_per_m2: float = Field(0.072, ge=1e-6, le=10.0, description="Work of adhesion omega [J/m^2].")
+    tip_modulus_pa: float = Field(170e9, ge=1e2, le=1e13, description="Young's modulus of the tip [Pa].")
+    sample_modulus_pa: float = Field(4e9, ge=1e2, le=1e13, description="Young's modulus of the sample [Pa].")
+    tip_poisson: float = Field(0.5, gt=-1.0, le=0.5, description="Poisson ratio of the tip.")
+    sample_poisson: float = Field(0.3, gt=-1.0, le=0.5, description="Poisson ratio of the sample.")
     liquid_energy_j_per_m2: float = Field(
-        0.073, ge=0.0, le=1.0, description="Surface energy gamma_L of the liquid [J/m^2], up to 1."
+        0.073, ge=0.0, le=1.0, description="Surface energy gamma_L of the liquid [J/m^2]."
     )
-    meniscus_radius_m: float = Field(
-        1.2e-9, ge=1e-11, le=1e-6, description="Curvature radius r1 of the meniscus [m], 1e-11 to 1e-6."
-    )
+    meniscus_radius_m: float = Field(1.2e-9, ge=1e-11, le=1e-6, description="Curvature radius r1 of the meniscus [m].")
     relative_humidity: float | None = Field(
         None,
         gt=0.0,
@@ -87,37 +81,36 @@ class TipSampleConfig(Settings):
 class SafetyConfig(Settings):
     """Limits of base and tip; positions along the paper's axis, towards the sample, 0 at the rest distance."""
 
-    base_min_m: BasePosition = Field(-200e-9, description="Base furthest from the sample [m], -1e-4 to 1e-4.")
-    base_max_m: BasePosition = Field(200e-9, description="Base furthest towards the sample [m], -1e-4 to 1e-4.")
+    base_min_m: BasePosition = Field(-200e-9, description="Base furthest from the sample [m].")
+    base_max_m: BasePosition = Field(200e-9, description="Base furthest towards the sample [m].")
     base_speed_m_per_s: Speed = Field(
-        2e-6, description="Fastest motion of the base [m/s], up to 1e-3; Fig. 12 approaches at 15 nm/s."
+        2e-6, description="Fastest motion of the base [m/s]; Fig. 12 approaches at 15 nm/s."
     )
     resume_acceleration_m_per_s2: float = Field(
         2e-6,
         gt=0.0,
         le=1e6,
-        description="How fast the base takes up its speed again after a hold [m/s^2], up to 1e6: 0.4 nm in 20 ms.",
+        description="How fast the base takes up its speed again after a hold [m/s^2]: 0.4 nm in 20 ms.",
     )
     retract_position_m: BasePosition = Field(
         -100e-9,
         description="Base in the safe state [m], within the range; where it is not given and a spring also pulls, its"
         " rest position, because it would pull at any other.",
     )
-    retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s], up to 1e-3.")
+    retract_speed_m_per_s: Speed = Field(1e-6, description="Speed of retraction [m/s].")
     force_limit_n: float = Field(
-        200e-9, gt=0.0, le=1e-3, description="Repulsive force above which the tip is retracted [N], up to 1e-3."
+        200e-9, gt=0.0, le=1e-3, description="Repulsive force above which the tip is retracted [N]."
     )
     lateral_limit_n: float = Field(
-        1e-5, gt=0.0, le=1e-3, description="Lateral force above which the tip is retracted [N], up to 1e-3."
+        1e-5, gt=0.0, le=1e-3, description="Lateral force above which the tip is retracted [N]."
     )
     command_deadline_s: float = Field(
         deadline_of("afm/command"),
         gt=0.0,
         le=10.0,
-        description="Oldest command, and oldest hand's sample behind it, that is followed [s], up to 10; older ones "
-        "mean hold.",
+        description="Oldest command, and oldest hand's sample behind it, that is followed [s]; older ones mean hold.",
     )
-    hold_time_s: float = Field(0.2, ge=0.0, le=60.0, description="Time in hold before retracting [s], 0 to 60.")
+    hold_time_s: float = Field(0.2, ge=0.0, le=60.0, description="Time in hold before retracting [s].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -132,8 +125,8 @@ class SafetyConfig(Settings):
 class LateralConfig(Settings):
     """Limits of the stage that moves tip or sample in x and y."""
 
-    reach_m: float = Field(50e-6, gt=0.0, le=1e-3, description="Reach either way of the centre [m], up to 1e-3.")
-    speed_m_per_s: float = Field(20e-6, gt=0.0, le=1.0, description="Greatest speed [m/s], up to 1.")
+    reach_m: float = Field(50e-6, gt=0.0, le=1e-3, description="Reach either way of the centre [m].")
+    speed_m_per_s: float = Field(20e-6, gt=0.0, le=1.0, description="Greatest speed [m/s].")
 
 
 class FrictionConfig(Settings):
@@ -141,7 +134,7 @@ class FrictionConfig(Settings):
 
     coefficient: float = Field(0.0, ge=0.0, le=2.0, description="Coefficient mu of Amontons, 0 to 2; 0: no friction.")
     lateral_stiffness_n_per_m: float = Field(
-        100.0, gt=0.0, le=1e6, description="Lateral stiffness of the cantilever at the tip [N/m], up to 1e6."
+        100.0, gt=0.0, le=1e6, description="Lateral stiffness of the cantilever at the tip [N/m]."
     )
     tip_height_m: float = Field(10e-6, gt=0.0, le=1e-3, description="Height of the tip [m]: torsion is F / (k h).")
 
@@ -149,7 +142,7 @@ class FrictionConfig(Settings):
 class SpringConfig(Settings):
     """A linear environment in place of cantilever and sample: the one of the theory of delay."""
 
-    stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m], up to 1e9.")
+    stiffness_n_per_m: float = Field(20.0, gt=0.0, le=1e9, description="Stiffness K [N/m].")
     rest_position_m: BasePosition = Field(0.0, description="Base at which it is at rest [m]: F = K (x_s - L).")
     bilateral: bool = Field(True, description="Whether it also pulls, which is what makes it linear.")
 

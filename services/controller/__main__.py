@@ -10,9 +10,18 @@ import sys
 
 from proto.nodes import site_of
 from services.controller.config import ControllerConfig
-from services.controller.node import HALVES, half_of_site
+from services.controller.half import ControllerHalf
+from services.controller.master_half import MasterController
+from services.controller.slave_half import SlaveController
 from services.runtime.loop.main import NodeKind, Wiring, run_node
-from services.runtime.loop.node import Node, NodeBus
+from services.runtime.loop.node import Node, NodeBus, NodeContext
+
+HALVES: dict[str, type[ControllerHalf]] = {"master": MasterController, "slave": SlaveController}
+
+
+def half_of_site(context: NodeContext, config: ControllerConfig) -> ControllerHalf:
+    """Return the half of the law that belongs to the node's site."""
+    return HALVES[site_of(context.key)](context, config)
 
 
 def build(wiring: Wiring, config: ControllerConfig) -> tuple[Node, NodeBus]:

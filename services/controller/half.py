@@ -4,17 +4,13 @@ from abc import abstractmethod
 from typing import Any, ClassVar, NamedTuple
 
 from proto.errors import ConfigError, RefusedError
-from proto.messages import (
-    SessionControl,
-    TeleopBackward,
-    TeleopForward,
-)
+from proto.messages import SessionControl, TeleopBackward, TeleopForward
 from services.controller import energy
 from services.controller.clamp import clamped
 from services.controller.config import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from services.controller.deadband import DeadbandState, deadband, initial_deadband_state
 from services.controller.integration import Heard, MasterTiming, SlaveTiming, TimingParams, silence_ns
-from services.controller.lateral import NO_STORE, Store
+from services.controller.lateral import NO_STORE, Across, Store
 from services.controller.law import (
     NO_SIGNAL,
     NO_TIP,
@@ -80,9 +76,7 @@ class ControllerHalf(Node):
         self.params: Any = config.params()
         self.law_state: Any = None
         self.signal: PortSignal = NO_SIGNAL
-        # x and y, which no law knows: the values that this half reports of its device [m], and those that the other one
-        # sent last.
-        self.lateral_m = self.far_lateral = self.far_place = ZERO_XY
+        self.across = Across()
         self.lateral = config.lateral_params()
         self.switching = False
         self.port = energy.opened(0.0, 0.0)
@@ -196,9 +190,9 @@ class ControllerHalf(Node):
             config=None if self.config is self._built_with else self.config,
             law=None if self.law_state is None else part(self.law_state),
             signal=self.signal,
-            lateral_m=self.lateral_m,
-            far_lateral=self.far_lateral,
-            far_place=self.far_place,
+            lateral_m=self.across.own_m,
+            far_lateral=self.across.far,
+            far_place=self.across.far_m,
             switching=self.switching,
             port=self.port,
             hand_stamp=self._hand_stamp,
@@ -214,7 +208,7 @@ class ControllerHalf(Node):
             self._adopt(state.config)
         self.law_state = None if state.law is None else state.law.like(self.started())
         self.signal, self.switching, self.port, self.steps = state.signal, state.switching, state.port, state.steps
-        self.lateral_m, self.far_lateral, self.far_place = state.lateral_m, state.far_lateral, state.far_place
+        self.across = Across(state.lateral_m, far=state.far_lateral, far_m=state.far_place)
         self._hand_stamp = state.hand_stamp
         self._reported_j, self._band_state = state.reported_j, state.band
         self.freshness.restore(state.freshness)
@@ -242,11 +236,11 @@ class ControllerHalf(Node):
         if type(message) is TeleopBackward:
             force_n, separation_m = message.force_n[2], message.separation_m
             # the master's half: the lateral force on the tip [N], and where the stage is [m]
-            self.far_lateral, self.far_place = message.force_n[:2], message.position_m[:2]
+            self.across.far, self.across.far_m = message.force_n[:2], message.position_m[:2]
             separation_valid, in_contact = message.separation_valid, message.in_contact
         else:
             # the slave's half: where the hand wants the tip over the sample [m]
-            self.far_lateral = message.position_m[:2]
+            self.across.far = message.position_m[:2]
         self.signal = port_signal(
             position_m=to_paper_axis(message.position_m),
             velocity_m_per_s=to_paper_axis(message.velocity_m_per_s),
@@ -276,7 +270,7 @@ class ControllerHalf(Node):
         return {
             "law": self.law.name,
             "active": signal.active,
-            "position_m": (*self.lateral_m, 0.0 - signal.position_m),
+            "position_m": (*self.across.own_m, 0.0 - signal.position_m),
             "velocity_m_per_s": to_site_frame(signal.velocity_m_per_s),
             "wave_sqrt_w": to_site_frame(signal.wave_sqrt_w) if self.law.uses_waves else None,
             "energy_j": signal.energy_j if self.law.uses_energy else None,

@@ -85,7 +85,6 @@ class MasterController(ControllerHalf):
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
         self._across = lateral_at_rest()
-        self._sent_m = ZERO_XY
 
     def capture(self) -> MasterState:
         return MasterState(
@@ -99,7 +98,7 @@ class MasterController(ControllerHalf):
             answered=self._answered_hand_stamp,
             slave_status=self._slave_status,
             across=self._across,
-            sent_m=self._sent_m,
+            sent_m=self.across.sent_m,
         )
 
     def restore(self, state: MasterState, find: FindInput) -> None:
@@ -108,7 +107,7 @@ class MasterController(ControllerHalf):
         self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
         self._lost_ns = state.lost_ns
         self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
-        self._across, self._sent_m = state.across, state.sent_m
+        self._across, self.across.sent_m = state.across, state.sent_m
 
     def started(self) -> Any:
         return self.law.master_start(self.params, self.hand)
@@ -208,9 +207,10 @@ class MasterController(ControllerHalf):
         if self.lateral.motion.mode != DIRECT:
             self._move_across(message, dt_s)
         elif x or y:
-            self.lateral_m = self._at_the_tip(x, y)
+            scale = self.config.law_config().position_scale
+            self.across.own_m = scale * x, scale * y
         else:
-            self.lateral_m = ZERO_XY
+            self.across.own_m = ZERO_XY
         if self.law_state is None:
             self.law_state = self.law.master_start(self.params, self.hand)
         if begins:
@@ -226,16 +226,11 @@ class MasterController(ControllerHalf):
         self._tip_reference_m = signal.position_m
         # What the hand moves across is sent whether or not the dead band passes the law's signal.
         if self.passes_deadband(signal, dt_s) or self._has_moved_across():
-            self._sent_m = self.lateral_m
+            self.across.sent_m = self.across.own_m
             self.publish("teleop/forward", **self.signal_fields(signal), force_n=to_site_frame(signal.force_n))
         self.steps += 1
         slave = self._slave_status
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
-
-    def _at_the_tip(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Return where a hand of three axes wants the tip over the sample [m]."""
-        scale = self.config.law_config().position_scale
-        return scale * x_m, scale * y_m
 
     def _move_across(self, message: HapticState, dt_s: float) -> None:
         """Take the hand's way across, in a mode of its own, and say what it has met or lost."""
@@ -246,19 +241,19 @@ class MasterController(ControllerHalf):
         follows = self.hand.following and not self.switching
         hand = LateralHand(x, y, self.hand.position_m, speed_x, speed_y, self.hand.velocity_m_per_s, following=follows)
         known = self.signal.active and self._silence_s() <= self.config.law_config().silence_limit_s
-        far = LateralFar(*self.far_lateral, *self.far_place, known=known)
+        far = LateralFar(*self.across.far, *self.across.far_m, known=known)
         self._across = lateral_master_step(self.lateral, self._across, hand, far, dt_s)
         travel = self._across.travel
-        self.lateral_m = travel.x_m, travel.y_m
+        self.across.own_m = travel.x_m, travel.y_m
         if self._across.news != NO_NEWS:
-            force_n = math.sqrt(self.far_lateral[0] ** 2 + self.far_lateral[1] ** 2)
+            force_n = math.sqrt(self.across.far[0] ** 2 + self.across.far[1] ** 2)
             text = _NEWS[self._across.news]
             self.event("mode", "info", text.format(force=force_n), lateral=text.split(":")[0], force_n=force_n)
 
     def _has_moved_across(self) -> bool:
         if self.lateral.motion.mode == DIRECT:
             return False
-        (x, y), (sent_x, sent_y) = self.lateral_m, self._sent_m
+        (x, y), (sent_x, sent_y) = self.across.own_m, self.across.sent_m
         return abs(x - sent_x) + abs(y - sent_y) >= _LEAST_SENT_M
 
     def _guided_hand(self) -> HandSample:
@@ -273,7 +268,7 @@ class MasterController(ControllerHalf):
         """Return the lateral force of the sample at the hand's scale [N]."""
         if self.lateral.motion.mode != DIRECT:
             return self._across.force_n[:2]
-        x, y = self.far_lateral
+        x, y = self.across.far
         scale = self.config.law_config().force_scale if x or y else 0.0
         return scale * x, scale * y
 

@@ -63,7 +63,6 @@ class SlaveController(ControllerHalf):
         self._clamp = config.clamp_params()
         self._instrument_ns = 0
         self._instrument_lost = False
-        self._lateral_n = ZERO_XY
         self._asked_m: tuple[float, ...] = (0.0,)
         self._carried_out_m = 0.0
         # The instrument images or measures by itself until then, and obeys no hand.
@@ -78,7 +77,7 @@ class SlaveController(ControllerHalf):
             reference=self.reference,
             asked_m=self._asked_m,
             carried_out_m=self._carried_out_m,
-            lateral_n=self._lateral_n,
+            lateral_n=self.across.own_n,
             instrument_ns=self._instrument_ns,
             instrument_lost=self._instrument_lost,
             occupied_until_ns=self._occupied_until_ns,
@@ -89,7 +88,7 @@ class SlaveController(ControllerHalf):
         self.restore_half(state.half)
         self.timing, self.tip, self.reference = state.timing, state.tip, state.reference
         self._asked_m, self._carried_out_m = state.asked_m, state.carried_out_m
-        self._lateral_n, self._instrument_ns = state.lateral_n, state.instrument_ns
+        self.across.own_n, self._instrument_ns = state.lateral_n, state.instrument_ns
         self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
         self._across = state.across
 
@@ -165,9 +164,8 @@ class SlaveController(ControllerHalf):
         if self.lateral.motion.mode != DIRECT:
             follows = goes_on and understood and message.active and self.tip.following
             elapsed_s = self.timing.pacing.elapsed * self.config.period_s
-            self._across = lateral_slave_step(
-                self.lateral, self._across, self.far_lateral, self.lateral_m, follows, elapsed_s
-            )
+            across = self.across
+            self._across = lateral_slave_step(self.lateral, self._across, across.far, across.own_m, follows, elapsed_s)
         if goes_on and integration.slave_passes_over(self.timing, self.timing_params, self.clock.now_ns()):
             self.timing = integration.slave_passed_over(self.timing)
         else:
@@ -195,7 +193,7 @@ class SlaveController(ControllerHalf):
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=(*(self.far_lateral if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
+            base_position_m=(*(self.across.far if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
             hand_seq=self._hand_stamp[0],
             hand_t_ns=self._hand_stamp[1],
             **across,
@@ -218,7 +216,7 @@ class SlaveController(ControllerHalf):
         self._instrument_lost = True
 
     def _on_instrument(self, message: AfmState, now_ns: int) -> None:
-        self.lateral_m, self._lateral_n = message.base_position_m[:2], message.tip_force_n[:2]
+        self.across.own_m, self.across.own_n = message.base_position_m[:2], message.tip_force_n[:2]
         self.tip = TipMeasurement(
             base_position_m=to_paper_axis(message.base_position_m),
             force_n=message.tip_force_n[2],
@@ -273,7 +271,7 @@ class SlaveController(ControllerHalf):
         self.publish(
             "teleop/backward",
             **self.signal_fields(signal),
-            force_n=(*self._lateral_n, signal.force_n),
+            force_n=(*self.across.own_n, signal.force_n),
             separation_m=signal.separation_m,
             separation_valid=signal.separation_valid,
             in_contact=signal.in_contact,

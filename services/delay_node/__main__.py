@@ -21,7 +21,7 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     if changes := changes_text(settings):
         wiring.log.warning(changes)
     # The publishers come first, because they may fail.
-    to_master, to_slave = (wiring.bind(f"delay_node@{site}", batched=True) for site in ("master", "slave"))
+    to_master, to_slave = (wiring.bind(f"delay_node@{site}") for site in ("master", "slave"))
     # Of a burst the first message goes out while the next one is looked at. A link without a priority of its own would
     # give the processor to anybody.
     to_master.yields = to_slave.yields = has_fifo()

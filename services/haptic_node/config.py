@@ -33,43 +33,41 @@ class DeviceConfig(Settings):
         description="Servo gain: 1.917e5 V/m for the 30 Hz of Table 1, or the printed 10000 V/m: 1.318 Hz (E1)",
     )
     servo_gain_v_per_m: float | None = Field(
-        default=None, ge=1e-3, le=1e7, description="Servo gain G [V/m] in place of the preset's; [1e-3, 1e7]"
+        default=None, ge=1e-3, le=1e7, description="Servo gain G [V/m] in place of the preset's"
     )
     speed_gain_rad_per_s_v: float = Field(
         default=29.41,
         ge=1e-3,
         le=1e4,
-        description="Motor gain Km [(rad/s)/V]; [1e-3, 1e4]; 1/Km is K_t [N m/A] and K_e",
+        description="Motor gain Km [(rad/s)/V]; 1/Km is K_t [N m/A] and K_e",
     )
-    screw_m_per_rad: float = Field(default=2.79e-5, ge=1e-9, le=0.1, description="Screw Kp [m/rad]; [1e-9, 0.1]")
-    time_constant_s: float = Field(default=1.1e-3, ge=1e-4, le=1.0, description="Motor time constant Tm [s]; [1e-4, 1]")
+    screw_m_per_rad: float = Field(default=2.79e-5, ge=1e-9, le=0.1, description="Screw Kp [m/rad]")
+    time_constant_s: float = Field(default=1.1e-3, ge=1e-4, le=1.0, description="Motor time constant Tm [s]")
     friction_torque_n_m: float = Field(
-        default=3.15e-3, ge=0.0, le=1.0, description="Coulomb friction at the motor, either way [N m]; [0, 1]"
+        default=3.15e-3, ge=0.0, le=1.0, description="Coulomb friction at the motor, either way [N m]"
     )
     armature_resistance_ohm: float = Field(
         default=5.0,
         ge=1e-6,
         le=1e3,
-        description="Armature resistance R [ohm], our own choice (not in the paper); [1e-6, 1e3]. Friction acts like"
+        description="Armature resistance R [ohm], our own choice (not in the paper). Friction acts like"
         " torque*R*Km volts: 0.463 V, a position band of 2.4 um (paper_bandwidth) or 46 um (paper_gain)",
     )
     voltage_limit_v: float = Field(
         default=48.0,
         ge=1e-6,
         le=1e3,
-        description="Supply of the drive [V], our own choice; [1e-6, 1e3]; 39 mm/s unloaded",
+        description="Supply of the drive [V], our own choice; 39 mm/s unloaded",
     )
     torque_limit_n_m: float = Field(
         default=0.05,
         ge=1e-9,
         le=10.0,
-        description="Motor torque at the current limit [N m], our own choice; [1e-9, 10]",
+        description="Motor torque at the current limit [N m], our own choice",
     )
-    position_min_m: float = Field(
-        default=-0.005, ge=-1.0, le=1.0, description="End stop away from the sample [m]; [-1, 1]"
-    )
+    position_min_m: float = Field(default=-0.005, ge=-1.0, le=1.0, description="End stop away from the sample [m]")
     position_max_m: float = Field(
-        default=0.015, ge=-1.0, le=1.0, description="End stop towards the sample [m]; [-1, 1]; 20 mm of travel in all"
+        default=0.015, ge=-1.0, le=1.0, description="End stop towards the sample [m]; 20 mm of travel in all"
     )
     start_position_m: float = Field(default=0.0, ge=-1.0, le=1.0, description="Where the arm stands at start [m]")
 
@@ -121,22 +119,18 @@ class LimitsConfig(Settings):
         ge=1e-6,
         le=10.0,
         description="Oldest command, and oldest hand's sample that it answers, that is still followed; beyond it the "
-        "motor is off [s]; [1e-6, 10]",
+        "motor is off [s]",
     )
-    position_min_m: float = Field(
-        default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]; [-1, 1]"
-    )
-    position_max_m: float = Field(
-        default=0.0145, ge=-1.0, le=1.0, description="Highest position reference [m]; [-1, 1]"
-    )
+    position_min_m: float = Field(default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]")
+    position_max_m: float = Field(default=0.0145, ge=-1.0, le=1.0, description="Highest position reference [m]")
     max_speed_m_per_s: float = Field(
-        default=0.03, ge=1e-12, le=10.0, description="Fastest motion of the position reference [m/s]; [1e-12, 10]"
+        default=0.03, ge=1e-12, le=10.0, description="Fastest motion of the position reference [m/s]"
     )
     max_force_n: float = Field(
         default=10.0,
         ge=1e-12,
         le=1e3,
-        description="Largest force reference, for devices with a force mode [N]; [1e-12, 1e3]",
+        description="Largest force reference, for devices with a force mode [N]",
     )
 
     @model_validator(mode="after")

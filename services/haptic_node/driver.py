@@ -7,7 +7,7 @@ sample.
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol
 
 from proto.errors import ConfigError
 
@@ -179,11 +179,3 @@ class HapticDevice(Protocol):
 
     def make_safe(self) -> None:
         """Bring the drive to its safe state (off) now; never raises, also when closed."""
-
-
-@runtime_checkable
-class PushedDevice(Protocol):
-    """A device whose hand is simulated and takes its force from outside."""
-
-    def push(self, force_n: float) -> None:
-        """Hold a force of the hand [N], towards the sample, until the next one."""

@@ -54,20 +54,20 @@ class CouplingConfig(Settings):
         default=None,
         ge=0.0,
         le=1e6,
-        description="K along the paper's axis [N/m]; [0, 1e6]; none: the stable bound over the margin, and no more than"
+        description="K along the paper's axis [N/m]; none: the stable bound over the margin, and no more than"
         " the device declares",
     )
     damping_n_s_per_m: float | None = Field(
-        default=None, ge=0.0, le=1e4, description="B [N s/m]; [0, 1e4]; none: half of what the device declares"
+        default=None, ge=0.0, le=1e4, description="B [N s/m]; none: half of what the device declares"
     )
     lateral_stiffness_n_per_m: float = Field(
-        default=0.0, ge=0.0, le=1e6, description="K of the lateral axes, towards the lateral reference [N/m]; [0, 1e6]"
+        default=0.0, ge=0.0, le=1e6, description="K of the lateral axes, towards the lateral reference [N/m]"
     )
     lateral_damping_n_s_per_m: float | None = Field(
-        default=None, ge=0.0, le=1e4, description="B of the lateral axes [N s/m]; [0, 1e4]; none: a tenth of B"
+        default=None, ge=0.0, le=1e4, description="B of the lateral axes [N s/m]; none: a tenth of B"
     )
     margin: float = Field(
-        default=STABLE_MARGIN, ge=1.0, le=100.0, description="Margin of the default K below the stable bound; [1, 100]"
+        default=STABLE_MARGIN, ge=1.0, le=100.0, description="Margin of the default K below the stable bound"
     )
     max_force_n: float | None = Field(
         default=None, ge=1e-3, le=1e3, description="Greatest force on the hand [N]; none: what the device declares"
@@ -180,12 +180,12 @@ class SimulatedImpedanceConfig(Settings):
     """Section `haptic_node.impedance`: the simulated device of three axes, for driver simulated_impedance."""
 
     model: ModelName = Field(default="inverse3", description="Constants that hold where none are given here")
-    mass_kg: float | None = Field(default=None, ge=1e-3, le=10.0, description="Moving mass m [kg]; [1e-3, 10]")
-    damping_n_s_per_m: float | None = Field(default=None, ge=0.0, le=1e3, description="Damping b [N s/m]; [0, 1e3]")
-    max_force_n: float | None = Field(default=None, ge=0.1, le=1e3, description="Greatest force [N]; [0.1, 1e3]")
-    rate_hz: float | None = Field(default=None, ge=100.0, le=1e4, description="Rate of its servo [Hz]; [100, 1e4]")
+    mass_kg: float | None = Field(default=None, ge=1e-3, le=10.0, description="Moving mass m [kg]")
+    damping_n_s_per_m: float | None = Field(default=None, ge=0.0, le=1e3, description="Damping b [N s/m]")
+    max_force_n: float | None = Field(default=None, ge=0.1, le=1e3, description="Greatest force [N]")
+    rate_hz: float | None = Field(default=None, ge=100.0, le=1e4, description="Rate of its servo [Hz]")
     delay_s: float | None = Field(
-        default=None, ge=0.0, le=0.05, description="From a sample to its force, D [s]; [0, 0.05]; none: one sample time"
+        default=None, ge=0.0, le=0.05, description="From a sample to its force, D [s]; none: one sample time"
     )
     lateral_path: tuple[LateralPoint, ...] = Field(
         default=(),
@@ -193,10 +193,10 @@ class SimulatedImpedanceConfig(Settings):
         description="Way of the hand over the sample: linear between the corners; none: the hand is free there",
     )
     lateral_stiffness_n_per_m: float = Field(
-        default=300.0, ge=0.0, le=1e6, description="Spring of the arm on that way [N/m]; [0, 1e6]"
+        default=300.0, ge=0.0, le=1e6, description="Spring of the arm on that way [N/m]"
     )
     lateral_damping_n_s_per_m: float = Field(
-        default=5.0, ge=0.0, le=1e5, description="Damper of the arm on that way [N s/m]; [0, 1e5]"
+        default=5.0, ge=0.0, le=1e5, description="Damper of the arm on that way [N s/m]"
     )
 
     @model_validator(mode="after")

@@ -1,39 +1,37 @@
 """The haptic process: paces the rig, samples the operator's device and guards it."""
 
-from typing import Any, ClassVar, NamedTuple
-
-import msgspec
+from typing import ClassVar, NamedTuple
 
 from proto.errors import RefusedError
 from proto.messages import HapticCommand, LinkDelay, OperatorForce, SessionControl
 from proto.nodes import is_meant
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, changed_operator
-from services.haptic_node.coupling import FAULTS, GATE_ACTIVE, GATE_READY, GATE_REST, GATES
+from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
 from services.haptic_node.driver import (
     DeviceReading,
     DeviceReport,
     DriveCommand,
     HapticDevice,
-    Pair,
-    PushedDevice,
-    SpatialCommand,
-    SpatialReading,
-    Status,
 )
 from services.haptic_node.operator_config import InteractiveConfig
-from services.haptic_node.physics.disturbances import DisturbedHaptic, changed_disturbances
-from services.haptic_node.physics.lateral_hand import LateralHandState, lateral_hand_step
+from services.haptic_node.parts import HapticMemory, Tick, parts_of
+from services.haptic_node.physics.disturbances import DisturbedHaptic
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.numerics.frames import to_paper_axis, to_site_frame
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
-from services.runtime.loop.freshness import FreshnessState, age_s
-from services.runtime.loop.node import DeviceDelay, Node, NodeContext
+from services.runtime.loop.device_node import DeviceNode, Parts
+from services.runtime.loop.freshness import FreshnessState
+from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_state import FindInput, Part, part
-from services.runtime.loop.replay_guard import ReplayGuard
+from services.runtime.settings.config import changed_section
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
+_NO_COMMAND = HapticCommand(
+    seq=0, t_ns=0, src="controller@master", v=1, hand_seq=0, hand_t_ns=0, mode="off", position_m=(0.0, 0.0, 0.0),
+    velocity_m_per_s=(0.0, 0.0, 0.0), force_n=(0.0, 0.0, 0.0),
+)  # fmt: skip
 _MODE_CODES = {name: code for code, name in safety.MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
 _LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
@@ -45,32 +43,6 @@ _LET_GO_S = 0.1
 _LAW_CHANGES = "the law changes: no force meanwhile, and control begins anew where the hand is"
 
 
-class HapticMemory(msgspec.Struct, array_like=True):
-    """What the node remembers from tick to tick.
-
-    The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
-    [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
-    holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
-    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law; the force of
-    that operator across [N], and the simulated hand there.
-    """
-
-    guard: safety.SafetyState
-    position_m: float
-    command: HapticCommand | None = None
-    command_received_ns: int = 0
-    operator_force_n: float = 0.0
-    operator_force_ns: int = 0
-    pushed_n: float = 0.0
-    estop_requested: bool = False
-    arm_requested: bool = False
-    session_ticks: int | None = None
-    gate: int = GATE_ACTIVE
-    let_go_ticks: int = 0
-    operator_across_n: tuple[float, float] = (0.0, 0.0)
-    across: LateralHandState = LateralHandState()
-
-
 class HapticNodeState(NamedTuple):
     """The state of the node: its own, and that of its parts."""
 
@@ -80,7 +52,7 @@ class HapticNodeState(NamedTuple):
     device: Part
 
 
-class HapticNode(Node):
+class HapticNode(DeviceNode):
     """The operator's device on an absolute grid, by default of 1 kHz: haptic/command in, haptic/state out.
 
     Every command goes through the guard (`safety.step`) first; what the guard let through and the
@@ -98,48 +70,35 @@ class HapticNode(Node):
     state_kind = HapticNodeState
 
     def __init__(self, context: NodeContext, config: HapticConfig, device: HapticDevice) -> None:
-        super().__init__(context)
-        self.period_s = context.period_s
-        self._replay_guard = ReplayGuard(context, allow=config.allow_replay)
-        self.freshness.allow_replay = config.allow_replay
+        super().__init__(context, allow_replay=config.allow_replay)
         self.device = device
         self._config, self._other_operator = config, False
         self._simulated = config.simulated
         device.open()
         if device.report is not None:
-            self.device_delay = DeviceDelay(device.capabilities.latency_s, device.capabilities.calibration)
+            self.has_device(device.capabilities.latency_s, device.capabilities.calibration)
+        able = device.capabilities
         self._limits = config.limits.to_params(
-            has_position_mode=safety.MODE_POSITION in device.capabilities.modes,
-            has_force_mode=safety.MODE_FORCE in device.capabilities.modes,
+            has_position_mode=safety.MODE_POSITION in able.modes, has_force_mode=safety.MODE_FORCE in able.modes
         )
         start_m = config.device.start_position_m
         self._memory = HapticMemory(safety.SafetyState(False, safety.MODE_OFF, start_m), start_m)
-        able = device.capabilities
-        self._coupled, self._buttons = able.kind == "impedance", able.buttons
-        self._has_orientation = able.has_orientation
+        self._parts = Parts(parts_of(self, config, device))
+        self._coupled = able.kind == "impedance"
         self._waits_for = ""
         if self._coupled:
             self._memory.gate = GATE_REST
             if device.report is None:
                 self.event("node", "info", f"{able.identity}; {config.coupling.bounds(able).sentence()}")
         self._command_is_new = False
-        operator = config.operator
-        self._force_deadline_s = operator.force_deadline_s if isinstance(operator, InteractiveConfig) else None
-        self._push_across = getattr(device, "push_lateral", None) if self._coupled else None
-        # a device that has these axes is asked itself
-        self._across = None if config.lateral is None or self._coupled else config.lateral.to_params()
         self._ignored_force = False
         self._switch_pressed = False
         self._reported = (safety.MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
-        self._device_text = ""
-        self._device_status: Status = "ok"
-        self._report_device(device.report)
+        if device.report is not None:
+            self.take_up_report(device.report)
         # The steps are compiled before the grid starts, not in its first tick.
         self._guarded()
         self._grid = PeriodicDeadline(self.clock.monotonic_ns(), round(self.period_s * 1e9))
-
-    def admits(self, received: Received) -> bool:
-        return self._replay_guard.admits(received)
 
     @property
     def is_latched(self) -> bool:
@@ -157,7 +116,7 @@ class HapticNode(Node):
         self._memory, self._grid.deadline_ns = state.memory, state.deadline_ns
         self.freshness.restore(state.freshness)
         self.device.state = state.device.like(self.device.state)
-        if state.memory.pushed_n and isinstance(self.device, PushedDevice):
+        if state.memory.pushed_n and isinstance(self.device, SimulatedHaptic):
             self.device.push(state.memory.pushed_n)
 
     def deadline_ns(self) -> int:
@@ -188,18 +147,18 @@ class HapticNode(Node):
         if self._memory.session_ticks is not None:
             self._memory.session_ticks += periods
         armed = self._memory.arm_requested
-        applied = self._guarded()
-        self._push()
-        self.device.write(self._drive_command(applied, armed))
-        reading = self.device.read(self._session_s(), elapsed_s)
-        self._move_across(applied, elapsed_s)
-        self._memory.position_m = reading.position_m
-        if reading.spatial is not None:
-            self._memory.gate = reading.spatial.gate
-        report = self.device.report
-        self._publish_state(applied, reading, elapsed_s, report)
+        applied, command = self._guarded(), self._memory.command or _NO_COMMAND
+        tick = Tick(command, applied, armed, elapsed_s, self._session_s())
+        self._parts.prepare(tick, self._memory)
+        self.device.write(
+            DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n, tick.spatial)
+        )
+        tick.reading = self.device.read(tick.session_s, elapsed_s)
+        self._parts.measure(tick, self._memory)
+        self._memory.position_m = tick.reading.position_m
+        self._publish_state(tick)
         self._report_changes(applied)
-        self._report_device(report)
+        self._parts.report(tick, self._memory)
         self.steps += 1
 
     def on_control(self, control: SessionControl) -> str:
@@ -222,7 +181,10 @@ class HapticNode(Node):
         if control.command == "set":
             if not isinstance(self.device, DisturbedHaptic):
                 raise RefusedError("disturbances: a real device has its own")
-            self.device.configure(changed_disturbances(self.device.disturbances, control.parameters))
+            if not control.parameters:
+                raise RefusedError("set needs parameters, such as disturbances.tremor.enabled=true")
+            found = changed_section(self.device.disturbances, control.parameters, "disturbances", "haptic_node")
+            self.device.configure(found)
             return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         return super().on_control(control)
 
@@ -235,7 +197,7 @@ class HapticNode(Node):
 
     def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
         """Take the force of a person without a device; say once where the scenario has another operator."""
-        if self._force_deadline_s is not None:
+        if isinstance(self._config.operator, InteractiveConfig):
             self._memory.operator_force_n, self._memory.operator_force_ns = to_paper_axis(message.force_n), received_ns
             self._memory.operator_across_n = message.force_n[:2]
         elif not self._ignored_force:
@@ -254,91 +216,39 @@ class HapticNode(Node):
         self._other_operator = True
         return f"the operator is {self._config.operator.kind}, with the next start"
 
-    def _push(self) -> None:
-        """Let the simulated hand hold the newest force, or none where that is too old: its page may be gone."""
-        if self._force_deadline_s is None or not isinstance(self.device, PushedDevice):
-            return
-        # The age counts from the reception, because the page and the rig may have been started with different clocks.
-        force_n = self._memory.operator_force_n if self._is_pushed() else 0.0
-        if force_n != self._memory.pushed_n:
-            self._memory.pushed_n = force_n
-            self.device.push(force_n)
-        if self._push_across is not None:
-            self._push_across(self._memory.operator_across_n if self._is_pushed() else (0.0, 0.0))
-
     def _on_law_change(self, control: SessionControl) -> None:
         """Let go of the hand when the law changes: the new one is to find no force in the coupling."""
         if control.command == "set" and "law" in control.parameters and is_meant("controller@master", control.target):
             self._memory.let_go_ticks = round(_LET_GO_S / self.period_s)
 
-    def _drive_command(self, applied: safety.SafetyOutputs, armed: bool) -> DriveCommand:
-        command, mode = self._memory.command, applied.mode
-        if not self._coupled:
-            return DriveCommand(mode, applied.position_reference_m, applied.force_reference_n)
-        spatial = SpatialCommand(arm=armed)
-        if command is not None and mode != safety.MODE_OFF:
-            spatial = SpatialCommand(command.position_m[:2], command.force_n[:2], armed)
-        return DriveCommand(mode, applied.position_reference_m, applied.force_reference_n, spatial)
-
-    def _is_pushed(self) -> bool:
-        """Whether the force of an operator without a device is fresh."""
-        if self._force_deadline_s is None:
-            return False
-        return age_s(self.clock.now_ns(), self._memory.operator_force_ns) <= self._force_deadline_s
-
-    def _move_across(self, applied: safety.SafetyOutputs, elapsed_s: float) -> None:
-        """Advance the simulated hand across the sample; the controller pulls at it while the guard lets it."""
-        if self._across is None:
-            return
-        command, memory = self._memory.command, self._memory
-        pushed_n = memory.operator_across_n if self._is_pushed() else (0.0, 0.0)
-        shown_n = (0.0, 0.0) if command is None or applied.mode == safety.MODE_OFF else command.force_n[:2]
-        memory.across = lateral_hand_step(self._across, memory.across, pushed_n, shown_n, self._session_s(), elapsed_s)
-
     def _guarded(self) -> safety.SafetyOutputs:
-        command = self._memory.command
+        memory, command = self._memory, self._memory.command or _NO_COMMAND
         self._waits_for = self._reason_to_wait()
-        command_age_s = self.freshness.command_age_s(command, self._memory.command_received_ns, self.clock.now_ns())
+        received_ns = memory.command_received_ns
+        command_age_s = self.freshness.command_age_s(memory.command, received_ns, self.clock.now_ns())
         if self._command_is_new:
             self._command_is_new = False
             self.stale += command_age_s > self._limits.command_deadline_s
         asked = safety.SafetyInputs(
-            command_mode=safety.MODE_OFF if command is None else _MODE_CODES[command.mode],
-            position_reference_m=0.0 if command is None else to_paper_axis(command.position_m),
-            force_reference_n=0.0 if command is None else to_paper_axis(command.force_n),
+            command_mode=_MODE_CODES[command.mode],
+            position_reference_m=to_paper_axis(command.position_m),
+            force_reference_n=to_paper_axis(command.force_n),
             command_age_s=command_age_s,
-            estop=self._memory.estop_requested,
-            arm_requested=self._memory.arm_requested,
-            position_m=self._memory.position_m,
-            device_lost=self._device_status == "lost",
+            estop=memory.estop_requested,
+            arm_requested=memory.arm_requested,
+            position_m=memory.position_m,
+            device_lost=self.is_lost,
             device_waits=bool(self._waits_for),
         )
-        self._memory.let_go_ticks = max(0, self._memory.let_go_ticks - 1)
-        self._memory.estop_requested = self._memory.arm_requested = False
+        memory.let_go_ticks = max(0, memory.let_go_ticks - 1)
+        memory.estop_requested = memory.arm_requested = False
         # The step covers one period of motion, however long the process stalled, so that the hand feels no jump.
-        self._memory.guard, applied = safety.step(self._limits, self._memory.guard, asked, self.period_s)
+        memory.guard, applied = safety.step(self._limits, memory.guard, asked, self.period_s)
         return applied
 
-    def _across_of(self, reading: DeviceReading) -> tuple[Pair, Pair, Pair, Pair]:
-        """Return place [m], velocity [m/s], own force and shown force [N] of the hand across the sample, (x, y) each.
-
-        They are the device's where it has these axes, and of the simulated hand otherwise.
-        """
-        side = reading.spatial
-        if side is not None:
-            return side.lateral_m, side.lateral_velocity_m_per_s, side.lateral_operator_force_n, side.lateral_force_n
-        x, y, v_x, v_y, own_x, own_y, shown_x, shown_y = self._memory.across
-        return (x, y), (v_x, v_y), (own_x, own_y), (shown_x, shown_y)
-
-    def _publish_state(
-        self, applied: safety.SafetyOutputs, reading: DeviceReading, elapsed_s: float, report: DeviceReport | None
-    ) -> None:
-        command = self._memory.command
-        device = {} if report is None else {"device": report.status, "sample_age_s": report.age_s, **report.counts}
-        if self._memory.gate in FAULTS:
-            # What cannot be believed until a person arms is no hand, simulated or not.
-            device["device"] = "lost"
-        place_m, way_m_per_s, own_n, shown_n = self._across_of(reading)
+    def _publish_state(self, tick: Tick) -> None:
+        command, applied, reading = tick.command, tick.applied, tick.reading
+        place_m, way_m_per_s, own_n, shown_n = tick.across
         self.publish(
             "haptic/state",
             position_m=(*place_m, 0.0 - reading.position_m),
@@ -349,40 +259,20 @@ class HapticNode(Node):
             mode=safety.MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
             limited=applied.reason in _LIMITS or _device_limited(reading),
-            session_s=self._session_s(),
-            answered_seq=0 if command is None else command.hand_seq,
-            answered_t_ns=0 if command is None else command.hand_t_ns,
+            session_s=tick.session_s,
+            answered_seq=command.hand_seq,
+            answered_t_ns=command.hand_t_ns,
             answered_at_ns=self._memory.command_received_ns,
-            step_s=elapsed_s,
-            **device,
-            **self._spatial_keys(reading.spatial),
+            step_s=tick.elapsed_s,
+            **tick.said,
         )
 
-    def _spatial_keys(self, found: SpatialReading | None) -> dict[str, Any]:
-        """Return the keys of haptic/state that only devices of three axes or of impedance type have."""
-        if found is None:
-            return {}
-        keys: dict[str, Any] = {"hand_energy_j": found.hand_energy_j, "coupling_energy_j": found.coupling_energy_j}
-        if self._has_orientation:
-            keys["orientation"] = found.orientation
-        if self._buttons:
-            keys["buttons"] = found.buttons
-        return keys
-
-    def _report_device(self, report: DeviceReport | None) -> None:
-        """Take up the state of a real device: its emergency stop latches here, and what it says is an event, once."""
-        if report is None:
-            return
-        self._device_status = report.status
-        if self.device_delay is not None and report.status != "lost":
-            self.device_delay.record(report.age_s)
+    def take_up_report(self, report: DeviceReport) -> None:
+        """Take up the report of a real device, whose own emergency stop latches here."""
         self._memory.estop_requested |= report.estop_pressed
         self.own_stops += report.estop_pressed and not self._switch_pressed
         self._switch_pressed = report.estop_pressed
-        if report.text != self._device_text:
-            self._device_text = report.text
-            ready = report.status == "ok" and report.age_s <= _FRESH_PERIODS * self.period_s
-            self.event("node" if ready else "fault", "info" if ready else "warning", report.text)
+        self.take_up(report, is_late=report.age_s > _FRESH_PERIODS * self.period_s)
 
     def _report_changes(self, applied: safety.SafetyOutputs) -> None:
         self.state = "running" if applied.mode != safety.MODE_OFF else "safe"

@@ -117,8 +117,8 @@ class ServoLink(Protocol):
 class Servo:
     """One device's coupling, called by whatever loop the device has; it has no clock and no input or output."""
 
-    def __init__(self, period_s: float, arm_count: int = 0) -> None:
-        self.state = coupling_at_start(arm_count)
+    def __init__(self, period_s: float) -> None:
+        self.state = coupling_at_start(0)
         self._period_s = period_s
         self._steps = self._late = 0
         self._worst_s = 0.0

@@ -11,7 +11,6 @@ from services.runtime.settings.config import merge
 from services.runtime.settings.device_drivers import core_only
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 
-_LONGEST_DEFAULT = 40
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -95,43 +94,6 @@ def _kind(part: Mapping[str, Any]) -> str:
 
 def _bound(part: Mapping[str, Any], names: tuple[str, str]) -> float | None:
     return next((part[name] for name in names if name in part), None)
-
-
-def markdown(keys: list[Key]) -> str:
-    """Return the keys as a page of tables, a section each."""
-    sections: dict[str, list[Key]] = {}
-    for key in keys:
-        sections.setdefault(key.name.partition(".")[0] if "." in key.name else "the experiment", []).append(key)
-    parts = [_HEAD]
-    for section, rows in sections.items():
-        parts.append(f"\n## {section}\n\n| key | default | range | meaning |\n|---|---|---|---|")
-        parts += [f"| `{row.name}` | {_shown(row.default)} | {_range(row)} | {_cell(row.about)} |" for row in rows]
-    return "\n".join(parts) + "\n"
-
-
-_HEAD = """# Every key of a scenario
-
-A scenario is a YAML file: the experiment, and a section for each node; what it does not name has the default below.
-`--set KEY=VALUE` changes a key for one session, `telenano scenario validate FILE` checks a file, `telenano param dump`
-writes one with everything in it. Quantities are in SI units. `make schemas` makes this page; a test compares."""
-
-
-def _shown(default: Any) -> str:
-    if default is None:
-        return "–"
-    text = f"{default:g}" if isinstance(default, float) else str(default)
-    return f"`{text}`" if len(text) <= _LONGEST_DEFAULT else "a list or section"
-
-
-def _range(key: Key) -> str:
-    if key.least is not None or key.most is not None:
-        least, most = ("" if bound is None else f"{bound:g}" for bound in (key.least, key.most))
-        return f"{least} … {most}".strip()
-    return _cell(key.kind) if "," in key.kind else ""
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
 
 
 def filled(loaded: LoadedScenario) -> dict[str, Any]:

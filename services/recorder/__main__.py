@@ -14,7 +14,7 @@ from proto.nodes import FAR_RECORDER, site_of
 from services.recorder.config import RecorderConfig, is_bulk
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
-from services.recorder.live import accept_batches, connect
+from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
 from services.runtime.loop.main import NodeKind, Wiring, run_node
@@ -27,13 +27,12 @@ def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:
     publisher = wiring.bind(wiring.key)
     intake = begin(wiring, config)
     sources = listeners(wiring, config)
-    held_s = accept_batches(sources, wiring, config)
     is_far = wiring.book.spans_machines and site_of(wiring.key) == "slave"
     bus = RecorderBus(publisher, sources, intake, wiring.clock, wiring.wake_descriptor, wiring.network)
     bus.is_brief = is_far
     intake.obeys_link = is_far
     own = (site_of(wiring.key),) if wiring.book.spans_machines else SITES
-    return RecorderNode(wiring.context(bus), config, intake, sites=own, on_end=bus.end, held_s=held_s), bus
+    return RecorderNode(wiring.context(bus), config, intake, sites=own), bus
 
 
 def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:

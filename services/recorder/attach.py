@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from proto.nodes import site_of
 from services.recorder.config import RecorderConfig
-from services.recorder.live import accept_batches, connect
+from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
 from services.runtime.bus.publisher import NullPublisher
@@ -48,7 +48,6 @@ def run_record(
     with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
         clock = participant.clock
         listeners = connect(participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)))
-        held_s = accept_batches(listeners, participant, config)
         intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
         publisher = NullPublisher(clock, OBSERVER)
         bus = RecorderBus(publisher, listeners, intake, clock, signals.descriptor, participant.network)
@@ -59,7 +58,7 @@ def run_record(
             if clock.monotonic_ns() >= until_ns:
                 node.context.request_stop()
 
-        node = RecorderNode(participant.context(bus), config, intake, on_flush, on_end=bus.end, held_s=held_s)
+        node = RecorderNode(participant.context(bus), config, intake, on_flush)
         run_loop(node, bus, signals)
     return Recorded(
         path=node.path,

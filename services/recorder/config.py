@@ -27,8 +27,7 @@ class RecorderConfig(FileSettings):
     """Settings: what is recorded, into how many files, and how much of it a kill may lose."""
 
     flush_interval_s: Annotated[float, Field(ge=0.01, le=0.25)] = Field(
-        default=0.2,
-        description="Most that a kill of the recorder may lose [s], 0.01 to 0.25; below 0.084 it takes no batches",
+        default=0.2, description="Most that a kill of the recorder may lose [s], 0.01 to 0.25"
     )
     topics: tuple[str, ...] = Field(
         default=(), description="Record only these: globs of channel names, or /regular expressions/; none = all"

@@ -6,9 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from proto import MAX_MESSAGE_BYTES, TOPICS, Topic, WireError, decode, fields_of, read_header
-from proto.batch import BATCH_TOPIC, read_batch
-from proto.codec import HEADER_ERRORS, decode_header_alone, largest_bytes
+from proto import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, fields_of, read_header
 from proto.ends import END_TOPIC, read_end
 from proto.errors import RecordingError
 from proto.messages import SOURCE_PATTERN
@@ -25,14 +23,13 @@ from services.runtime.bus.bus import Received, split_frames
 
 # messages on these topics are decoded, of all others only the header is read
 _DECODED = frozenset(("node/health", "session/control", END_TOPIC))
-_TOPIC_NAMES = {name.encode(): name for name in TOPICS}
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
 _NEVER = event_trigger(())
 # a member of an enumeration takes longer to look up, and there is one for every message
 _NEXT = Arrival.NEXT
-# a gap is recorded when so much has passed: what a batch, or the link, has late is not missing
+# a gap is recorded when so much has passed: what the link has late is not missing
 _LATE_NS = 100_000_000
 # the nodes that are stopped before a recorder; each sends far more often
 _SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
@@ -124,47 +121,13 @@ class Intake:
         """
         self.received += 1
         try:
-            frame, payload = frames
-            header = decode_header_alone(payload)
-            stream = listener.streams[frame, header.src]
-        except HEADER_ERRORS:
-            return self._record(listener, frames, received_ns)
-        channel, writer = stream.channel, self.writer
-        if (
-            channel is None
-            or writer is None
-            or self._ended
-            or not stream.is_plain
-            or header.v > stream.version
-            or len(payload) > stream.most_bytes
-        ):
-            return self._record(listener, frames, received_ns)
-        # the common case by itself: all that is known of a stream is looked up once
-        self._newest_ns = received_ns
-        if (arrival := stream.tracker.accept(header.seq, header.t_ns)) is not _NEXT:
-            self._note_arrival(stream, arrival, header.seq, received_ns)
-        self.written += 1
-        try:
-            writer.add(channel, received_ns, payload, header.t_ns, header.seq)
-        except OSError as error:
-            self._stop(writer.failure(error))
-        return None
-
-    def _record(self, listener: Listener, frames: Sequence[bytes], received_ns: int) -> Received | None:
-        """Record any message."""
-        writer = self.writer
-        try:
-            topic, payload = _TOPIC_NAMES.get(frames[0]), frames[-1]
-            if topic is None or len(frames) != 2:
-                topic, payload = self._unusual(frames)
+            topic, payload = split_frames(frames)
             seq, t_ns, src = read_header(topic, payload)
-            permit = listener.subscriber.permit
-            if permit is not None:
+            if (permit := listener.subscriber.permit) is not None:
                 permit(topic, src)
-            stream = listener.streams.get((frames[0], src))
+            stream = listener.streams.get((topic, src))
             if stream is None:
-                live = abs(received_ns - t_ns) < _LONGEST_QUEUE_NS
-                stream = self._open_stream(listener, frames[0], TOPICS[topic], src, live=live)
+                stream = self._open_stream(listener, topic, src, live=abs(received_ns - t_ns) < _LONGEST_QUEUE_NS)
             arrival = stream.tracker.accept(seq, t_ns)
             self._newest_ns = received_ns
             if stream.wanted:
@@ -184,8 +147,6 @@ class Intake:
             self._reject(listener, frames, received_ns, error)
         except RecordingError as error:
             self._stop(error)
-        except OSError as error:
-            self._stop(RecordingError(str(error)) if writer is None else writer.failure(error))
         return None
 
     def flush(self, now_ns: int = 0) -> None:
@@ -298,15 +259,6 @@ class Intake:
                 stream.channel = writer.channel(stream.topic.name, stream.src, stream.site)
             writer.write(stream.channel, entry.log_ns, entry.publish_ns, entry.seq, entry.payload)
 
-    @staticmethod
-    def _unusual(frames: Sequence[bytes]) -> tuple[str, bytes]:
-        """Return topic and payload of frames that are of no known topic, or not two; WireError says what is wrong."""
-        topic, payload = split_frames(frames)
-        if topic == BATCH_TOPIC:
-            # here comes only one that could not be taken apart
-            read_batch(payload)
-        return topic, payload
-
     def _interpret(self, listener: Listener, stream: Stream, fields: Mapping[str, Any], received_ns: int) -> None:
         """Take note of what a message means for the recording: a replay, the end of a publisher, a trigger."""
         topic = stream.topic.name
@@ -317,18 +269,16 @@ class Intake:
         if self.snapshot_buffer is not None and stream.direct and self._is_trigger(topic, fields):
             self._triggered = True
 
-    def _open_stream(self, listener: Listener, frame: bytes, row: Topic, src: str, *, live: bool) -> Stream:
-        site = site_of(listener.publisher) or site_of(src)
+    def _open_stream(self, listener: Listener, topic: str, src: str, *, live: bool) -> Stream:
+        row, site = TOPICS[topic], site_of(listener.publisher) or site_of(src)
         if not (_SOURCE.match(src) and len(src) <= _MAX_SOURCE_LENGTH):
             raise WireError("schema", f"{row.name}: src: {src[:80]!r} is not of the form node@site")
         tracker = listener.subscriber.tracker(row.name, src)
         name = channel_topic(row.name, src, site)
         direct = site_of(src) == site
         wanted = self._selection.names(name)
-        is_plain = wanted and row.name not in self._decoded and listener.subscriber.permit is None
-        limits = row.model.version, largest_bytes(row.name)
-        stream = Stream(row, name, src, site, None, direct, direct and live, wanted, tracker, is_plain, *limits)
-        listener.streams[frame, src] = stream
+        stream = Stream(row, name, src, site, None, direct, direct and live, wanted, tracker)
+        listener.streams[topic, src] = stream
         self._streams.append(stream)
         return stream
 
@@ -339,7 +289,7 @@ class Intake:
             return
         self._ended.add(src)
         for (name, source), count in sent.items():
-            stream = listener.streams.get((name.encode(), source))
+            stream = listener.streams.get((name, source))
             if stream is not None and stream.tracker.finish(count) and stream.wanted:
                 self._record_gaps(received_ns)
                 first, last = stream.tracker.last_gap

@@ -11,9 +11,7 @@ from proto import TOPICS
 from proto.nodes import site_of
 from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
-from services.recorder.config import RecorderConfig
 from services.recorder.listener import Listener
-from services.recorder.node import HELD_S
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.participant import OBSERVER, SITES, Participant, open_participant
 
@@ -36,27 +34,6 @@ def connect(
         lambda topic, node: TOPICS[topic].recorded and wanted(topic, node), sites, shared=shared
     )
     return [Listener(node, reader) for node, reader in readers.items()]
-
-
-def accept_batches(listeners: Sequence[Listener], participant: Participant, config: RecorderConfig) -> float:
-    """Have each listener take batches where it may; return how long a message is then in memory before it is written.
-
-    It may where the publisher is on this machine, whose clock a batch has, and where all that it publishes is wanted. A
-    flush that is to come more often than the batches leaves no time for them.
-    """
-    if config.flush_interval_s < 2.0 * HELD_S:
-        return 0.0
-    accepted = False
-    for listener in listeners:
-        node = listener.publisher
-        if node not in participant.book.nodes:
-            continue
-        near = participant.book.endpoint(node, participant.network.machine).startswith("ipc://")
-        wanted = all(config.subscribes(topic, site_of(node)) for topic in participant.book.published_by(node))
-        if near and wanted:
-            listener.accept_batches()
-            accepted = True
-    return HELD_S if accepted else 0.0
 
 
 class LiveRecording:

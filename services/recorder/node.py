@@ -1,9 +1,7 @@
 """The recorder as a node: it subscribes to every node at its own endpoint and records all messages."""
 
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
-from operator import itemgetter
 from typing import ClassVar
 
 import zmq
@@ -13,12 +11,11 @@ from proto.messages import MAX_TEXT, SessionControl
 from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
-from services.recorder.listener import HOLD_NS, Frames, Listener
+from services.recorder.listener import Listener
 from services.runtime.bus.bus import Received, ZmqBus
-from services.runtime.bus.outgoing_batch import LATEST_NS
 from services.runtime.bus.publisher import Publisher
 from services.runtime.bus.reader import NetworkEvents
-from services.runtime.loop.clock import NEVER_NS, Clock
+from services.runtime.loop.clock import Clock
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.node import Node, NodeContext
 
@@ -33,22 +30,12 @@ _GREATEST_COUNT = 2**63 - 1
 _CALM_PASSES, _PASS_NS, _BACKLOG = 30, 5_000_000, 256
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
-_BATCH_NS = 1_000_000
-# how often batches are taken: a recorder that works between two turns of the loop evicts the loop's data from the
-# caches, so it works seldom
-_TAKE_NS = 20_000_000
-# so much later than it was sent a message has reached the file, if nobody stands still
-HELD_S = (LATEST_NS + _TAKE_NS + HOLD_NS) * 1e-9
-_time_of = itemgetter(0)
+_PERIOD_NS = 1_000_000
 ACTIONS = ("record.split", "record.snapshot", "record.status")
 
 
 class RecorderBus(ZmqBus):
-    """A bus with a connection of its own to each publisher, so that the place where a message was received is known.
-
-    What comes message by message is received as it comes, batches every `_TAKE_NS`. Where there may be batches
-    everything is recorded a little later, in the order of its times, which one publisher's batch alone does not give.
-    """
+    """A bus with a connection of its own to each publisher, so that the place where a message was received is known."""
 
     def __init__(
         self,
@@ -62,89 +49,39 @@ class RecorderBus(ZmqBus):
         super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor, network)
         self._intake = intake
         self._listeners: dict[object, Listener] = {listener.subscriber.socket: listener for listener in listeners}
-        # one poll over a dozen sockets takes 6 us, to ask each takes 19, and there is one for every message or two;
-        # a listener that has batches is not among them
+        # one poll over a dozen sockets takes 6 us, to ask each takes 19, and there is one for every message or two
         self._poller = zmq.Poller()
-        for listener in listeners:
-            self._poller.register(listener.subscriber.socket, zmq.POLLIN)
-        for descriptor in (wake_descriptor, *self._network_descriptors):
+        for descriptor in (*self._listeners, wake_descriptor, *self._network_descriptors):
             self._poller.register(descriptor, zmq.POLLIN)
-        self._holds = any(listener.accepts_batches for listener in listeners)
-        self._batched: list[Listener] = []
         self._ready: list[tuple[object, int]] = []
-        self._batch_start_ns = 0
-        self._take_ns = 0
-        # time of reception [ns], listener and frames of what is not recorded yet
-        self._waiting: list[tuple[int, Listener, Frames]] = []
-        self._recorded_ns = 0
-        self._ending = False
-
-    def end(self) -> None:
-        """Take batches at every call from now on."""
-        self._ending = True
+        self._taken_ns = 0
 
     def receive(self) -> Iterator[Received]:
-        """Record what has arrived and is due; yield only commands, for the node to answer."""
+        """Record what has arrived; yield only commands, for the node to answer."""
         ready, self._ready = self._ready or self._poller.poll(0), []
-        found = [self._listeners[socket] for socket, _ in ready if socket in self._listeners]
-        now_ns, offset_ns = self._clock.monotonic_ns(), self._clock.epoch_offset_ns
-        takes = self._ending or now_ns >= self._take_ns
-        if takes and self._holds:
-            self._take_ns = now_ns + _TAKE_NS
-            found = list(self._listeners.values())
-        for listener in found:
-            taken = listener.receive(offset_ns, now_ns + offset_ns)
-            self._waiting += [(time_ns, listener, frames) for time_ns, frames in taken]
-        if takes:
-            self._sort_out(now_ns + offset_ns)
-        if not self._holds:
-            yield from self._record_until(NEVER_NS)
-        elif takes:
-            yield from self._record_until(now_ns + offset_ns - HOLD_NS)
+        for socket, _ in ready:
+            if (listener := self._listeners.get(socket)) is None:
+                continue
+            for frames, received_ns in listener.subscriber.receive_raw(signalled=True):
+                received = self._intake.record(listener, frames, received_ns)
+                if received is not None:
+                    yield received
 
     def wait(self, deadline_ns: int) -> None:
         """Wait until something has arrived or the monotonic clock has reached `deadline_ns`.
 
-        What comes within a millisecond is received together: the time of reception is late by no more than that.
+        What comes within `_PERIOD_NS` is received together: the time of reception is late by no more than that.
         """
         now_ns = self._clock.monotonic_ns()
-        if self._batch_start_ns <= now_ns < self._batch_start_ns + _BATCH_NS:
-            time.sleep((self._batch_start_ns + _BATCH_NS - now_ns) * 1e-9)
+        if self._taken_ns <= now_ns < self._taken_ns + _PERIOD_NS:
+            time.sleep((self._taken_ns + _PERIOD_NS - now_ns) * 1e-9)
             now_ns = self._clock.monotonic_ns()
-        self._batch_start_ns = now_ns
-        if self._holds:
-            deadline_ns = min(deadline_ns, self._take_ns)
+        self._taken_ns = now_ns
         remaining_ns = max(0, deadline_ns - now_ns)
         # rounded up, because waking a little early would only mean to wait once more
         self._ready = self._poller.poll(0 if self._events_pending else -(-remaining_ns // 1_000_000))
         if self._network_descriptors:
             self._events_pending |= any(socket in self._network_descriptors for socket, _ in self._ready)
-
-    def _sort_out(self, now_ns: int) -> None:
-        """Have each listener polled or not, as it has messages or batches now."""
-        for listener in self._listeners.values():
-            listener.check(now_ns)
-        batched = [listener for listener in self._listeners.values() if listener.batched]
-        if batched == self._batched:
-            return
-        for listener in self._listeners.values():
-            if listener in batched and listener not in self._batched:
-                self._poller.unregister(listener.subscriber.socket)
-            elif listener in self._batched and listener not in batched:
-                self._poller.register(listener.subscriber.socket, zmq.POLLIN)
-        self._batched = batched
-
-    def _record_until(self, until_ns: int) -> Iterator[Received]:
-        """Record what was received before a time [ns]; nothing that was sent before that is still on its way."""
-        self._waiting.sort(key=_time_of)
-        count = bisect_left(self._waiting, until_ns, key=_time_of)
-        due, self._waiting = self._waiting[:count], self._waiting[count:]
-        for time_ns, listener, frames in due:
-            # a publisher that stood still sends its batch late
-            self._recorded_ns = max(self._recorded_ns, time_ns)
-            received = self._intake.record(listener, frames, self._recorded_ns)
-            if received is not None:
-                yield received
 
 
 class RecorderNode(Node):
@@ -161,28 +98,22 @@ class RecorderNode(Node):
         intake: Intake,
         on_flush: Callable[["RecorderNode"], None] = lambda node: None,
         sites: Sequence[str] = (),
-        on_end: Callable[[], None] = lambda: None,
-        held_s: float = 0.0,
     ) -> None:
         """Prepare to record.
 
         Parameters: on_flush is called after each flush, for a status line and keys; sites, where the nodes are stopped
-        before this one is, so that each is expected to publish a last message; on_end, called before what still waits
-        is recorded; held_s, how long a message may be in memory before it is written [s].
+        before this one is, so that each is expected to publish a last message.
         """
         self._intake = intake
         self._on_flush = on_flush
         self._sites = sites
-        self._on_end = on_end
         self._disk = DiskWatch(config.directory)
         self._reported_state = ""
         self._reported_removed = 0
         self._remind_ns = 0
         super().__init__(context)
         self.state = "running"
-        self._flush_deadline = PeriodicDeadline(
-            self.clock.monotonic_ns(), round((config.flush_interval_s - held_s) * 1e9)
-        )
+        self._flush_deadline = PeriodicDeadline(self.clock.monotonic_ns(), round(config.flush_interval_s * 1e9))
         self._path = "" if intake.writer is None else str(intake.writer.path)
         self._reported_path = ""
         self._reported_lost = 0
@@ -282,7 +213,6 @@ class RecorderNode(Node):
 
     def make_safe(self) -> None:
         """Record what still waits in the sockets and finish the file."""
-        self._on_end()
         self._drain_sockets()
         self._intake.finish()
         self._report()

@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from types import CodeType, FrameType
+from types import FrameType
 from typing import Any
 
 # a shell adds the number of the signal that ended a command
@@ -27,12 +27,10 @@ _handler_of: Callable[[int], Any] = import_module("_signal").getsignal
 _received = 0
 _held = 0
 _holding = 0
+_computing = False
 _finishing = False
 # the signal that waits for the end of `finishing`
 _kept = 0
-# functions whose callees are compiled code, and those that compile it, which are plain Python
-_calls: set[CodeType] = set()
-_compilers: set[CodeType] = set()
 
 
 class Interrupted(KeyboardInterrupt):
@@ -53,24 +51,18 @@ def exit_code() -> int:
     return _CODE_OF_SIGNALS + (_received or signal.SIGINT)
 
 
-def register(call: Callable[..., object], compiler: Callable[..., object]) -> None:
-    """Declare the function in which compiled code is called, and the one in it that compiles and may be interrupted."""
-    _calls.add(call.__code__)
-    _compilers.add(compiler.__code__)
-
-
 def watch() -> None:
     """Take the place of Python's own handler of SIGINT; what somebody else has installed stays."""
     if _handler_of(_SIGINT) is signal.default_int_handler and _is_main_thread():
         signal.signal(signal.SIGINT, _receive)
 
 
-def raise_held() -> None:
-    """Raise a signal that arrived within a compiled call."""
-    global _held
-    if _held and _is_main_thread():
-        number, _held = _held, 0
-        _raise(number)
+def computing(value: bool) -> None:
+    """Set whether compiled code is about to run in the main thread; at its end raise a signal that has arrived."""
+    global _computing
+    _computing = value
+    if _held:
+        _raise_held()
 
 
 @contextlib.contextmanager
@@ -82,7 +74,7 @@ def held() -> Iterator[None]:
         yield
     finally:
         _holding -= 1
-        raise_held()
+        _raise_held()
 
 
 @contextlib.contextmanager
@@ -145,9 +137,16 @@ def kept_from_children() -> Iterator[None]:
 
 def _receive(number: int, frame: FrameType | None) -> None:
     global _held
-    if _holding or _computes(frame):
+    if _holding or _computing:
         _held = number
     else:
+        _raise(number)
+
+
+def _raise_held() -> None:
+    global _held
+    if _held and not (_holding or _computing) and _is_main_thread():
+        number, _held = _held, 0
         _raise(number)
 
 
@@ -158,15 +157,6 @@ def _raise(number: int) -> None:
         return
     _received = _received or number
     raise Interrupted
-
-
-def _computes(frame: FrameType | None) -> bool:
-    """Return whether compiled code is what called a frame."""
-    while frame is not None and frame.f_code not in _compilers:
-        if frame.f_code in _calls:
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _again_after(hook: Callable[..., Any], kind_of: Callable[..., Any]) -> Callable[..., Any]:

@@ -16,7 +16,6 @@ from services.runtime.bus.ends import publish_end
 from services.runtime.loop.commands import Command, CommandName
 from services.runtime.loop.main import load_site
 from services.runtime.loop.participant import open_participant
-from services.viz_node.connections import DescriptorReserve
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
 # This one consists of several commands: hand and tip are coupled anew.
@@ -29,10 +28,9 @@ class RigCommander:
     """Sends the commands of pages as `telenano session` does: at the console of the site, for one command at a time."""
 
     def __init__(self, site_file: Path) -> None:
-        """Read the site file, and keep descriptors for an emergency stop: later there may be none left."""
+        """Read the site file, because an emergency stop needs none when it comes."""
         self._site_file = site_file
         self._rig = LocalRig.read(site_file)
-        self._reserve = DescriptorReserve()
 
     def send(
         self,
@@ -53,14 +51,6 @@ class RigCommander:
 
     def estop(self) -> dict[str, tuple[str, str]]:
         """Stop the devices as `telenano estop` does: those of this machine at once, others at the console."""
-        with self._reserve.lent():
-            return self._estop()
-
-    def close(self) -> None:
-        """Give up the descriptors that are kept."""
-        self._reserve.close()
-
-    def _estop(self) -> dict[str, tuple[str, str]]:
         rig, reach = self._rig, self._rig.reach(_EVERYBODY, "")
         answers: dict[str, tuple[str, str]] = {}
 

@@ -1,13 +1,11 @@
-"""The connections of the page's server: their number is bounded, and descriptors are kept for an emergency stop."""
+"""The connections of the page's server: so many that descriptors are left for the bus and for emergency stops."""
 
 import asyncio
 import contextlib
 import os
 import socket
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +17,9 @@ MOST_CONNECTIONS = 64
 # A request's head, or the hello of a page, that has not come after this time does not come.
 SILENCE_S = 5.0
 _SWEEP_S = 0.5
-# Descriptors that an emergency stop needs: 22 were counted at its inlets, 16 at a console.
-_FOR_A_STOP = 40
-# Descriptors left for the bus: nodes that come later, a console, the hand of a page.
-_FOR_THE_BUS = 48
+# Descriptors left for the bus: nodes that come later, a console, the hand of a page; and for two emergency stops at
+# once, of which one was counted to need 22 at its inlets and 16 at a console.
+_FOR_THE_BUS, _FOR_STOPS = 48, 80
 # Dropped connections keep their descriptors until the loop has come round.
 _CLOSING = 16
 
@@ -49,9 +46,8 @@ class Connections:
     way to a new one, so whoever holds connections open keeps nobody out.
     """
 
-    def __init__(self, most: int = MOST_CONNECTIONS, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, most: int = MOST_CONNECTIONS) -> None:
         self.most = most
-        self._monotonic_s = monotonic_s
         self._open: dict[Any, _Connection] = {}
 
     def make_room(self) -> bool:
@@ -67,7 +63,7 @@ class Connections:
 
     def add(self, accepted: socket.socket, client: Any) -> None:
         """Take a connection that was accepted; `client` is its address and port."""
-        self._open[client] = _Connection(accepted, self._monotonic_s())
+        self._open[client] = _Connection(accepted, time.monotonic())
 
     def begin(self, client: Any) -> None:
         """Record that the head of a request has come."""
@@ -77,7 +73,7 @@ class Connections:
     def end(self, client: Any) -> None:
         """Record that a request has been answered: the next one of the same connection may follow."""
         if found := self._open.get(client):
-            found.since_s = self._monotonic_s()
+            found.since_s = time.monotonic()
 
     def admit(self, client: Any) -> None:
         """Record that a connection has shown a token: it gives way to nobody."""
@@ -86,7 +82,7 @@ class Connections:
 
     def drop_silent(self) -> None:
         """Drop what has waited for the head of a request for too long."""
-        now_s = self._monotonic_s()
+        now_s = time.monotonic()
         for found in self._open.values():
             if found.since_s is not None and now_s - found.since_s > SILENCE_S and not found.is_dropped:
                 found.drop()
@@ -128,7 +124,7 @@ def most_connections(least: int) -> int:
     free = _descriptors_free()
     if free is None:
         return MOST_CONNECTIONS
-    most = min(MOST_CONNECTIONS, free - _FOR_THE_BUS - _CLOSING)
+    most = min(MOST_CONNECTIONS, free - _FOR_THE_BUS - _FOR_STOPS - _CLOSING)
     if most < least:
         needed = least - most
         raise EndpointError(f"the view needs {needed} more open files than this process may have: raise `ulimit -n`")
@@ -145,41 +141,3 @@ def _descriptors_free() -> int | None:
     except OSError:
         return None
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0] - taken
-
-
-class DescriptorReserve:
-    """Descriptors that are held for no purpose but to be there when all others are taken."""
-
-    def __init__(self, slices: int = 2, count: int = _FOR_A_STOP) -> None:
-        """Take descriptors for `slices` borrowers at once, `count` for each, or as many as there are."""
-        self._count = count
-        self._lock = threading.Lock()
-        self._slices = [self._taken() for _ in range(slices)]
-
-    @contextlib.contextmanager
-    def lent(self) -> Iterator[None]:
-        """Free descriptors while the block runs, and take them back as far as they are still there."""
-        with self._lock:
-            held = self._slices.pop() if self._slices else None
-        for descriptor in held or ():
-            os.close(descriptor)
-        try:
-            yield
-        finally:
-            if held is not None:
-                with self._lock:
-                    self._slices.append(self._taken())
-
-    def close(self) -> None:
-        """Give all of them up."""
-        with self._lock:
-            for descriptor in (descriptor for held in self._slices for descriptor in held):
-                os.close(descriptor)
-            self._slices.clear()
-
-    def _taken(self) -> list[int]:
-        held: list[int] = []
-        with contextlib.suppress(OSError):
-            while len(held) < self._count:
-                held.append(os.open(os.devnull, os.O_RDONLY))
-        return held

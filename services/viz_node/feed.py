@@ -97,11 +97,6 @@ class Feed:
         """Return the cue of an experiment that stands, with the ids of the answers taken last; empty without one."""
         return self._state.get(CUE, {})
 
-    @property
-    def skipped(self) -> int:
-        """How many samples no page got, because this process stood still."""
-        return sum(batch.skipped for batch in self._batches.values())
-
     def _record(self, seen: Seen) -> None:
         if not 0 <= seen.t_ns < LATEST_NS:
             raise ValueError(f"t_ns {seen.t_ns}: is no time")

@@ -1,6 +1,5 @@
 """The page's server as a node: what it waits for is the web server, and its health is published as that of any node."""
 
-import contextlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import ClassVar
@@ -65,7 +64,7 @@ def page_of_rig(
     participant: Participant, site_file: Path, bound: Listener, access: Access, tls: Tls | None
 ) -> tuple[PageNode, PageBus]:
     """Return the node that serves the page of a rig at a bound address, and its bus."""
-    commander = participant.resources.enter_context(contextlib.closing(RigCommander(site_file)))
+    commander = RigCommander(site_file)
     source = LiveSource(participant.book, str(site_file))
     hub = Hub(source, commander, forms, lambda: RigHand(site_file))
     server = PageServer(hub, access, bound, tls, participant.wake_descriptor)

@@ -146,9 +146,6 @@ class _PageSocket:
 
     async def _role(self, socket: WebSocket) -> Role | None:
         """Return the role of a page that has shown its token; None when it was refused."""
-        if len(self._hub.sessions) >= MOST_PAGES:
-            await _refuse(socket, _TRY_LATER, f"{len(self._hub.sessions)} pages are open, which is as many as may be")
-            return None
         try:
             request = read_request(await asyncio.wait_for(_receive(socket), _HELLO_S))
             if not isinstance(request, Hello):
@@ -167,6 +164,9 @@ class _PageSocket:
                     _POLICY,
                     "the token is wrong: open the address that telenano view --addresses prints where the rig runs",
                 )
+            elif (pages := len(self._hub.sessions)) >= MOST_PAGES:
+                await _refuse(socket, _TRY_LATER, f"{pages} pages are open, which is as many as may be")
+                return None
             return role
         except TimeoutError:
             await _refuse(socket, _POLICY, f"no token came within {_HELLO_S:g} s")

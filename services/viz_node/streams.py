@@ -180,7 +180,6 @@ class Batch:
     def __init__(self, stream: Stream, most: int) -> None:
         """Begin empty; of more than `most` samples the oldest are left out, as after a stall of this process."""
         self.stream = stream
-        self.skipped = 0
         self._most = most
         self._times_ns: list[int] = []
         self._rows: list[list[float]] = []
@@ -224,7 +223,6 @@ class Batch:
     def _shorten(self) -> None:
         over = len(self._rows) - self._most
         if over > 0:
-            self.skipped += over
             del self._rows[:over], self._times_ns[:over]
 
 

@@ -9,24 +9,19 @@ the pull-off, which is the strongest pull on the way back, and where the force p
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from presets.regular_files import open_regular
 from proto.errors import ConfigError, RigError
-from proto.extras import how_to_install
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.cantilever import deflection_m, equilibrium, initial_state
 from services.afm_node.physics.dynamic import NO_NOISE, advance, steady_state
 from services.afm_node.physics.dynamic_sim import require_steps
-from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
-from services.afm_node.physics.sample.map_files import CURVE_MAPS, limits_of_curves
 from services.afm_node.programs.curve import CurveSettings
-from services.runtime.untrusted.limited_child import read_in_child
+from services.runtime.untrusted.file_readers import read_by_package
 
 Array = npt.NDArray[np.float64]
 
@@ -258,24 +253,15 @@ def write_hdf5(path: Path, curve: Curve) -> None:
 
 
 def read_measured(path: Path, number: int = 0) -> Curve:
-    """Return a measured curve: an Igor wave of Asylum's (Defl, and ZSnsr or Raw), HDF5, or a file of JPK or a table.
+    """Return a measured curve in a file that an installed package reads; of a map that of a number, the first being 0.
 
-    HDF5 is as `write_hdf5` makes it, a table (.tab) as afmformats does. Of a force map or QI data of JPK it is the
-    curve of a number, the first being 0; of another file with several curves it is the first.
     Raises: ConfigError naming the file and what is wrong with it.
     """
-    readers = {".ibw": _read_ibw, ".h5": _read_hdf5, ".jpk-force": _read_afmformats, ".tab": _read_afmformats}
-    readers |= dict.fromkeys(CURVE_MAPS, partial(_read_afmformats, number=number))
-    if number and path.suffix.lower() not in CURVE_MAPS:
-        raise ConfigError(f"{path}: a curve is chosen by its number in a map, which is {', '.join(CURVE_MAPS)}")
-    if path.suffix.lower() not in readers:
-        raise ConfigError(f"{path}: is no curve that can be read; these are {', '.join(readers)}")
     try:
-        # what is not there, or no file, is said in the words of the system, which not every reader has
-        open_regular(path).close()
-        curve = readers[path.suffix.lower()](path)
-    except ImportError as error:
-        raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
+        facts, (base, deflection) = read_by_package(path, "curve", str(number))
+        curve = _measured(base, deflection, facts["stiffness_n_per_m"], facts["turn"], facts["speed_m_per_s"])
+    except ConfigError:
+        raise
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     # the readers fail in whatever way the damage leads them to
@@ -285,48 +271,6 @@ def read_measured(path: Path, number: int = 0) -> Curve:
         if not (len(half.base_m) >= 10 and np.isfinite(half.base_m).all() and np.isfinite(half.force_n).all()):
             raise ConfigError(f"{path}: a way of the curve has fewer than 10 points, or some that are no number")
     return curve
-
-
-def _read_ibw(path: Path) -> Curve:
-    require_whole(path)
-    wave, (values,) = read_in_child(f"{load_wave.__module__}:{load_wave.__name__}", path)
-    if values.ndim != 2:
-        raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
-    columns = dict(zip(wave["labels"][1], np.asarray(values, dtype=np.float64).T, strict=True))
-    if wave["unit"] != "m":
-        raise ValueError("its values are no lengths in m")
-    notes = dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
-    for names in (("Defl",), ("ZSnsr", "Raw")):
-        if not any(name in columns for name in names):
-            raise ValueError(f"it has no column {' or '.join(names)}")
-    if missing := [name for name in ("SpringConstant", "Indexes") if name not in notes]:
-        raise ValueError(f"its note lacks {', '.join(missing)}")
-    k = float(notes["SpringConstant"])
-    height = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
-    deflection = columns["Defl"]
-    turn = int(float(notes["Indexes"].split(",")[1])) + 1
-    # towards the sample is where the deflection rises: Asylum's sensor does too
-    seconds = float(wave["steps"][0]) * turn
-    return _measured(height, deflection, k, turn, abs(float(height[turn - 1] - height[0])) / seconds)
-
-
-def _read_hdf5(path: Path) -> Curve:
-    facts, (force, height, segment) = read_in_child("studies.instrument.curve_files:load_hdf5", path)
-    turn, k = int(np.count_nonzero(segment == 0)), facts["k"]
-    return _measured(-height, force / k, k, turn, facts["speed"])
-
-
-def _read_afmformats(path: Path, number: int = 0) -> Curve:
-    """Return a curve of a file that afmformats reads; its height rises away from the sample."""
-    limits = limits_of_curves(path) if path.suffix.lower() in CURVE_MAPS else None
-    reader = "studies.instrument.curve_files:load_afmformats"
-    facts, (force, height, segment) = read_in_child(reader, path, str(number), limits=limits)
-    k, speed = facts["k"], facts["speed"]
-    first, last = segment == segment[0], segment == segment[-1]
-    if not 0.0 < k < math.inf or segment[0] == segment[-1]:
-        raise ValueError("it needs a spring constant above 0 N/m, an approach and a retraction")
-    kept = first | last
-    return _measured(-height[kept], force[kept] / k, k, int(np.count_nonzero(first)), speed)
 
 
 def _measured(base: Array, deflection: Array, k: float, turn: int, speed: float) -> Curve:

@@ -31,7 +31,7 @@ from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.operator_config import ARMS
-from services.numerics.compiled import source_digest
+from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
 from studies import option_values

@@ -25,12 +25,12 @@ from services.afm_node.physics.particles.tip_shape import touch_distance_m
 from services.afm_node.physics.step import initial_afm_state
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import HapticConfig
-from services.numerics.compiled import source_digest
+from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, validate
-from studies.assembly.bench import bench
 from studies.loops import push_hand as h
 from studies.loops.link import Schedule, schedule_of, symmetric_link
 from studies.loops.lockstep import Rig, build_rig, simulate
+from studies.loops.particle_bench import bench
 from studies.loops.simulation import instrument_params
 from studies.loops.sweep import Kind
 

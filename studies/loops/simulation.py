@@ -235,8 +235,7 @@ def simulate_scenario(
 ) -> SimulatedSession:
     """Run a scenario in lockstep, without processes.
 
-    The first call of its kind runs as plain Python, which takes a second or two for Fig. 12, while another process
-    compiles the models; later calls run compiled, and the bits are the same (docs/api.md).
+    The first call on a machine compiles the models, which takes some ten seconds and is said (docs/api.md).
 
     Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way, or
     delay_ms, one way; environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s];

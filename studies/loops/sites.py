@@ -51,13 +51,14 @@ class Halves(NamedTuple):
 @inlined
 def _tip_of(answer: AfmOutputs) -> TipMeasurement:
     """Return the part of the instrument's answer that the slave half uses."""
-    following = answer.mode == afm_safety.MODE_FOLLOW or answer.mode == afm_safety.MODE_HOLD
+    sample, mode = answer.sample, answer.allowed.mode
+    following = mode == afm_safety.MODE_FOLLOW or mode == afm_safety.MODE_HOLD
     return TipMeasurement(
-        base_position_m=answer.base_m,
-        force_n=answer.force_n,
-        separation_m=answer.distance_m,
+        base_position_m=sample.base_m,
+        force_n=sample.force_n,
+        separation_m=sample.distance_m,
         separation_valid=True,
-        in_contact=answer.in_contact,
+        in_contact=sample.in_contact,
         following=following,
         # the instrument carries out each command before the next one comes
         outstanding_m=0.0,
@@ -288,17 +289,18 @@ def _instrument_stepped(
     if i.armed and now_ns <= lateral.until_ns:
         x_m, y_m = x_m + lateral.speed_x_m_per_s * dt, y_m + lateral.speed_y_m_per_s * dt
     asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, x_m, y_m)
-    state, felt = instrument_step(params, i.state, asked, dt)
+    state, answer = instrument_step(params, i.state, asked, dt)
+    felt, allowed = answer.sample, answer.allowed
     moved = felt.base_m - s.tip.base_position_m if i.armed else 0.0
-    tip = _tip_of(felt)
+    tip = _tip_of(answer)
     after = Instrument(
         state=state,
         stepped_ns=now_ns,
         due_ns=now_ns + (command_wait_ns(period_ns) if commanded else period_ns),
-        armed=i.armed or felt.mode == afm_safety.MODE_FOLLOW,
-        mode=felt.mode,
+        armed=i.armed or allowed.mode == afm_safety.MODE_FOLLOW,
+        mode=allowed.mode,
         energy_j=i.energy_j + 0.5 * (felt.force_n + s.tip.force_n) * moved,
-        reason=felt.reason,
+        reason=allowed.reason,
         withdrawn_s=now_ns * 1e-9 if s.tip.following and not tip.following else i.withdrawn_s,
         lateral=Lateral(
             x_m=x_m,

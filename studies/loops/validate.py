@@ -33,7 +33,7 @@ from recording.arrays import columns, last_programme
 from recording.reader import Recording
 from recording.site_clock import Timeline
 from services.afm_node.config import SAMPLES, AfmConfig
-from services.launcher.child_session import run_session
+from services.launcher.child_session import reason_of, run_session
 from studies.loops.cells import (
     WALL_DISTANCE_M,
     Cell,
@@ -47,7 +47,6 @@ from studies.loops.cells import (
 from studies.loops.link import direction_of
 from studies.loops.lockstep import Trajectory, simulate
 from studies.loops.recorded_link import recorded_schedule
-from studies.pages.rig_output import reason_of
 
 Series = npt.NDArray[np.float64]
 

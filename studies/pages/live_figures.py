@@ -13,9 +13,8 @@ from proto.errors import RigError
 from recording.arrays import columns
 from recording.reader import Recording
 from services.afm_node.config import AfmConfig
-from services.launcher.child_session import run_session
+from services.launcher.child_session import reason_of, run_session
 from services.runtime.settings.scenario import load_scenario
-from studies.pages.rig_output import reason_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

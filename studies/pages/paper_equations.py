@@ -12,10 +12,10 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.physics.contact.capillary import meniscus_force, printed_meniscus_force
 from services.afm_node.physics.contact.maugis_dugdale import MaugisDugdale, pull_off_force_n
 from services.afm_node.physics.dynamic import damping_at
-from services.afm_node.programs.scan_speed import felt_speed_m_per_s
+from services.afm_node.programs.tactile import felt_speed_m_per_s
 from services.afm_node.section_config import TipSampleConfig
 from services.controller.config import LAWS
-from services.controller.laws.shared.impedance_scaling import impedance_scaled
+from services.controller.laws.tactile import impedance_scaled
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.physics.motor import bandwidth_hz, closed_loop_poles
 from studies.loops.simulation import SimulatedSession, simulate_scenario

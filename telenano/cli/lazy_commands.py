@@ -67,9 +67,7 @@ LAZY_COMMANDS = {
     "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
     "law": LazyCommand("telenano.cli.commands.law", "app", "List, show and check laws, those of packages included."),
     "new": LazyCommand("telenano.cli.commands.new", "new", "Make a package with a law, device, sample or program."),
-    "sample": LazyCommand(
-        "telenano.cli.commands.sample", "app", "Make or read a surface as a round tip sees it; import recorded maps."
-    ),
+    "sample": LazyCommand("telenano.cli.commands.sample", "app", "Make or read a surface as a round tip sees it."),
     "scan": LazyCommand(
         "telenano.cli.commands.scan", "scan", "Image a sample: tapping or contact mode, simulated time."
     ),
@@ -78,16 +76,7 @@ LAZY_COMMANDS = {
         "curve",
         "Measure a force curve of the simulated instrument, beside a measured one.",
     ),
-    "particles": LazyCommand(
-        "telenano.cli.commands.assemble", "particles", "Find spheres in an image: places, radii and their errors."
-    ),
-    "assemble": LazyCommand(
-        "telenano.cli.commands.assemble", "assemble", "Push particles into a pattern, in simulated time."
-    ),
     "push": LazyCommand("telenano.cli.commands.push", "push", "Push one particle, in simulated time or on a rig."),
-    "calibrate": LazyCommand(
-        "telenano.cli.commands.calibrate", "app", "Calibrate read-out and stiffness: simulated, or of own measurements."
-    ),
     "reproduce": LazyCommand(
         "telenano.cli.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."
     ),
@@ -316,7 +305,7 @@ def _unknown_to_typer() -> Iterator[None]:
 
 def _report(error: Any, *, as_json: bool) -> int:
     """Print what no command has reported; return the exit code."""
-    from proto.extras import missing
+    from proto.extras import how_to_add_package, missing
     from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.cli.output import print_error, system_error_text, usage_text
 
@@ -324,7 +313,9 @@ def _report(error: Any, *, as_json: bool) -> int:
         package = (error.name or "").partition(".")[0]
         if not package or package in _OWN:
             raise error
-        print_error(missing(package), as_json=as_json)
+        name = package.replace("_", "-")
+        own = f"{name} is not installed: {how_to_add_package(name)}" if name in KNOWN_PACKAGES.values() else ""
+        print_error(own or missing(package), as_json=as_json)
         return EXIT_BAD_CONFIGURATION
     if isinstance(error, typer.Abort):
         print_error("the input ended before the question was answered", as_json=as_json)

@@ -7,7 +7,7 @@ from proto import TOPICS
 from proto.nodes import LINK, START_ORDER, VIEW, name_of, site_of
 from proto.topics import Topic
 from services.afm_node.node import INPUTS as AFM_INPUTS
-from services.controller.node import HALVES
+from services.controller.__main__ import HALVES
 from services.haptic_node.node import INPUTS as HAPTIC_INPUTS
 
 # Every node sends these topics, and only people and the launcher read them; they would hide the loop.

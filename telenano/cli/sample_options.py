@@ -22,8 +22,8 @@ SampleOption = Annotated[
     typer.Option(
         "--sample",
         metavar="NAME|FILE|MODULE:FUNCTION",
-        help="flat, dots, grating, a height map (.gsf, .gwy, .ibw, .npy; others with the extra images), or a function"
-        " of x and y [m].",
+        help="flat, dots, grating, a height map (.gsf, .npy; others by the readers of packages), or a function of x and"
+        " y [m].",
     ),
 ]
 SampleSizeOption = Annotated[

@@ -266,10 +266,9 @@ def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:
 def _cache() -> Path | None:
     if importlib.util.find_spec("numba") is None:
         return None
-    from services.numerics.compiled import cache_directory
+    from services.numerics.source_digest import cache_directory
 
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(named) if named else cache_directory()
+    return cache_directory()
 
 
 def _limit(kind: int) -> int:

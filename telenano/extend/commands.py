@@ -2,9 +2,11 @@
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, TelenanoError
+from services.runtime.settings.config import flag_overrides
 from telenano.cli.commands.device_files import run_ahead, section_of
 from telenano.cli.options import DurationOption, JsonOption, SiteFileOption, command_group
-from telenano.cli.output import print_json, report_errors
+from telenano.cli.output import print_document, print_json, report_errors
+from telenano.cli.progress import progress
 
 __all__ = [
     "DEFAULT_SITE_FILE",
@@ -14,7 +16,10 @@ __all__ = [
     "SiteFileOption",
     "TelenanoError",
     "command_group",
+    "flag_overrides",
+    "print_document",
     "print_json",
+    "progress",
     "report_errors",
     "run_ahead",
     "section_of",

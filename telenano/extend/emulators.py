@@ -1,11 +1,8 @@
-"""An emulated device that takes a force, and what tries its driver: hands, a servo in virtual time, acceptance."""
+"""An emulated device that takes a force, and what tries its driver: hands, and a servo in virtual time."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from services.haptic_node.acceptance.checks import verdicts_of
-from services.haptic_node.acceptance.simulated_person import person, reach_of
-from services.haptic_node.acceptance.take import Take, record_take, steps_of
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import (
     GATE_ACTIVE,
@@ -26,12 +23,11 @@ from services.haptic_node.devices.firmware import compiled as compile_library
 from services.haptic_node.devices.servo_process import ProcessLink, ServoLoop, SharedServo
 from services.haptic_node.impedance_config import CouplingConfig
 from services.haptic_node.physics.coupled import arm_step
-from services.haptic_node.physics.hand_motion import HandMotion
 from services.haptic_node.physics.operator import OperatorInputs
 from services.haptic_node.physics.operator_models import operator_at_rest, operator_step
 from services.haptic_node.servo import ServoCommand, ServoSample
-from services.numerics.acceptance import Verdict, overall
 from telenano.extend.commands import section_of
+from telenano.extend.impedance import ZERO, Vector
 
 __all__ = [
     "GATES",
@@ -55,20 +51,23 @@ __all__ = [
     "ServoLoop",
     "ServoSample",
     "SharedServo",
-    "Take",
-    "Verdict",
     "arm_step",
     "compile_library",
     "hand_of",
     "operator_at_rest",
     "operator_step",
-    "overall",
-    "person",
-    "reach_of",
-    "record_take",
-    "steps_of",
-    "verdicts_of",
 ]
+
+
+class HandMotion(NamedTuple):
+    """What the hand does at a time [s]: where it means to be, its spring and damper, a force besides, and buttons."""
+
+    place_m: Vector = ZERO
+    stiffness_n_per_m: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    force_n: Vector = ZERO
+    buttons: int = 0
+    plugged: bool = True
 
 
 def hand_of(scenario: Path | None = None) -> Any:

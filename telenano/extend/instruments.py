@@ -13,7 +13,6 @@ from services.afm_node.devices.request_answer import LARGEST_BYTES, Cut, Incomin
 from services.afm_node.devices.request_driver import RequestDriver
 from services.afm_node.devices.tcp_driver import TcpDriver
 from services.afm_node.driver import DeviceError, OwnImage, OwnLine
-from services.afm_node.physics.sample.gwy_reader import items_of as gwy_items
 from services.afm_node.section_config import AfmControllerConfig as ControllerSettings
 
 __all__ = [
@@ -32,7 +31,6 @@ __all__ = [
     "Talk",
     "TcpDriver",
     "WireError",
-    "gwy_items",
     "modbus_line",
     "read_controller",
     "refusal",

@@ -37,13 +37,10 @@ PRIVATE = {
 }
 # private attributes of objects that packages made: the attribute, and the package
 FOREIGN = {
-    "_cache_path": "numba",
-    "_compile_for_args": "numba",
-    "_data_path": "numba",
-    "_dump": "numba",
+    "_cache_file": "numba",
     "_getvalue": "numba",
     "_instance": "zenoh-ros2-sdk",
-    "_open_for_write": "numba",
+    "_py_file": "numba",
     "_py_func": "numba",
     "_Writer__chunk_builder": "mcap",
     "_Writer__chunk_indices": "mcap",

@@ -15,6 +15,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
 START, END = "<!-- commands: written by tests/doubles/command_page.py -->\n", "<!-- end of commands -->\n"
 # An option that so many commands have, with the same words but for its default, is described once.
 SHARED = 3
+# A range of an option, which `--help` has.
+_RANGE = re.compile(r"; (?:above )?[-0-9.e+]+ (?:to (?:below )?[-0-9.e+]+|or more)$")
 # What typer adds to the text of an option.
 _ADDED = re.compile(r"\s*\[(?:default: ([^];]*)[^]]*|[^]]*[<>]=[^]]*|required)\]$")
 
@@ -49,8 +51,7 @@ def page() -> str:
     shared = sorted(defaults)
     parts = ["## Options of many commands\n", *(f"{about}{_default(defaults[about])}." for about in shared)]
     for path, command in found.items():
-        call = _call(path, command)
-        parts.append(f"\n## {path}\n\n{_about(command)}" + (f"\n\n`{call}`" if call != path else ""))
+        parts.append(f"\n## {' '.join([path, *_arguments(command)])}\n\n{_about(command)}")
         if own := [f"{about}{_default(default)}." for about, default in written[path] if about not in shared]:
             parts += ["", *own]
         if known := [
@@ -85,10 +86,8 @@ def _about(command: Any) -> str:
     return "\n\n".join(" ".join(part.split()) for part in (command.help or "").split("\n\n"))
 
 
-def _call(path: str, command: Any) -> str:
-    words = [_named(one) + ("..." if one.nargs == -1 else "") for one in command.params if one not in options(command)]
-    words += [_flags(command, one) for one in options(command) if one.required]
-    return " ".join([path, *words])
+def _arguments(command: Any) -> list[str]:
+    return [_named(one) + ("..." if one.nargs == -1 else "") for one in command.params if one not in options(command)]
 
 
 def _named(argument: Any) -> str:
@@ -106,7 +105,9 @@ def _line(command: Any, option: Any) -> tuple[str, str]:
     _, text = option.get_help_record(_context(command))
     added, about = _ADDED.search(text), _ADDED.sub("", text)
     about, _, default = about.removesuffix(".").rpartition("; default: ") if "; default: " in about else (about, "", "")
-    return f"- `{_flags(command, option)}`: {about.removesuffix('.')}", default or (added[1] if added else None) or ""
+    about = _RANGE.sub("", about.removesuffix("."))
+    needed = " (required)" if option.required else ""
+    return f"- `{_flags(command, option)}`{needed}: {about}", default or (added[1] if added else None) or ""
 
 
 def _most(written: Iterable[list[tuple[str, str]]], about: str) -> str:

@@ -53,7 +53,7 @@ def view(path: Path, folder: Path) -> None:
 
     recording = open_indexed([path])
     playback = RecordingPlayback(recording, time.monotonic)
-    document = RecordingDocument(recording, lambda: judged_recording(open_indexed([path], in_order=True)))
+    document = RecordingDocument(recording, lambda: judged_recording(open_indexed([path])))
     document.wait()
     list(playback.poll(watched=True))
     document.part(0.0, 10.0, 100)

@@ -224,7 +224,7 @@ def _read_map(path: Path) -> None:
 
 
 def _read_grid(path: Path) -> None:
-    from services.afm_node.physics.sample.map_files import Wanted, import_map
+    from telenano_afm_files.map_files import Wanted, import_map
 
     assert np.isfinite(import_map(path, Wanted({})).map.values).all()
 

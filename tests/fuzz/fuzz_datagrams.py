@@ -9,7 +9,6 @@ from fuzz_frames import Frames
 from services.runtime.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
-    HELLO,
     MOST_SAMPLE_BYTES,
     NUMBERS,
     REPORT,
@@ -77,9 +76,9 @@ class Datagrams:
         for _ in range(rng.choice((0, 1, 1, 2, 5))):
             topic = rng.choice(self.topics)
             payload = self._frames.extreme(topic) if rng.random() < 0.5 else self._frames.broken(topic)[-1]
-            body += packed(topic, payload[:MOST_SAMPLE_BYTES], deflated=rng.random() < 0.3)
+            body += packed(topic, payload[:MOST_SAMPLE_BYTES])
         if rng.random() < 0.1:
-            body += mark(rng.choice((HELLO, TRAIN, ASKING_TRAIN, CARRIES)), rng.randbytes(rng.choice((0, 1, 8, 400))))
+            body += mark(rng.choice((TRAIN, ASKING_TRAIN, CARRIES)), rng.randbytes(rng.choice((0, 1, 8, 400))))
         if rng.random() < 0.1:
             body += SAMPLE.pack(rng.choice((*NUMBERS.values(), 3, 255)), rng.choice((0, 1, 65535)))
         return body[: MOST_SAMPLE_BYTES + rng.choice((0, 0, 200))]

@@ -28,8 +28,8 @@ from recording.writer import RecordingWriter
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
+from services.controller.__main__ import half_of_site
 from services.controller.config import LAWS, ControllerConfig
-from services.controller.node import half_of_site
 from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig
@@ -111,12 +111,6 @@ class FuzzedBus:
 
     def has_arrived(self) -> bool:
         return False
-
-    def is_batch_due(self, now_ns: int) -> bool:
-        return False
-
-    def send_batches(self) -> None:
-        """There are none."""
 
     def send(self, topic: str, payload: bytes) -> bool:
         """Send what the link or a player passes on."""

@@ -50,10 +50,6 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/controller/test_passivity_ports.py",
         "tests/unit/controller/test_passivity.py",
     ),
-    "services/recorder/listener.py": (
-        "tests/unit/recorder/test_listener_changes.py",
-        "tests/unit/recorder/test_recorder_batches.py",
-    ),
     "recording/verify.py": ("tests/unit/recording/test_verify_missing.py",),
 }
 
@@ -144,9 +140,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "services/controller/laws/passivity.py": {
         "moved_by_what_is_paid: damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j,"
         " 0.0), 1.0) [1.0 => 2.0] (2)": "a motion of the hand is cut to what its store has, which is never below zero",
-    },
-    "services/recorder/listener.py": {
-        "Listener: _last_batch_ns: int = 0 [0 => 1]": "read only after the first batch, which sets it",
     },
     "recording/verify.py": {
         "_Stream.__init__: self.t_ns = 0 [self.t_ns = 0 => pass]": "read only after the first message set it",

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 from virtual_rig import record_session
 
 from analysis.rerun import rerun
 from recording.reader import Recording
 from services.afm_node.physics.sample.force_map import write_map
-from services.afm_node.physics.sample.map_files import Wanted, import_map
 from telenano.cli.root import app
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "instrument.md"

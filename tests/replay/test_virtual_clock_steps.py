@@ -17,8 +17,7 @@ MAY_ASK = {
     "services/runtime/loop/clock.py": "once, at the start of the first process, for the stamps of all",
     "services/launcher/rigs.py": "when a rig began, for a person who lists the rigs",
     "services/runtime/security/keyring.py": "the day on which a key expires",
-    "services/numerics/compiled.py": "the age of files in the cache of compiled code",
-    "services/numerics/compile_cache.py": "the age of files in the cache of compiled code",
+    "services/numerics/source_digest.py": "when this process began, to compare with the times of its sources",
 }
 
 

@@ -9,7 +9,7 @@ from analysis.rerun import rerun
 from proto.instrument import AfmParticles
 from recording.reader import Recording
 from services.afm_node.physics.particles import layer
-from studies.assembly.bench import bench
+from studies.loops.particle_bench import bench
 
 SCENARIO = {
     "name": "pushed",

@@ -28,8 +28,8 @@ from recording.records import RejectedRecord
 from recording.writer import FileSettings, RecordingWriter
 from services.afm_node.__main__ import build as build_afm_node
 from services.afm_node.config import AfmConfig
+from services.controller.__main__ import half_of_site
 from services.controller.config import ControllerConfig
-from services.controller.node import half_of_site
 from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.haptic_node.__main__ import build as build_haptic_node
@@ -180,12 +180,6 @@ class VirtualBus:
 
     def has_arrived(self) -> bool:
         return False
-
-    def is_batch_due(self, now_ns: int) -> bool:
-        return False
-
-    def send_batches(self) -> None:
-        """There are none."""
 
     def close(self) -> None:
         self.inbox.clear()

@@ -82,6 +82,10 @@ class View:
         file = Path(lines[1].rpartition(": ")[2].strip())
         self.operator, self.observer, self.participant = (line.split()[1] for line in file.read_text().splitlines())
 
+    @property
+    def process_id(self) -> int:
+        return self._process.pid
+
     def kill(self) -> None:
         """End the server as a crash does: it says nothing to its pages."""
         self._process.kill()

@@ -50,7 +50,9 @@ class Commands:
             process.stdin.flush()
             if not select.select([process.stdout], [], [], patience_s)[0]:
                 self.close()
-                raise subprocess.TimeoutExpired(list(arguments), patience_s, out.read_text(), err.read_text())
+                # the command may not have begun
+                said = [path.read_text() if path.exists() else "" for path in (out, err)]
+                raise subprocess.TimeoutExpired(list(arguments), patience_s, *said)
             code = int(process.stdout.readline())
             return subprocess.CompletedProcess(list(arguments), code, out.read_text(), err.read_text())
 

@@ -95,6 +95,18 @@ class Rig:
                 return int(entry.name)
         return None
 
+    def process_ids(self) -> list[int]:
+        """Give the ids of all processes that run for this rig, its launcher included."""
+        found = []
+        for entry in Path("/proc").iterdir():
+            try:
+                words = (entry / "cmdline").read_bytes().decode().split("\0") if entry.name.isdigit() else []
+            except OSError:
+                continue
+            if any(word.startswith(str(self.out)) for word in words):
+                found.append(int(entry.name))
+        return found
+
     def kill(self, node: str) -> int:
         """kill -9 a node and give its process id."""
         process_id = self.process_of(node)

@@ -13,9 +13,9 @@ import machine
 import pytest
 from live_devices import LiveDevice, write_hand
 from stack_rig import ROOT
+from telenano_acceptance.haptic_device.person import person, reach_of
+from telenano_acceptance.haptic_device.take import steps_of
 
-from services.haptic_node.acceptance.simulated_person import person, reach_of
-from services.haptic_node.acceptance.take import steps_of
 from services.haptic_node.devices.servo_process import ProcessLink
 
 pytestmark = [pytest.mark.endurance, library_doubles.needs_cc]

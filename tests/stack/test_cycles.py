@@ -19,19 +19,6 @@ PATIENCE_S = 60.0
 WAYS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL, None)
 
 
-def left_of(rig: Rig) -> list[str]:
-    """Return the processes that still run for a rig."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            words = (entry / "cmdline").read_bytes().decode().split("\0") if entry.name.isdigit() else []
-        except OSError:
-            continue
-        if any(word.startswith(str(rig.out)) for word in words):
-            found.append(" ".join(words))
-    return found
-
-
 def end(rig: Rig, way: signal.Signals | None, after_s: float) -> None:
     """End a rig in a way at a moment, or let it end by itself."""
     assert rig.process is not None
@@ -41,7 +28,7 @@ def end(rig: Rig, way: signal.Signals | None, after_s: float) -> None:
             rig.process.send_signal(way)
     rig.process.communicate(timeout=PATIENCE_S)
     begin = time.monotonic()
-    while left := left_of(rig):
+    while left := rig.process_ids():
         assert time.monotonic() - begin < PATIENCE_S, left
         signal.sigtimedwait((), 0.05)
 

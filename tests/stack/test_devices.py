@@ -135,7 +135,7 @@ def states(recording: Recording, topic: str) -> list[Any]:
 
 
 def test_interrupted_samples_leave_hand_and_tip_together(rig: Rig, devices: Devices) -> None:
-    rig.start(*devices.options)
+    rig.start(*devices.options, rate=())
     rig.wait_until(rig.running, "the session")
     # through the ramps of the hand, 0.8 to 2.9 s
     for _ in range(14):
@@ -165,7 +165,7 @@ def test_interrupted_samples_leave_hand_and_tip_together(rig: Rig, devices: Devi
 
 
 def test_killed_node_is_retracted_by_the_script_on_the_device(rig: Rig, devices: Devices) -> None:
-    rig.start(*devices.options)
+    rig.start(*devices.options, rate=())
     rig.wait_until(lambda: rig.running() and devices.read(DAC0) > 1.5, "an approach")
     assert devices.read(TRIPS) == 0.0
     killed_ns = time.monotonic_ns()
@@ -192,7 +192,7 @@ def modes(recording: Any, topic: str) -> list[tuple[str, str]]:
 
 def test_faults_of_a_running_rig_and_back(rig: Rig, devices: Devices) -> None:
     """Cable out and in, board reset, instrument stopped, killed and started again, one after the other."""
-    rig.start(*devices.options, "--duration", "600")
+    rig.start(*devices.options, "--duration", "600", rate=())
     rig.wait_until(lambda: rig.running() and devices.read(DAC0) > 1.5, "an approach")
 
     def wait(topic: str, device: str, mode: str, times: int = 1) -> None:
@@ -253,7 +253,7 @@ def test_faults_of_a_running_rig_and_back(rig: Rig, devices: Devices) -> None:
 def test_refused_devices_end_the_start_with_exit_code_2(rig: Rig, devices: Devices) -> None:
     calibration = yaml.safe_load(devices.handle_file.read_text())
     devices.handle_file.write_text(yaml.safe_dump({**calibration, "device_id": "00000000000000ff"}))
-    rig.start(*devices.options)
+    rig.start(*devices.options, rate=())
     code, _, err = rig.finish()
     text = err + rig.logs()
     assert code == 2, text

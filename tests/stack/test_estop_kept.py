@@ -43,7 +43,7 @@ def stopped(rig: Rig, node: str) -> Iterator[None]:
 
 
 def states(rig: Rig, since_ns: int) -> list[Any]:
-    """Give what was sent since then: a batch from before a process was stopped is received after it went on."""
+    """Give what was sent since then: what a stopped process had sent before may be received after it went on."""
     sent = [found.decode() for found in rig.recording().messages("afm/state", since_ns)]
     return sorted((state for state in sent if state.t_ns >= since_ns), key=lambda state: state.t_ns)
 

@@ -79,8 +79,6 @@ def test_the_tab_of_the_view_shows_the_same(chromium: Any, tmp_path: Path) -> No
             said = move(page, law["law"], 120.0)
             assert law["cells"][24]["reason"] in said
         assert page.value("document.documentElement.scrollWidth - innerWidth") <= 0
-        if folder := os.environ.get("TELENANO_PICTURES"):
-            keep(page.page.screenshot(), Path(folder) / "gallery-tab.png")
         assert page.faults == []
         page.page.context.close()
     finally:

@@ -167,7 +167,8 @@ def test_a_hostile_relay_reaches_no_node_and_is_counted(rig: RelayedSites) -> No
     end_ns = time.time_ns()
     rig.wait_until(lambda: bool(rig.master.recording().messages("haptic/state", end_ns)), "the hand's recording")
     hands = {m.fields()["t_ns"] for m in rig.master.recording().messages("haptic/state", begin_ns - NS_PER_S)}
-    assert len(followed) > 1000
+    # four seconds at 250 Hz, of which the relay drops some
+    assert len(followed) > 500
     assert set(followed) <= hands
     assert all(before <= after for before, after in pairwise(followed))
     counted = [", ".join(f"{cause} {count}" for cause, count in report["refused"].items()) for report in reports]

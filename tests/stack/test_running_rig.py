@@ -329,7 +329,7 @@ def served_page() -> Iterator[Callable[[str], Any]]:
     access = Access(OPERATOR, OBSERVER, hosts=("testserver",))
     with ExitStack() as stack:
         source = stack.enter_context(closing(LiveSource(load_site(DEFAULT_SITE_FILE), "local")))
-        commander = stack.enter_context(closing(RigCommander(DEFAULT_SITE_FILE)))
+        commander = RigCommander(DEFAULT_SITE_FILE)
         app = make_app(Hub(source, commander), access, None)
         server = stack.enter_context(TestClient(app, client=("127.0.0.1", 5)))
 

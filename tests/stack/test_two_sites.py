@@ -614,6 +614,9 @@ def arrivals(rig: TwoSites, since_ns: int) -> list[int]:
 
 @pytest.mark.parametrize("seconds", [5, pytest.param(60, marks=pytest.mark.endurance)])
 def test_a_pulled_cable_leaves_both_sides_safe_and_comes_back(rig: TwoSites, seconds: int) -> None:
+    # the long one is the only one of this rig in `make endurance`
+    if rig.master.process is None:
+        rig.start("--duration", "600")
     take_up_again(rig)
     fault = Fault(rig)
     rig.cable.pull()

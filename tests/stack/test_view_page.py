@@ -178,7 +178,7 @@ def test_what_is_saved_is_every_sample_that_is_shown(rig: Rig, operator: Page) -
     hand = [row for row in rows if (row[0], row[2]) == ("hand", "position")]
     shown = [(round(1e9 * float(row[1])) + origin_ns, float(row[3])) for row in hand]
     assert len(shown) > 500, "of a second at 1 kHz"
-    # the recorder writes a batch at a time, so the file may have the last of them later than the page
+    # the recorder writes a chunk at a time, so the file may have the last of them later than the page
     rig.wait_until(lambda: newest(rig, "haptic/state").t_ns > shown[-1][0], "what is shown in the recording")
     sent = sorted((state.t_ns, -state.position_m[2]) for state in since(rig, "haptic/state", origin_ns))
     # the page keeps times to some hundredths of a millisecond

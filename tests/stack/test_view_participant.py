@@ -19,7 +19,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from browser_page import AXE, PATIENCE_S, PATIENT, View, browser, keep, needs_browser, until
+from browser_page import AXE, PATIENCE_S, PATIENT, View, browser, needs_browser, until
 from stack_rig import Rig
 from telenano_experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
@@ -155,10 +155,6 @@ class Person:
         runs = f"document.body.dataset.stage === 'trial' && {button} !== null && !{button}.disabled"
         return bool(self.page.evaluate(f"{runs} && document.querySelector('#count').textContent === {words!r}"))
 
-    def picture(self, name: str) -> None:
-        if folder := os.environ.get("TELENANO_PICTURES"):
-            keep(self.page.screenshot(), Path(folder) / f"{name}.png")
-
     def check(self) -> None:
         """Nothing sticks out of the window, and a reader with weak eyes or a screen reader gets along."""
         assert self.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -178,7 +174,6 @@ class Person:
 @pytest.mark.parametrize("size", [(1366, 768), (390, 844)], ids=["laptop", "phone"])
 def test_a_person_takes_part(rig: Rig, size: tuple[int, int]) -> None:
     view = View(rig.environment)
-    name = "laptop" if size[0] > 1000 else "phone"
     try:
         with ExperimentBus(DEFAULT_SITE_FILE) as bus, browser() as chromium:
             listener, runner = Listener(view.participant), Runner(bus)
@@ -190,13 +185,12 @@ def test_a_person_takes_part(rig: Rig, size: tuple[int, int]) -> None:
             cockpit.goto(view.operator, wait_until="commit")
             listener.start()
             runner.start()
-            take_part(person, cockpit, name)
+            take_part(person, cockpit)
             runner.join(PATIENCE_S)
             assert runner.fault is None
             listener.wanted = False
             listener.join(PATIENCE_S)
             person.stage("end")
-            person.picture(f"experiment-end-{name}")
             assert person.faults == []
             compare(rig, runner)
             traffic = b"".join(listener.traffic)
@@ -210,30 +204,26 @@ def test_a_person_takes_part(rig: Rig, size: tuple[int, int]) -> None:
         view.close()
 
 
-def take_part(person: Person, cockpit: Any, name: str) -> None:
+def take_part(person: Person, cockpit: Any) -> None:
     page = person.page
     person.stage("consent")
     person.check()
-    person.picture(f"experiment-consent-{name}")
     assert page.locator("#submit").is_disabled()
     page.get_by_label("yes").check()
     page.locator("#submit").click()
     person.stage("instruction")
-    person.picture(f"experiment-instruction-{name}")
     # by the keyboard: the button has the focus
     page.keyboard.press("Enter")
     for index in range(TRIALS + 1):
         if index == 1:
             person.stage("countdown")
-            person.picture(f"experiment-countdown-{name}")
         begun = f"Trial {index} of {TRIALS}" if index else "Practice"
         until(lambda begun=begun: person.begun(begun), f"the trial that is {begun}: {person.faults}")
         person.press()
         if index == 1:
             page.wait_for_timeout(1200.0)
             person.check()
-            person.picture(f"experiment-trial-{name}")
-            experimenter(cockpit, name)
+            experimenter(cockpit)
         page.wait_for_timeout(300.0)
         # the answer that the task is about, while the hand presses
         page.keyboard.press("Space") if index % 2 else page.locator("#during-felt").dispatch_event("click")
@@ -251,20 +241,16 @@ def take_part(person: Person, cockpit: Any, name: str) -> None:
         else:
             box = scale.bounding_box()
             scale.click(position={"x": box["width"] * 0.75, "y": box["height"] / 2})
-    person.picture(f"experiment-tlx-{name}")
     page.locator("#submit").click()
     person.stage("end")
 
 
-def experimenter(cockpit: Any, name: str) -> None:
+def experimenter(cockpit: Any) -> None:
     """See the trial with its condition, and mark it as disturbed."""
     cockpit.locator("#experiment-facts").wait_for(state="attached")
     if cockpit.locator("#tab-experiment").count():
         cockpit.locator("#tab-experiment").dispatch_event("click")
     until(lambda: "level_low" in cockpit.inner_text("#experiment-facts"), "the condition on the experimenter's page")
-    if folder := os.environ.get("TELENANO_PICTURES"):
-        cockpit.locator("#experiment").scroll_into_view_if_needed()
-        keep(cockpit.screenshot(), Path(folder) / f"experiment-cockpit-{name}.png")
     cockpit.locator("#experiment-reason").fill("the door opened")
     cockpit.locator("#experiment-disturbed").dispatch_event("click")
     cockpit.locator(".answer.done").first.wait_for()

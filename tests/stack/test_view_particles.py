@@ -317,7 +317,6 @@ def taken_over(rig: Rig, page: Page, headset: bool) -> None:
     rig.wait_until(lambda: math.dist(particle_m(rig), goal) < 50e-9, "a particle at its goal")
     page.until("!telenano.cockpit.tip.program", "a page that knows")
     page.click("#show-solid")
-    page.picture("taken_over")
     assert page.faults == []
 
 

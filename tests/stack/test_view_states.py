@@ -33,6 +33,8 @@ SIZES = (
     Size("tablet", 1024, 768, True),
     Size("phone", 390, 844, True),
 )
+# what the documents show besides the laptop
+SHOWN = ("live-desktop", "recording-desktop")
 # boxes of the parts of a page that must be seen without scrolling, wherever they are
 BOXES = """(names) => names.map((name) => {
   const box = document.querySelector(name).getBoundingClientRect();
@@ -56,7 +58,8 @@ def look(page: Page, state: str) -> None:
             seen = left >= 0 and top >= 0 and right <= size.width and bottom <= size.height
             assert seen, f"{state}, {size.name}: {name} is not in the window"
         check_rules(page, f"{state}, {size.name}")
-        if folder := os.environ.get("TELENANO_PICTURES"):
+        shown = size.name == "laptop" or f"{state}-{size.name}" in SHOWN
+        if (folder := os.environ.get("TELENANO_PICTURES")) and shown:
             keep(page.page.screenshot(), Path(folder) / f"{state}-{size.name}.png")
     page.page.set_viewport_size({"width": 1366, "height": 768})
 

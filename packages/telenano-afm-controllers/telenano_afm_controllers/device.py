@@ -139,7 +139,7 @@ def approach_nanonis(
 def image_nanonis(
     calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE", help="nanonis.yaml of the controller.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.nxs, scan.png.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png; packages add more.")
     ],
     setpoint: Annotated[
         float, typer.Option("--setpoint", metavar="X", help="Set-point, in the unit of the controller's signal.")
@@ -167,8 +167,9 @@ def image_nanonis(
             client.close()
         with results_in(out) as folder:
             height = -found.z.towards_sample * (z_m - z_m.mean())
-            write_images(folder, {"height": Image("Height", "m", height, side_m, side_m)}, "contact", "Nanonis")
-        typer.echo(f"wrote {out / 'scan.gwy'}, scan.gsf, scan.nxs and scan.png")
+            channels = {"height": Image("Height", "m", height, side_m, side_m)}
+            files = write_images(folder, channels, "contact", "Nanonis")
+        typer.echo(f"wrote {out}: {', '.join(files)}")
 
 
 def guard_nanonis(

@@ -50,14 +50,11 @@ class GwyscopeModel:
         afm: The instrument, opened, whose base z moves and whose bridge voltage adc1 has.
         tick_s: The tick of the server [s].
         noise_v: The standard deviation of a sample of adc1 [V].
-        seed: The seed of that noise.
         now_ns: When it begins [ns].
     """
 
-    def __init__(
-        self, afm: AfmDriver, *, tick_s: float = TICK_S, noise_v: float = 0.0, seed: int = 1, now_ns: int = 0
-    ) -> None:
-        self._afm, self._noise_v, self._random = afm, noise_v, random.Random(seed)
+    def __init__(self, afm: AfmDriver, *, tick_s: float = TICK_S, noise_v: float = 0.0, now_ns: int = 0) -> None:
+        self._afm, self._noise_v, self._random = afm, noise_v, random.Random(1)
         self._tick_ns = round(tick_s * _NS)
         self._begun_ns = self._ticked_ns = now_ns
         self.x_m = self.y_m = CENTRE_M

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.instruments import LARGEST_BYTES, WireError, gwy_items
+from telenano.extend.instruments import LARGEST_BYTES, WireError
 
 _NAME = b"GS\0"
 _SIZE = struct.Struct("<I")
 _HEADER = len(_NAME) + _SIZE.size
+_NUMBERS = {"b": struct.Struct("<?"), "i": struct.Struct("<i"), "d": struct.Struct("<d")}
 Message = Mapping[str, Any]
 
 
@@ -51,10 +52,34 @@ def decode(frame: bytes) -> dict[str, Any]:
     Raises:
         WireError: The bytes are no message, or it has an item of a type that Gwyscope does not send.
     """
+    if cut(frame) != len(frame):
+        raise WireError(f"a message of {len(frame)} bytes cannot be read: it is not of the length that it states")
+    found, place = {}, _HEADER
     try:
-        return gwy_items(frame)
+        while place < len(frame):
+            key, place = _text(frame, place)
+            found[key], place = _item(frame, place)
     except (ValueError, KeyError, struct.error) as error:
         raise WireError(f"a message of {len(frame)} bytes cannot be read: {error}") from error
+    return found
+
+
+def _item(frame: bytes, place: int) -> tuple[Any, int]:
+    """Return the value whose letter stands at a place, and the place behind it."""
+    letter, place = frame[place : place + 1].decode("latin-1"), place + 1
+    if letter == "s":
+        return _text(frame, place)
+    if letter == "D":
+        (count,) = _SIZE.unpack_from(frame, place)
+        place += _SIZE.size
+        return np.frombuffer(frame, "<f8", count, place), place + 8 * count
+    number = _NUMBERS[letter]
+    return number.unpack_from(frame, place)[0], place + number.size
+
+
+def _text(frame: bytes, place: int) -> tuple[str, int]:
+    end = frame.index(b"\0", place)
+    return frame[place:end].decode("utf-8", "replace"), end + 1
 
 
 def cut(stream: bytes) -> int:

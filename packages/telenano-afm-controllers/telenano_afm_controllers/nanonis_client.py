@@ -17,6 +17,8 @@ from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
 _READ_BYTES = 65536
 _Z_SIGNAL = "Z (m)"
 _POLL_S = 0.05
+# An answer is waited for so long [s], and z to come to rest, or the z-controller to be off.
+_ANSWER_S, _REST_WITHIN_S = 5.0, 60.0
 # z that moves by less between so many looks is at rest: an approach goes faster [m]
 _RESTS, _REST_M = 6, 2e-9
 
@@ -27,16 +29,15 @@ class NanonisClient:
     Args:
         host: The address of the controller.
         port: One of its ports.
-        patience_s: How long an answer is waited for [s].
 
     Raises:
         DeviceError: The controller is not reached.
     """
 
-    def __init__(self, host: str, port: int, patience_s: float = 5.0) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self._where = f"{host}:{port}"
         try:
-            self._line = socket.create_connection((host, port), timeout=patience_s)
+            self._line = socket.create_connection((host, port), timeout=_ANSWER_S)
         except OSError as error:
             raise DeviceError(f"{self._where}: cannot be reached: {error.strerror or error}") from error
         self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -84,32 +85,32 @@ class Raster(NamedTuple):
 
 
 @contextlib.contextmanager
-def in_contact(client: NanonisClient, setpoint: float, patience_s: float = 60.0) -> Iterator[None]:
+def in_contact(client: NanonisClient, setpoint: float) -> Iterator[None]:
     """Hold the set-point of the z-controller while a block runs, and withdraw the tip whatever ends it.
 
     Raises:
         DeviceError: z does not come to rest in time: there is no surface within its range, or the gain is too great.
     """
     try:
-        _settle(client, setpoint, patience_s)
+        _settle(client, setpoint)
         yield
     finally:
         client.call("ZCtrl.Withdraw", 0, -1)
 
 
-def _settle(client: NanonisClient, setpoint: float, patience_s: float) -> None:
+def _settle(client: NanonisClient, setpoint: float) -> None:
     """Switch the z-controller on and wait until z is at rest."""
     client.call("ZCtrl.SetpntSet", setpoint)
     client.call("ZCtrl.OnOffSet", 1)
-    end, past = client.now_s() + patience_s, [math.inf]
+    end, past = client.now_s() + _REST_WITHIN_S, [math.inf]
     while len(past) < _RESTS or max(past[-_RESTS:]) - min(past[-_RESTS:]) > _REST_M:
         if client.now_s() > end:
-            raise DeviceError(f"z did not come to rest within {patience_s:g} s: is the surface within its range?")
+            raise DeviceError(f"z did not come to rest within {_REST_WITHIN_S:g} s: is the surface within its range?")
         client.sleep(_POLL_S)
         past.append(client.call("ZCtrl.ZPosGet")[0])
 
 
-def approach(client: NanonisClient, setpoint: float, lift_m: float, patience_s: float = 60.0) -> float:
+def approach(client: NanonisClient, setpoint: float, lift_m: float) -> float:
     """Approach by the controller's z-controller, switch it off, and let it lift the tip; return z then [m].
 
     The tip is left there, for a rig that drives the external input of the controller.
@@ -118,19 +119,18 @@ def approach(client: NanonisClient, setpoint: float, lift_m: float, patience_s: 
         client: The connection.
         setpoint: The set-point, in the unit of the controller's signal.
         lift_m: How far the tip is lifted [m].
-        patience_s: How long the approach may take [s].
 
     Raises:
         DeviceError: The controller refuses or finds no surface; the tip is withdrawn then.
     """
     try:
         client.call("ZCtrl.TipLiftSet", lift_m)
-        _settle(client, setpoint, patience_s)
+        _settle(client, setpoint)
         client.call("ZCtrl.OnOffSet", 0)
-        end = client.now_s() + patience_s
+        end = client.now_s() + _REST_WITHIN_S
         while client.call("ZCtrl.OnOffGet")[0]:
             if client.now_s() > end:
-                raise DeviceError(f"the z-controller was not off within {patience_s:g} s")
+                raise DeviceError(f"the z-controller was not off within {_REST_WITHIN_S:g} s")
             client.sleep(_POLL_S)
         return float(client.call("ZCtrl.ZPosGet")[0])
     except DeviceError:

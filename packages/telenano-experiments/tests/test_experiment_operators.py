@@ -143,6 +143,7 @@ PUSH = {
 
 
 @pytest.mark.endurance
+@pytest.mark.timeout(3000)
 def test_a_hand_that_steers_pushes_the_particle_into_the_circle_and_takes_longer_over_a_delay(tmp_path: Path) -> None:
     from telenano_experiments.apparatus.lockstep import Lockstep
     from telenano_experiments.desk import Desk

@@ -318,6 +318,7 @@ class HaplyWire:
         self._head = self._tail = b""
         self._emulated = False
         self._session: bool | None = None
+        self._runs = False
         self._differs = 0
         # messages that came without a request, and for how many readings more they did than did not
         self.unasked = self._unasked_lately = 0
@@ -339,8 +340,9 @@ class HaplyWire:
         self._session, self._differs, self._unasked_lately = None, 0, 0
         self._orientation, self._grip_ns = UPRIGHT, 0
         radius_m = _RADII_M.get(config.type, 0.10)
+        # A service that was lost and is back goes on with the session of before.
         first = {
-            "session": {"configure": {"profile": {"name": SESSION_RESTS}}},
+            "session": {"configure": {"profile": {"name": SESSION_RUNS if self._runs else SESSION_RESTS}}},
             "inverse3": [{"device_id": self._id, "configure": self._filters, "commands": {"probe_position": {}}}],
         }
         self._conversation.send(_ENCODER.encode(first))
@@ -397,6 +399,7 @@ class HaplyWire:
                 self._sleep(left_ns * 1e-9)
 
     def session(self, runs: bool) -> None:
+        self._runs = runs and self._emulated
         self._session = runs if self._emulated else None
 
     def close(self) -> None:

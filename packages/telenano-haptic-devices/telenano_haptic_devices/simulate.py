@@ -41,16 +41,19 @@ def simulate_haply(
     `push N`, `arm M` and `loose` put another one in its place.
     """
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
-        from telenano.extend.emulators import hand_of, steps_of
-        from telenano.extend.emulators import person as person_of
+        from telenano.extend.emulators import hand_of
         from telenano_haptic_devices.arm_model import INVERSE3
         from telenano_haptic_devices.emulated_arm import EmulatedArm
         from telenano_haptic_devices.haply import BUTTONS
         from telenano_haptic_devices.haply_service import HaplyService, serve_haply
 
+        hand = None
+        if person:
+            from telenano_acceptance.haptic_device.person import person as person_of
+            from telenano_acceptance.haptic_device.take import steps_of
+
+            hand = person_of((INVERSE3.radius_m,) * 3, len(BUTTONS) * grip, 1, steps_of(mass), mass)
         operator = hand_of(scenario)
-        reach_m = (INVERSE3.radius_m,) * 3
-        hand = person_of(reach_m, len(BUTTONS) * grip, 1, steps_of(mass), mass) if person else None
         service = HaplyService(EmulatedArm(INVERSE3, operator, hand), device_id, grip)
         service.gate, service.damping = force_gate, damping
         run_ahead()

@@ -18,6 +18,10 @@ if shutil.which("cc") is None:
 
 from live_devices import write_hand
 from servo_bench import DEVICES, Emulated, VirtualTime
+from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
+from telenano_acceptance.haptic_device.person import person, reach_of
+from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of
+from telenano_acceptance.take import Clock, Take, Verdict, overall
 
 from telenano.extend.emulators import (
     CouplingConfig,
@@ -26,14 +30,6 @@ from telenano.extend.emulators import (
     ServoLoop,
     ServoSample,
     SharedServo,
-    Take,
-    Verdict,
-    overall,
-    person,
-    reach_of,
-    record_take,
-    steps_of,
-    verdicts_of,
 )
 from telenano.extend.impedance import Capabilities, DeviceSample, Quaternion, Turn, Vector
 
@@ -167,9 +163,9 @@ class TakeBench:
             self._last = found._replace(force_n=(factor * x, factor * y, factor * z))
         return self._last
 
-    def take(self) -> Take:
+    def take(self) -> Take[Facts]:
         """Run servo and take to the end of the take."""
-        taken: list[Take] = []
+        taken: list[Take[Facts]] = []
         node = threading.Thread(target=lambda: taken.append(self._record()))
         node.start()
         self._to_servo.acquire()
@@ -185,18 +181,11 @@ class TakeBench:
         node.join()
         return taken[0]
 
-    def _record(self) -> Take:
+    def _record(self) -> Take[Facts]:
         settings = self.coupling.to_settings(self.capabilities)
+        facts = Facts(self.capabilities, settings, MASS_KG, "foot switch")
         try:
-            return record_take(
-                self,  # type: ignore[arg-type]
-                settings,
-                STEPS,
-                now_ns=self.time.now_ns,
-                wait=self._wait,
-                mass_kg=MASS_KG,
-                independent_stop="foot switch",
-            )
+            return record_take(self, facts, STEPS, Clock(self.time.now_ns, self._wait))  # type: ignore[arg-type]
         finally:
             self._ended = True
             self._to_servo.release()
@@ -224,7 +213,7 @@ def found_by(
     bench = TakeBench(kind, folder, orders, Wrong(wrong), told)
     bench.coupling = CouplingConfig(stiffness_n_per_m=stiffness)
     take = bench.take()
-    return {verdict.check: verdict for verdict in verdicts_of(take)}
+    return {verdict.check: verdict for verdict in HAPTIC_DEVICE.judge(take)}
 
 
 # what each check has to find: what is done to the emulated device, and to its readings

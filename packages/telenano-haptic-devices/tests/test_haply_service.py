@@ -283,3 +283,24 @@ def test_service_that_answers_no_more_is_lost() -> None:
     assert len(found) < 25
     wire.close()
     server.shutdown()
+
+
+def test_hand_of_an_emulated_device_goes_on_with_its_programme_where_the_service_was_lost(served: Served) -> None:
+    wire = HaplyWire(served.address)
+    wire.open()
+    wire.session(True)
+    wire.run(turns(50, []))
+    began_s = served.service.arm.session_s
+    assert began_s is not None
+    assert began_s > 0.0
+    # After a silence the connection ends, and the servo opens another one.
+    wire.close()
+    wire.open()
+    wire.run(turns(50, []))
+    later_s = served.service.arm.session_s
+    assert later_s is not None
+    assert later_s > began_s
+    wire.session(False)
+    wire.run(turns(50, []))
+    assert served.service.arm.session_s is None
+    wire.close()

@@ -117,8 +117,6 @@ class T7Model:
     Args:
         afm: The instrument, opened, whose base the output moves and whose bridge voltage the input reads.
         noise_v: The standard deviation of a reading [V].
-        seed: The seed of that noise.
-        word_swapped: Whether the device swaps the words of a number, as a wrong device would.
         output_step_v: The step of the output [V], by default that of a converter of 12 bits.
         m_per_v: The travel of the stage for a volt [m/V].
     """
@@ -128,16 +126,15 @@ class T7Model:
         afm: Bridged,
         *,
         noise_v: float = 0.0,
-        seed: int = 1,
-        word_swapped: bool = False,
         output_step_v: float = _DAC_STEP_V,
         m_per_v: float = M_PER_V,
     ) -> None:
         self._step_v, self._m_per_v = output_step_v, m_per_v
-        self._afm, self._noise_v, self._random = afm, noise_v, random.Random(seed)
+        self._afm, self._noise_v, self._random = afm, noise_v, random.Random(1)
         self._words: dict[int, int] = {}
         self._forms = {address: form for address, form, _ in _REGISTERS}
-        self._word_swapped = word_swapped
+        # a wrong device swaps the words of a number
+        self._word_swapped = False
         self._heard_ns = 0
         self.trips = 0
         self.script = HeartbeatScript(self)

@@ -12,7 +12,14 @@ import math
 from typing import Any, NamedTuple
 
 from services.afm_node.physics.part import AfmSample, inputs_at, part_start, part_step
-from services.afm_node.safety import SafetyInputs, SafetyParams, SafetyState, initial_safety_state, safety_step
+from services.afm_node.safety import (
+    SafetyInputs,
+    SafetyOutputs,
+    SafetyParams,
+    SafetyState,
+    initial_safety_state,
+    safety_step,
+)
 from services.numerics.compiled import compiled
 
 # the guard's speed limit allows no more than this much motion at once, however long the process was held up
@@ -48,21 +55,10 @@ class AfmInputs(NamedTuple):
 
 
 class AfmOutputs(NamedTuple):
-    """Fields of `AfmSample` and of `SafetyOutputs`."""
+    """What was measured, and what the guard allowed."""
 
-    base_m: float
-    distance_m: float
-    deflection_m: float
-    force_n: float
-    bridge_voltage_v: float
-    in_contact: bool
-    meniscus: bool
-    mode: int
-    limited: int
-    reason: int
-    arm_refusal: int
-    lateral_x_n: float = 0.0
-    lateral_y_n: float = 0.0
+    sample: AfmSample
+    allowed: SafetyOutputs
 
 
 @compiled
@@ -99,22 +95,7 @@ def step(params: AfmParams, state: AfmStepState, inputs: AfmInputs, dt: float) -
     safety, allowed = safety_step(params.safety, state.safety, asked, dt)
     moved = inputs_at(allowed.base_m, inputs.x_m, inputs.y_m)
     plant, sample = part_step(params.plant, state.plant, moved, dt)
-    outputs = AfmOutputs(
-        base_m=sample.base_m,
-        distance_m=sample.distance_m,
-        deflection_m=sample.deflection_m,
-        force_n=sample.force_n,
-        bridge_voltage_v=sample.bridge_voltage_v,
-        in_contact=sample.in_contact,
-        meniscus=sample.meniscus,
-        mode=allowed.mode,
-        limited=allowed.limited,
-        reason=allowed.reason,
-        arm_refusal=allowed.arm_refusal,
-        lateral_x_n=sample.lateral_x_n,
-        lateral_y_n=sample.lateral_y_n,
-    )
-    return AfmStepState(safety, plant, sample.force_n, _across(sample)), outputs
+    return AfmStepState(safety, plant, sample.force_n, _across(sample)), AfmOutputs(sample, allowed)
 
 
 def initial_afm_state(params: AfmParams) -> AfmStepState:

@@ -30,21 +30,19 @@ from services.afm_node.physics.part import (
 from services.numerics.compiled import compiled
 from services.runtime.settings.config import Settings
 
-_CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta, -1 to 1."
+_CROSSTALK = "Lateral force that the bent cantilever seems to have along {axis}, as a share of k zeta."
 
 
 class TorsionConfig(Settings):
     """How the lateral force is measured, with the errors of the channel."""
 
-    factor_n_per_v: float = Field(
-        2e-6, gt=0.0, le=1e-3, description="Calibration factor of the torsion channel [N/V], up to 0.001."
-    )
-    range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of its read-out, either way [V], up to 1000.")
+    factor_n_per_v: float = Field(2e-6, gt=0.0, le=1e-3, description="Calibration factor of the torsion channel [N/V].")
+    range_v: float = Field(10.0, gt=0.0, le=1e3, description="Range of its read-out, either way [V].")
     gain_error: float = Field(
-        0.0, ge=-0.9, le=9.0, description="Relative error of the factor, -0.9 to 9: 0.2 reads a fifth too much."
+        0.0, ge=-0.9, le=9.0, description="Relative error of the factor: 0.2 reads a fifth too much."
     )
     gain_uncertainty: float = Field(
-        0.0, ge=0.0, le=1.0, description="Relative standard uncertainty that the calibration states, 0 to 1."
+        0.0, ge=0.0, le=1.0, description="Relative standard uncertainty that the calibration states."
     )
     crosstalk_x: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="x"))
     crosstalk_y: float = Field(0.0, ge=-1.0, le=1.0, description=_CROSSTALK.format(axis="y"))

@@ -153,6 +153,11 @@ class ProgramRunner:
         return Report(self.name, self.state, text, 100.0 * share, line, lines, values)
 
     @property
+    def is_over(self) -> bool:
+        """Whether the program has come to its end, and is only to be let go of."""
+        return self.state in ("finished", "ended")
+
+    @property
     def leaves_tip(self) -> bool:
         """Whether the stage stays where the program that runs ends."""
         return self._program.leaves_tip

@@ -9,10 +9,9 @@ from pydantic import Field, create_model
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
 from services.afm_node.driver import AfmDriver
-from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.programs.program_settings import Position
 from services.afm_node.programs.table import CHANGES, PROGRAMS, refuse_unusable
-from services.runtime.settings.config import Settings, merge, nested, validate
+from services.runtime.settings.config import Settings, changed_section, nested, validate
 
 _STIFFEST_N_PER_M = 1e9
 # What experiments change of a simulation from one trial to the next: the stiffness of environment spring; and whether
@@ -84,16 +83,6 @@ def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | N
     return request
 
 
-def changed_disturbances(config: DisturbanceConfig, parameters: Mapping[str, Scalar]) -> DisturbanceConfig:
-    """Return disturbances with keys `disturbances.…` changed; RefusedError says what is wrong with them."""
-    try:
-        document = merge({"disturbances": config.model_dump()}, nested(parameters, "session/control"))
-        section = document["disturbances"]
-        return validate(DisturbanceConfig, section, "session/control", "afm_node.disturbances")
-    except ConfigError as error:
-        raise RefusedError(str(error)) from error
-
-
 def is_of_simulation(key: str) -> bool:
     """Return whether a key of `set` is for what is simulated."""
     return key in (STIFFNESS, RESTORE) or key.startswith(_DISTURBANCES)
@@ -123,7 +112,8 @@ def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> l
     if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
         if simulation.disturbances is None:
             raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
-        configure = partial(simulation.configure, changed_disturbances(simulation.disturbances, changes))
+        changed = changed_section(simulation.disturbances, changes, "disturbances", "afm_node")
+        configure = partial(simulation.configure, changed)
         found.append(("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()), configure))
     return found
 

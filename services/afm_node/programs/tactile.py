@@ -29,12 +29,20 @@ from services.afm_node.programs.program import (
     way_to_surface,
 )
 from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
-from services.afm_node.programs.scan_speed import felt_speed_m_per_s
 
 # the phases after the way to the surface
 FEEL, DONE = ARRIVED, ARRIVED + 1
 # The names of the gains as the user knows them.
 _GAINS = ("tactile.gain_per_s", "")
+
+
+def felt_speed_m_per_s(feature_m: float, bandwidth_hz: float) -> float:
+    """Return the fastest motion of the tip at which features of that length are felt [m/s] (Eq. 14).
+
+    >>> round(felt_speed_m_per_s(1e-9, 30.0) * 1e9, 9)  # nm/s
+    30.0
+    """
+    return feature_m * bandwidth_hz
 
 
 class TactileSettings(ProgramSettings):

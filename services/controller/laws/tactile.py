@@ -28,13 +28,23 @@ from services.controller.law import (
     law_of,
     port_signal,
 )
-from services.controller.laws.shared.impedance_scaling import impedance_scaled
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
 from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
 from services.numerics.compiled import compiled
 
 # The wire can carry so much [N].
 _MOST_N = 1e6
+
+
+def impedance_scaled(
+    alpha: float, mass_kg: float, damping_n_s_per_m: float, stiffness_n_per_m: float
+) -> tuple[float, float, float]:
+    """Return the factors of x'', x' and x in Eq. 13: alpha^4 m [kg], alpha^2 b [N s/m], alpha^2 k [N/m].
+
+    >>> impedance_scaled(10.0, 2.0, 3.0, 4.0)
+    (20000.0, 300.0, 400.0)
+    """
+    return alpha**4 * mass_kg, alpha**2 * damping_n_s_per_m, alpha**2 * stiffness_n_per_m
 
 
 class TactileParams(NamedTuple):

@@ -5,7 +5,6 @@ emulated handle: duty of the bridge in, sensor out. A board without a force sens
 """
 
 import ctypes
-from pathlib import Path
 from typing import Any
 
 from services.haptic_node.config import HapticConfig
@@ -43,12 +42,12 @@ class AvrBoard:
         FirmwareError: simavr or a compiler is missing, or the image cannot be read.
     """
 
-    def __init__(self, device_id: int = DEVICE_ID, image: Path = IMAGE) -> None:
+    def __init__(self) -> None:
         self._functions = _functions()
-        eeprom = device_id.to_bytes(8, "little") + b"\0\0"
-        self._board = self._functions.board_new(str(image).encode(), eeprom, len(eeprom))
+        eeprom = DEVICE_ID.to_bytes(8, "little") + b"\0\0"
+        self._board = self._functions.board_new(str(IMAGE).encode(), eeprom, len(eeprom))
         if not self._board:
-            raise FirmwareError(f"{image}: cannot be read as an image in Intel hex")
+            raise FirmwareError(f"{IMAGE}: cannot be read as an image in Intel hex")
         self._buffer = ctypes.create_string_buffer(_ROOM)
         self.set_estop(pressed=False)
         self.set_position(_ZERO_COUNTS)
@@ -101,16 +100,15 @@ class AvrBoard:
 class AvrHandle:
     """A handle with that board, a millisecond at a time, as `EmulatedHandle` is."""
 
-    def __init__(self, config: HapticConfig, device_id: int = DEVICE_ID) -> None:
+    def __init__(self, config: HapticConfig) -> None:
         plant = config.to_plant_params()
         self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
         self._plant = initial_plant(self._params, config.device.start_position_m)
-        self._device_id = device_id
-        self.board = AvrBoard(device_id)
+        self.board = AvrBoard()
 
     def reset(self, session: int) -> None:
         """Boot the board again; the arm stays where it is."""
-        self.board = AvrBoard(self._device_id)
+        self.board = AvrBoard()
 
     def receive(self, received: bytes) -> None:
         self.board.receive(received)
@@ -130,7 +128,7 @@ class AvrHandle:
         self.board.run(CYCLES_A_TICK)
 
 
-def calibration_of(config: HapticConfig, device_id: int = DEVICE_ID) -> dict[str, object]:
+def calibration_of(config: HapticConfig) -> dict[str, object]:
     """Return the content of a calibration file that fits the emulated board; its force is what the drive holds."""
     from datetime import UTC, datetime
 
@@ -138,7 +136,7 @@ def calibration_of(config: HapticConfig, device_id: int = DEVICE_ID) -> dict[str
     force_n = drive_n_per_count(config.device.to_params()) * 1e3 * _FULL_V / FULL_DUTY
     return {
         "schema": 1,
-        "device_id": f"{device_id:016x}",
+        "device_id": f"{DEVICE_ID:016x}",
         "calibrated": datetime(2026, 1, 1, tzinfo=UTC),
         "position": {"zero_raw": _ZERO_COUNTS, "m_per_count": M_PER_COUNT},
         "force": {"zero_raw": 0, "n_per_count": force_n, "saturation_n": force_n * FULL_DUTY},

@@ -43,10 +43,9 @@ class EmulatedHandle:
     Args:
         config: The configuration whose device and operator are emulated.
         session: The number of this boot of the device.
-        device_id: The identity of the device.
     """
 
-    def __init__(self, config: HapticConfig, session: int, device_id: int = DEVICE_ID) -> None:
+    def __init__(self, config: HapticConfig, session: int) -> None:
         plant = config.to_plant_params()
         self._drive_n = drive_n_per_count(plant.motor)
         self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
@@ -56,7 +55,6 @@ class EmulatedHandle:
         self._session_ticks: int | None = None
         self._gauge_m: float | None = None
         self._load_n = 0.0
-        self.device_id = device_id
         self.time_us = 0
         self.estop_pressed = False
         self.core = self._boot(session)
@@ -125,7 +123,7 @@ class EmulatedHandle:
 
     def _boot(self, session: int) -> FirmwareCore:
         identity = BoardIdentity(
-            device_id=self.device_id,
+            device_id=DEVICE_ID,
             session=session,
             flags=_FLAGS,
             reset_cause=0,
@@ -137,13 +135,13 @@ class EmulatedHandle:
         return FirmwareCore(identity)
 
 
-def calibration_of(config: HapticConfig, device_id: int = DEVICE_ID) -> dict[str, object]:
+def calibration_of(config: HapticConfig) -> dict[str, object]:
     """Return the content of a calibration file that fits an emulated handle exactly."""
     motor = config.device.to_params()
     force_n = drive_n_per_count(motor)
     return {
         "schema": 1,
-        "device_id": f"{device_id:016x}",
+        "device_id": f"{DEVICE_ID:016x}",
         "calibrated": datetime(2026, 1, 1, tzinfo=UTC),
         "position": {"zero_raw": POSITION_ZERO, "m_per_count": M_PER_COUNT},
         "force": {

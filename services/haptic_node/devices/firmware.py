@@ -104,8 +104,8 @@ def compiled(
 class FirmwareCore:
     """One handle: bytes and samples in, drive and bytes out. Time is that of the samples."""
 
-    def __init__(self, identity: BoardIdentity, library: Path | None = None) -> None:
-        self._functions = _functions(library or build_library())
+    def __init__(self, identity: BoardIdentity) -> None:
+        self._functions = _functions(build_library())
         self._handle = self._functions.emulated_new(
             identity.device_id,
             identity.session,

@@ -32,6 +32,7 @@ from services.runtime.settings.device_drivers import Drivers
 from services.signals import children
 
 RETRY_S = 0.5
+_SERVO = (sys.executable, "-m", "services.haptic_node.devices.servo_process")
 OPEN_S = 15.0
 _POLL_S = 0.01
 _END_S = 1.0
@@ -191,19 +192,10 @@ class ProcessLink:
     Args:
         kind: The name of the driver.
         settings: Those of its section.
-        command_line: What is started; a test replaces it.
-        now_ns: The monotonic clock [ns].
     """
 
-    def __init__(
-        self,
-        kind: str,
-        settings: dict[str, Any],
-        *,
-        command_line: tuple[str, ...] = (sys.executable, "-m", "services.haptic_node.devices.servo_process"),
-        now_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        self._kind, self._settings, self._command_line, self._now_ns = kind, settings, command_line, now_ns
+    def __init__(self, kind: str, settings: dict[str, Any]) -> None:
+        self._kind, self._settings = kind, settings
         self._process: subprocess.Popen[bytes] | None = None
         self._shared: SharedServo | None = None
         self._file: Path | None = None
@@ -259,8 +251,8 @@ class ProcessLink:
             return self._shared.sample()
         # The force went with the process: the service and the device take it away when nobody commands them.
         error = f"the process of the servo has ended with code {code}; it is started again"
-        if self._now_ns() >= self._retry_ns:
-            self._retry_ns = self._now_ns() + round(RETRY_S * 1e9)
+        if time.monotonic_ns() >= self._retry_ns:
+            self._retry_ns = time.monotonic_ns() + round(RETRY_S * 1e9)
             self._end()
             self._start()
         return (self._shared.sample() or ServoSample())._replace(error=error)
@@ -288,7 +280,7 @@ class ProcessLink:
                 os.close(descriptor)
         # Its start must not stop the loop: under SCHED_FIFO it would share the node's processor as an equal.
         with ordinary_scheduling():
-            self._process = children.start(self._command_line, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            self._process = children.start(_SERVO, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert self._process.stdin is not None
         order = {"kind": self._kind, "settings": self._settings, "shared": str(self._file)}
         with contextlib.suppress(BrokenPipeError):

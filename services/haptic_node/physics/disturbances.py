@@ -7,19 +7,16 @@ is seen by the force sensor and moves the arm only through the law.
 """
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple, cast
 
 from pydantic import Field
 
-from proto.errors import ConfigError, RefusedError
-from proto.messages import Scalar
 from services.haptic_node.driver import Capabilities, DeviceReading
 from services.haptic_node.physics.coupled import CoupledParams
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.haptic_node.physics.step import PlantParams
 from services.numerics.normal_numbers import normal_number
-from services.runtime.settings.config import Settings, merge, nested, validate
+from services.runtime.settings.config import Settings
 
 _TREMOR_Q = 8.0
 
@@ -102,19 +99,6 @@ def disturbed(
         force += config.tremor.rms_n * tremor
     found = reading._replace(position_m=position, velocity_m_per_s=velocity, operator_force_n=force)
     return HandDisturbanceState(position, tremor, quadrature, drawn), found
-
-
-def changed_disturbances(config: HandDisturbanceConfig, parameters: Mapping[str, Scalar]) -> HandDisturbanceConfig:
-    """Return disturbances with keys `disturbances.…` changed; RefusedError says what is wrong with them."""
-    if not parameters:
-        raise RefusedError("set needs parameters, such as disturbances.tremor.enabled=true")
-    try:
-        document = merge({"disturbances": config.model_dump()}, nested(parameters, "session/control"))
-        if others := sorted(set(document) - {"disturbances"}):
-            raise RefusedError(f"haptic_node.{', '.join(others)}: unknown key, known is disturbances")
-        return validate(HandDisturbanceConfig, document["disturbances"], "session/control", "haptic_node.disturbances")
-    except ConfigError as error:
-        raise RefusedError(str(error)) from error
 
 
 class DisturbedHaptic(SimulatedHaptic):

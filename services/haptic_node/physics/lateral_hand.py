@@ -41,35 +41,35 @@ Across = Annotated[float, Field(ge=-0.5, le=0.5)]
 class LateralPoint(Settings):
     """One corner of an intended path across."""
 
-    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
-    x_m: Across = Field(default=0.0, description="Where the hand means to be, x [m]; [-0.5, 0.5]")
-    y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]; [-0.5, 0.5]")
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]")
+    x_m: Across = Field(default=0.0, description="Where the hand means to be, x [m]")
+    y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]")
 
 
 class LateralHandConfig(Settings):
     """The simulated hand across the sample."""
 
-    mass_kg: float = Field(default=0.1, ge=1e-3, le=100.0, description="Mass of the stylus m [kg]; [0.001, 100]")
+    mass_kg: float = Field(default=0.1, ge=1e-3, le=100.0, description="Mass of the stylus m [kg]")
     damping_n_s_per_m: float = Field(
         default=40.0,
         ge=0.0,
         le=1e3,
         description="Damping of stylus and hand while a person pulls, b [N s/m]; 40 bears the spring of a page that is"
-        " up to 0.3 s late; [0, 1000]",
+        " up to 0.3 s late",
     )
     free_damping_n_s_per_m: float = Field(
         default=1.5,
         ge=0.0,
         le=1e3,
         description="Its own damping, while nobody pulls [N s/m]; 1.5 lets the usual spring of mode rate bring it back"
-        " to the middle in 0.3 s without overshoot; [0, 1000]",
+        " to the middle in 0.3 s without overshoot",
     )
-    reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]; [1e-4, 0.5]")
+    reach_m: float = Field(default=0.02, ge=1e-4, le=0.5, description="Its reach either way [m]")
     max_force_n: float = Field(
         default=5.0, gt=0.0, le=100.0, description="Most that person and controller each pull with [N]; (0, 100]"
     )
     stiffness_n_per_m: float = Field(
-        default=200.0, ge=0.0, le=1e5, description="Spring of the person to the path below [N/m]; [0, 1e5]"
+        default=200.0, ge=0.0, le=1e5, description="Spring of the person to the path below [N/m]"
     )
     path: Annotated[tuple[LateralPoint, ...], Field(strict=False)] = Field(
         default=(), max_length=10_000, description="Corners of the intended path, linear between; none: no person"

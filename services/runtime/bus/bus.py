@@ -14,7 +14,6 @@ from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus.newest import Header, Taken, without_superseded
-from services.runtime.bus.outgoing_batch import OutgoingBatch
 from services.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from services.runtime.bus.reader import NetworkEvents, Reader, Refusals
 from services.runtime.loop.clock import NEVER_NS, Clock
@@ -23,9 +22,10 @@ from services.runtime.loop.clock import NEVER_NS, Clock
 # Beyond that the newest are lost, which the reader counts.
 QUEUE_S = 10
 RECEIVE_HIGH_WATER_MARK = SEND_HIGH_WATER_MARK
-# A reader of the newest messages needs no more than it reads at once. Its publisher drops what is older than ten
-# seconds, together with the connection, so that the reader begins with the newest when it goes on.
-_NEWEST_HIGH_WATER_MARK = 256
+# A reader with heartbeats has room for what comes in five minutes while its thread is held up, such as by a compiler.
+# Where its socket is full, libzmq reads no answer to its pings, gives the connection up, and may abort the process when
+# a message is taken (libzmq #3937).
+PINGING_HIGH_WATER_MARK = 30 * SEND_HIGH_WATER_MARK
 _PING_MS = 1000
 # a frame above this is not even taken into memory: libzmq drops the connection that sent it
 _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
@@ -114,9 +114,10 @@ class Subscriber:
         self.shared = not connect
         self.socket = context.socket(zmq.SUB)
         self.socket.set(zmq.AFFINITY, FIRST_THREAD)
-        self.socket.set(zmq.RCVHWM, _NEWEST_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
+        self.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK if newest_only else RECEIVE_HIGH_WATER_MARK)
         if newest_only:
-            # the peer cuts a connection on which nothing came for the time that a ping of this side names
+            # The peer cuts a connection on which nothing came for the time that a ping of this side names, with what
+            # waits in it, so that a process that was stopped goes on with the newest.
             self.socket.set(zmq.HEARTBEAT_IVL, min(_PING_MS, round(250 * queue_s)))
             self.socket.set(zmq.HEARTBEAT_TTL, round(1000 * queue_s))
             self.socket.set(zmq.HEARTBEAT_TIMEOUT, round(1000 * queue_s))
@@ -274,10 +275,8 @@ class ZmqBus:
         clock: Clock,
         wake_descriptor: int,
         network: NetworkEvents | None = None,
-        batches: Sequence[OutgoingBatch] = (),
     ) -> None:
         self.subscribers = list(subscribers)
-        self._batches = batches
         # At most one reader holds messages back until their time: the end of the link's datagrams.
         self._timed = next((reader for reader in subscribers if not isinstance(reader, Subscriber)), None)
         self._clock = clock
@@ -317,12 +316,6 @@ class ZmqBus:
         that it signalled has been taken.
         """
         self._readable = ()
-        now_ns = self._clock.monotonic_ns()
-        for batch in self._batches:
-            if batch.latest_ns <= now_ns:
-                batch.flush()
-            elif batch.latest_ns < deadline_ns:
-                deadline_ns = batch.latest_ns
         for subscriber in self.subscribers:
             if not subscriber.drained:
                 return
@@ -343,18 +336,6 @@ class ZmqBus:
         """Return whether something may have arrived since the last wait, for `receive`."""
         self._readable, _, _ = select.select(self._descriptors, (), (), 0)
         return bool(self._readable)
-
-    def is_batch_due(self, now_ns: int) -> bool:
-        """Return whether copies for a recorder are to be sent in the next idle gap."""
-        for batch in self._batches:  # noqa: SIM110 - a generator takes three times as long
-            if batch.due_ns <= now_ns:
-                return True
-        return False
-
-    def send_batches(self) -> None:
-        """Send the copies for a recorder that there are."""
-        for batch in self._batches:
-            batch.flush()
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
         """Process events of network connections, if there may be any or `now`; return what happened to them."""

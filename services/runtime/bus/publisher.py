@@ -8,11 +8,9 @@ from typing import Any, Protocol
 import zmq
 
 from proto import TOPICS, compose
-from proto.batch import BATCH_FRAME
 from proto.errors import EndpointError
 from proto.messages import Message
 from services.runtime.bus.endpoint_lock import EndpointLock
-from services.runtime.bus.outgoing_batch import OutgoingBatch
 from services.runtime.loop.clock import Clock
 
 # So many messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
@@ -110,8 +108,6 @@ class ZmqPublisher(_NumberingPublisher):
         self.carry: Callable[[str, bytes], None] | None = None
         # Whether the thread that carries a message has this processor before the next one is taken up.
         self.yields = False
-        # A node of the loop keeps copies here for a recorder on this machine.
-        self._batch: OutgoingBatch | None = None
         prepare(self.socket)
         try:
             bind(self.socket, endpoint, node)
@@ -125,17 +121,10 @@ class ZmqPublisher(_NumberingPublisher):
             self.carry(topic, payload)
         # a player may send under another name
         frame = _FRAMES.get(topic) or topic.encode()
-        if self._batch is not None:
-            self._batch.add(frame, payload)
         self.send_frame(frame, SNDMORE)
         self.send_frame(payload)
         if self.yields:
             os.sched_yield()
-
-    def keep_batch(self) -> OutgoingBatch:
-        """Keep copies of what is sent from now on; whoever waits for this node's messages flushes the batch."""
-        self._batch = OutgoingBatch(self._clock.monotonic_ns, self._send_batch)
-        return self._batch
 
     def also_bind(self, endpoint: str) -> None:
         """Bind a further endpoint; if that fails, everything is closed and EndpointError gives the reason."""
@@ -147,14 +136,8 @@ class ZmqPublisher(_NumberingPublisher):
 
     def close(self) -> None:
         """Close the socket and let the endpoint go."""
-        if self._batch is not None:
-            self._batch.flush(last=True)
         self.socket.close()
         self._lock.release()
-
-    def _send_batch(self, payload: bytes) -> None:
-        self.send_frame(BATCH_FRAME, SNDMORE)
-        self.send_frame(payload)
 
 
 def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:

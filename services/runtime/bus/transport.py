@@ -13,7 +13,7 @@ import zmq
 
 from proto.errors import ConfigError, EndpointError
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import ConnectionEvent, Subscriber
+from services.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
 from services.runtime.bus.estop_inlet import EstopInlet
 from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from services.runtime.bus.publisher import ZmqPublisher
@@ -219,6 +219,7 @@ class Transport:
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
             return Subscriber(self._context, self._clock, by_endpoint, newest_only=newest_only)
         subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False, newest_only=newest_only)
+        subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
         machine = self._book.machine_of(next(iter(plan)))
         peers = PeerConnections(machine, endpoints, subscriber, self._clock, self.access_control, self._rejections)

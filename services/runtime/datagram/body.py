@@ -1,8 +1,7 @@
 """What is inside a sealed datagram: a report to the sender of the other direction, and samples, the newest first.
 
-An end that has said so (`HELLO`) takes samples that are deflated with a dictionary of what every sample has: 60 to 110
-bytes instead of 250 to 300. Ends of earlier versions do not, refuse `HELLO` as malformed, and get samples as they are.
-One that has said so as well takes short reports: the time of sending alone, with its highest bit set.
+Samples are deflated with a dictionary of what every sample has: 60 to 110 bytes instead of 250 to 300. A short report
+is the time of sending alone, with its highest bit set.
 """
 
 import struct
@@ -29,13 +28,9 @@ BOUND = 2**62
 _SHORT = 2**63
 # A datagram has so much room for samples.
 MOST_SAMPLE_BYTES = MOST_BYTES - OVERHEAD_BYTES - REPORT.size
-# This is added to the number of a topic whose sample is deflated.
-_DEFLATED = 0x80
-# These stand where a sample does and carry nothing: this end inflates; a train, of which the sender measures how fast
-# the line carries it; a train that is to be answered with one.
-HELLO, TRAIN, ASKING_TRAIN = 0xFF, 0xFE, 0xFD
-# What `HELLO` carries of an end that takes short reports too; earlier ones carry nothing, and look at nothing there.
-TAKES_SHORT = b"\x01"
+# These stand where a sample does and carry nothing: a train, of which the sender measures how fast the line carries it;
+# a train that is to be answered with one.
+TRAIN, ASKING_TRAIN = 0xFE, 0xFD
 # This one carries what the line carries that the other end sends over [bit/s].
 CARRIES = 0xFC
 # Raw deflate with a window of 4 KiB, which costs little memory and is more than any sample has.
@@ -79,11 +74,10 @@ class Report(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A body: its report, its samples (topic, payload), the marks that stand among them (`HELLO` and others).
+    """A body: its report, its samples (topic, payload), the marks that stand among them (`TRAIN` and others).
 
     `carries` is what the other end has measured of the line from here [bit/s], 0 where it does not say; `carried`, what
-    it found that the line to here carries, 0 while that is not full; `takes_short`, whether it says that it takes short
-    reports.
+    it found that the line to here carries, 0 while that is not full.
     """
 
     report: Report
@@ -91,7 +85,6 @@ class Body(NamedTuple):
     marks: Sequence[int]
     carries: int = 0
     carried: int = 0
-    takes_short: bool = False
 
 
 def short_report(sent_ns: int) -> bytes:
@@ -99,14 +92,11 @@ def short_report(sent_ns: int) -> bytes:
     return SHORT_REPORT.pack(_SHORT | sent_ns)
 
 
-def packed(topic: str, payload: bytes, *, deflated: bool = False) -> bytes:
+def packed(topic: str, payload: bytes) -> bytes:
     """Return a sample as it stands in a body."""
-    number = NUMBERS[topic]
-    if deflated:
-        deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, 9, zlib.Z_DEFAULT_STRATEGY, DICTIONARY)
-        payload = deflate.compress(payload) + deflate.flush()
-        number |= _DEFLATED
-    return SAMPLE.pack(number, len(payload)) + payload
+    deflate = zlib.compressobj(1, zlib.DEFLATED, _WINDOW_BITS, 9, zlib.Z_DEFAULT_STRATEGY, DICTIONARY)
+    deflated = deflate.compress(payload) + deflate.flush()
+    return SAMPLE.pack(NUMBERS[topic], len(deflated)) + deflated
 
 
 def mark(number: int, content: bytes = b"") -> bytes:
@@ -145,7 +135,7 @@ def parse(body: bytes) -> Body:
         raise RejectedError("count")
     samples: list[tuple[bytes, bytes]] = []
     marks: list[int] = []
-    carries, carried, takes_short = 0, 0, False
+    carries = carried = 0
     place = SHORT_REPORT.size if is_short else REPORT.size
     while place < len(body):
         if place + SAMPLE.size > len(body):
@@ -158,14 +148,11 @@ def parse(body: bytes) -> Body:
             marks.append(number)
             content = body[place - length : place]
             if number == CARRIES:
-                # An earlier end says the first only, and reads no more of it.
                 carries, carried = int.from_bytes(content[:8], "big"), int.from_bytes(content[8:16], "big")
                 if max(carries, carried) >= BOUND:
                     raise RejectedError("count")
-            takes_short = takes_short or (number == HELLO and content == TAKES_SHORT)
             continue
-        payload, topic = body[place - length : place], number & ~_DEFLATED
-        if topic >= len(DATAGRAM_TOPICS):
+        if number >= len(DATAGRAM_TOPICS):
             raise RejectedError("malformed")
-        samples.append((_FRAMES[topic], _inflated(payload) if number & _DEFLATED else payload))
-    return Body(report, samples, marks, carries, carried, takes_short)
+        samples.append((_FRAMES[number], _inflated(body[place - length : place])))
+    return Body(report, samples, marks, carries, carried)

@@ -24,10 +24,8 @@ from services.runtime.datagram.body import (
     ASKING_TRAIN,
     CARRIES,
     DATAGRAMS_OF,
-    HELLO,
     REPORT,
     SHORT_REPORT,
-    TAKES_SHORT,
     Body,
     Report,
     mark,
@@ -61,8 +59,6 @@ _UNHEARD_NS = 1_000_000_000
 _OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
 # seconds of exchanges of time stamps in view
 _CLOCK_WINDOW = 64
-# With new keys the other end is told so many times, one of which will arrive, that this one inflates samples.
-_GREETINGS = 8
 # The line is measured so often at the start, because a process that stands still makes it seem narrow.
 _TRAINS, _FURTHER_TRAINS = 9, 6
 # What else crosses a line at the start may make it seem to carry less than this [bit/s]: then it is measured further.
@@ -152,8 +148,6 @@ class DatagramEnd:
         self._maintain_ns = self._report_ns = now
         self._offered_ns = now - _CALM_OFFER_NS
         self._kernel_drops = 0
-        # How often the other end is still to be told that this one inflates samples.
-        self._greetings = 0
         # What the other end has measured of the line from here [bit/s], 0 before that.
         self._known = 0
         # How many trains are still to be sent at the start.
@@ -326,9 +320,6 @@ class DatagramEnd:
             return
         self.arrivals.record(number, report.sent_ns, now_ns)
         self.incoming.record(size, now_ns, body.marks)
-        if body.marks:
-            self.outgoing.deflates = True
-            self.outgoing.shortens = self.outgoing.shortens or body.takes_short
         if body.carries:
             self._known = body.carries
         if CARRIES in body.marks:
@@ -379,7 +370,7 @@ class DatagramEnd:
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
             self._count_kernel_drops()
-            if self.outgoing.deflates:
+            if self.acknowledged:
                 figures = (self.incoming.measured, self.outgoing.control.carried_while_full)
                 self._send(mark(CARRIES, b"".join(figure.to_bytes(8, "big") for figure in figures)), now_ns)
             if self._expected:
@@ -393,9 +384,6 @@ class DatagramEnd:
         if self.acknowledged:
             offset = self.offset.estimate()
             self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
-            if self._greetings:
-                self._greetings -= 1
-                self._send(mark(HELLO, TAKES_SHORT), now_ns)
             if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or self._seems_narrow()):
                 self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
         if self.incoming.wants_train:
@@ -432,7 +420,6 @@ class DatagramEnd:
             if new and agreement.opener is not None:
                 self.arrivals.begin(agreement.opener.window)
                 self.outgoing.forget_reports(new_process=silent)
-                self._greetings = _GREETINGS
                 self._expected = 0
                 self._reception.begin_keys(now_ns)
             changed = changed or new

@@ -1,9 +1,9 @@
 """The standing queue of a line, each way, from exchanges of four time stamps between two clocks that drift.
 
 With the times t1 to t4 of `clock_offset`, the way there appears to take f = t2 - t1 and the way back b = t4 - t3, each
-with the offset of the clocks in it, which drifts: f rises as b falls. A queue only ever adds to one of them. So of all
-pairs of lines with opposite slopes, f0 + s t below every f and b0 - s t below every b, the highest pair is the empty
-line. That is a linear program in one unknown, s, whose objective min(f - s t) + min(b + s t) is concave.
+with the offset of the clocks in it, which drifts: f rises as b falls. A queue only ever adds to one of them. So every f
+bounds the offset from above and every -b from below, and the two lines that touch these bounds from inside, by which
+clocks are known (`recording.clock_line`), are the delays of the empty line.
 
 What a datagram took beyond its line was queueing or jitter. The least of that within a tenth of a second is a queue
 that stands (Nichols and Jacobson, "Controlling queue delay", ACM Queue 10, 2012): jitter comes and goes within it.
@@ -13,6 +13,7 @@ Neither way can have more of a queue than the round trip, which no clock enters,
 from collections import deque
 from typing import NamedTuple
 
+from recording.clock_line import Bound, fitted
 from services.runtime.loop.clock_offset import STEP_NS, Exchange
 
 # A queue stands if it does for two of these [ns].
@@ -22,18 +23,15 @@ _VARIATIONS, _FEWEST_SEEN = 16, 3
 # Least delays are kept for spans of equal length, of which there are so many; a span grows from the first to the last
 # length [ns], and what is older than all of them (ten minutes) is forgotten, because routes change.
 _SPANS, _FIRST_SPAN_NS, _LAST_SPAN_NS = 64, 250_000_000, 16_000_000_000
-_STEEPEST = 1e-3
-# A slope must raise the lines by this share of what it moves them by: of equally good ones the flattest is right.
-_FLATTER = 0.05
 _FEWEST_SPANS = 4
 
 
 class Least(NamedTuple):
     """The least delays of one span, each with its time: there, back, and both ways of one exchange [ns]."""
 
-    there: tuple[float, float]
-    back: tuple[float, float]
-    both_ns: float
+    there: Bound
+    back: Bound
+    both_ns: int
 
     def and_least(self, other: "Least") -> "Least":
         """Return the least of two spans."""
@@ -41,7 +39,7 @@ class Least(NamedTuple):
         return Least(there, back, min(self.both_ns, other.both_ns))
 
 
-def _delay(point: tuple[float, float]) -> float:
+def _delay(point: Bound) -> int:
     return point[1]
 
 
@@ -57,9 +55,9 @@ class Line:
         self._spans: list[Least] = []
         self._span_ns = _FIRST_SPAN_NS
         self._now: Least | None = None
-        self._now_ends_ns = 0.0
+        self._now_ends_ns = 0
         self._slope = self._there = self._back = 0.0
-        self._least_both = 0.0
+        self._least_both = 0
         self._lowest = self._before = (0.0, 0.0)
         self._most_back = 0.0
         self._highest, self._last, self._seen = 0.0, 0.0, 0
@@ -100,8 +98,8 @@ class Line:
         there, back = exchange.received_there_ns - exchange.sent_ns, exchange.received_ns - exchange.sent_there_ns
         if self._zero is None:
             self._zero = (exchange.received_ns, there, back)
-        at, f, b = (float(x - zero) for x, zero in zip((exchange.received_ns, there, back), self._zero, strict=True))
-        if at < 0.0 or f + b < self._least_both - STEP_NS:
+        at, f, b = (x - zero for x, zero in zip((exchange.received_ns, there, back), self._zero, strict=True))
+        if at < 0 or f + b < self._least_both - STEP_NS:
             # No round trip is that much shorter than the shortest: this process was given another clock.
             self.forget()
             return
@@ -112,7 +110,7 @@ class Line:
         most = f + b - self._least_both
         self._see(at, min(f_above - self._there, most), min(b_above - self._back, most))
 
-    def _keep(self, found: Least, at: float) -> None:
+    def _keep(self, found: Least, at: int) -> None:
         self._now = found if self._now is None else self._now.and_least(found)
         if at < self._now_ends_ns:
             return
@@ -132,31 +130,14 @@ class Line:
         another rate, since then: the older half of the spans is forgotten.
         """
         while True:
-            self._slope = self._best_slope() if len(self._spans) >= _FEWEST_SPANS else 0.0
-            self._there, self._back = self._lines(self._slope)
+            line = fitted([span.there for span in self._spans], [(at, -delay) for _, (at, delay), _ in self._spans])
+            self._slope = line.drift
+            half, middle = 0.5 * line.round_trip_ns, line.at(0)
+            self._there, self._back = half + middle, half - middle
             self._least_both = min(span.both_ns for span in self._spans)
-            gap = self._least_both - self._there - self._back
-            if gap <= STEP_NS or len(self._spans) < _FEWEST_SPANS:
+            if self._least_both - line.round_trip_ns <= STEP_NS or len(self._spans) < _FEWEST_SPANS:
                 return
             del self._spans[: len(self._spans) // 2]
-
-    def _lines(self, slope: float) -> tuple[float, float]:
-        there = min(span.there[1] - slope * span.there[0] for span in self._spans)
-        back = min(span.back[1] + slope * span.back[0] for span in self._spans)
-        return there, back
-
-    def _best_slope(self) -> float:
-        length = self._spans[-1].there[0] - self._spans[0].there[0]
-        low, high = -_STEEPEST, _STEEPEST
-        for _ in range(40):
-            first, second = low + (high - low) / 3, high - (high - low) / 3
-            if sum(self._lines(first)) - _FLATTER * abs(first) * length < (
-                sum(self._lines(second)) - _FLATTER * abs(second) * length
-            ):
-                low = first
-            else:
-                high = second
-        return 0.5 * (low + high)
 
     def _see(self, at: float, there: float, back: float) -> None:
         if at >= self._window_ends_ns:

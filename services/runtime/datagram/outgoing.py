@@ -46,10 +46,6 @@ class Outgoing:
         self.line = Line()
         self.control = RateControl(settings.budget_kbit_per_s * 125.0)
         self.repeats = Repeats(settings.repeats)
-        # It is true once the other end has said that it inflates samples.
-        self.deflates = False
-        # Likewise once it has said that it takes reports that say only when they were sent.
-        self.shortens = False
         self.bytes = self.datagrams = self.unsent = 0
         self._budget = SendBudget(settings.budget_kbit_per_s, now_ns)
         self._delivery = Delivery()
@@ -67,14 +63,14 @@ class Outgoing:
         limited = self.control.mode != "free"
         if limited and topic == _REPORTED:
             if now_ns - self._beside_ns >= _REPORTS_NS:
-                self._beside, self._beside_ns = packed(topic, payload, deflated=self.deflates), now_ns
+                self._beside, self._beside_ns = packed(topic, payload), now_ns
             return b""
         left = self._budget.left_bytes(now_ns)
         if limited and left < 0.9 * (self._bytes_each - NETWORK_BYTES):
             # It is known before the work of packing that there is no room.
             self.unsent += 1
             return b""
-        sample = packed(topic, payload, deflated=self.deflates)
+        sample = packed(topic, payload)
         if len(sample) > MOST_SAMPLE_BYTES or (not limited and len(sample) + REPORT.size + OVERHEAD_BYTES > left):
             self.unsent += 1
             return b""
@@ -85,7 +81,7 @@ class Outgoing:
 
     def leaves_report_out(self, now_ns: int) -> bool:
         """Return whether a sample goes without what was heard from the other end: 32 bytes of a line that is full."""
-        if not self.shortens or self.control.mode == "free" or now_ns - self._whole_report_ns >= _WHOLE_REPORT_NS:
+        if self.control.mode == "free" or now_ns - self._whole_report_ns >= _WHOLE_REPORT_NS:
             self._whole_report_ns = now_ns
             return False
         return True
@@ -149,9 +145,9 @@ class Outgoing:
             first: The mark in its datagrams, which may ask for a train in return.
 
         Returns:
-            Whether the train was sent: not to an end that does not know them, and not soon after another one.
+            Whether the train was sent: not soon after another one.
         """
-        if not self.deflates or now_ns - self._train_ns < _TRAIN_PAUSE_NS:
+        if now_ns - self._train_ns < _TRAIN_PAUSE_NS:
             return False
         self._train_ns = now_ns
         # The samples behind it do not pay for it.
@@ -162,9 +158,8 @@ class Outgoing:
         return True
 
     def forget_reports(self, *, new_process: bool) -> None:
-        """Forget what was reported under the keys before; of a new process also its clock, and whether it inflates."""
+        """Forget what was reported under the keys before; of a new process also its clock."""
         self.repeats.forget()
         self._delivery = Delivery()
         if new_process:
             self.line.forget()
-            self.deflates = self.shortens = False

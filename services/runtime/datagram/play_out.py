@@ -10,6 +10,8 @@ slowest take longer. The node and the studies use this very code.
 """
 
 _STEP_NS = 50_000
+# A sample is held back by no more beyond the least delay [ns]; readers reject what is older than their deadline.
+_MOST_NS = 40_000_000
 # The least delay may rise by so much with each sample: clocks drift by less, and routes change.
 _RECOVERY_NS = 1_000
 
@@ -17,13 +19,11 @@ _RECOVERY_NS = 1_000
 class PlayOut:
     """The buffer of one direction."""
 
-    def __init__(self, late_share: float = 0.01, most_s: float = 0.04) -> None:
+    def __init__(self, late_share: float = 0.01) -> None:
         """Begin without a target; ValueError for a share that is not between 0 and 1.
 
         Args:
             late_share: The share of the samples that may come too late for the target, 0..1.
-            most_s: How long a sample may be held back beyond the least delay [s]; readers reject what is older than
-                their deadline.
 
         Raises:
             ValueError: The share is not between 0 and 1.
@@ -32,7 +32,6 @@ class PlayOut:
             raise ValueError(f"late_share is {late_share}, must be between 0 and 1")
         self._up_ns = round(_STEP_NS * (1.0 - late_share))
         self._down_ns = round(_STEP_NS * late_share)
-        self._most_ns = round(most_s * 1e9)
         self._least_ns: int | None = None
         self._target_ns = 0
 
@@ -43,5 +42,5 @@ class PlayOut:
             self._least_ns = self._target_ns = delay_ns
         self._least_ns = min(delay_ns, self._least_ns + _RECOVERY_NS)
         self._target_ns += self._up_ns if delay_ns > self._target_ns else -self._down_ns
-        self._target_ns = min(max(self._target_ns, self._least_ns), self._least_ns + self._most_ns)
+        self._target_ns = min(max(self._target_ns, self._least_ns), self._least_ns + _MOST_NS)
         return max(arrived_ns, sent_ns + self._target_ns)

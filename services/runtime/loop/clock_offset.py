@@ -34,11 +34,6 @@ class Exchange(NamedTuple):
     received_ns: int
 
     @property
-    def offset_ns(self) -> float:
-        """Offset of the other clock against this one [ns], positive when the other is ahead."""
-        return 0.5 * ((self.received_there_ns - self.sent_ns) + (self.sent_there_ns - self.received_ns))
-
-    @property
     def round_trip_ns(self) -> int:
         """Time on the way, both ways [ns], without the time spent at the other site."""
         return (self.received_ns - self.sent_ns) - (self.sent_there_ns - self.received_there_ns)

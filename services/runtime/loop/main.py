@@ -23,7 +23,6 @@ from services.runtime.loop.node import Node, NodeBus, NodeContext
 from services.runtime.loop.participant import Participant, StopSignals, open_participant, run_loop
 from services.runtime.loop.realtime import (
     RealtimeConfig,
-    ahead_of_others,
     apply_realtime,
     behind_others,
     ordinary_scheduling,
@@ -53,8 +52,8 @@ class Wiring(Participant):
 class NodeKind(Generic[C]):
     """A kind of node: its name in the table of nodes, its section of the scenario and how it is built.
 
-    `realtime`, whether it is in the loop; `observer`, whether it shows what the others do: it comes behind them, and
-    keeps the garbage collector.
+    `realtime`, whether it is in the loop: what is not comes behind the others; `observer`, whether it shows what they
+    do: it keeps the garbage collector.
     """
 
     name: str
@@ -160,7 +159,7 @@ def _run(kind: NodeKind[C], given: NodeArguments, log: StructuredLog) -> None:
         loaded.scenario.realtime_in_force() if kind.realtime else RealtimeConfig(scheduler="normal", memory_lock="off")
     )
     if not kind.realtime:
-        (behind_others if kind.observer else ahead_of_others)()
+        behind_others()
     # It comes before the ZeroMQ context exists, whose threads inherit the scheduling.
     key = f"{kind.name}@{given.site}"
     status = apply_realtime(wanted, log, key)

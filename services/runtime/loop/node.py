@@ -59,31 +59,6 @@ class NodeContext:
         self.log.write(level, text, kind=kind, **data)
 
 
-class DeviceDelay:
-    """What a real device adds to the round trip: as it is declared, and how old its samples really were.
-
-    Args:
-        declared_s: The delay as it is declared [s].
-        calibration: The identity of the calibration in use.
-    """
-
-    def __init__(self, declared_s: float, calibration: str) -> None:
-        self._declared_s, self._calibration = declared_s, calibration
-        self._sum_s, self._count = 0.0, 0
-
-    def record(self, age_s: float) -> None:
-        self._sum_s += age_s
-        self._count += 1
-
-    def report(self) -> dict[str, float | str]:
-        """Return the part of node/health, and begin a new interval."""
-        found: dict[str, float | str] = {"device_latency_s": self._declared_s, "calibration": self._calibration}
-        if self._count:
-            found["device_age_s"] = self._sum_s / self._count
-        self._sum_s, self._count = 0.0, 0
-        return found
-
-
 class Node(ABC):
     """One process of the rig: a state machine that messages and deadlines drive.
 
@@ -119,8 +94,6 @@ class Node(ABC):
         self.stale = 0
         # It knows the age of the messages and of the hand's samples, and whether this process stalled.
         self.freshness = Freshness(context.key, self.clock.now_ns())
-        # The delay of a real device, for node/health.
-        self.device_delay: DeviceDelay | None = None
         # A switch of the device itself has stopped it so many times.
         self.own_stops = 0
 
@@ -165,6 +138,10 @@ class Node(ABC):
         """
         raise ValueError(f"{self.context.key} keeps none")
 
+    def device_health(self) -> Mapping[str, float | str]:
+        """Return what node/health has of a real device since the last call."""
+        return {}
+
     def further_outputs(self) -> Mapping[str, int]:
         """Return the number of the next output by each way past the node's own bus, for the journal."""
         return {}
@@ -195,7 +172,7 @@ class Node(ABC):
 
 
 class NodeBus(Bus, Protocol):
-    """The bus of a node, which counts its inputs and holds the batches for a recorder."""
+    """The bus of a node, which counts its inputs."""
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of every input."""
@@ -211,12 +188,6 @@ class NodeBus(Bus, Protocol):
 
     def has_arrived(self) -> bool:
         """Return whether something may have arrived since the last wait, for `receive`."""
-
-    def is_batch_due(self, now_ns: int) -> bool:
-        """Return whether copies for a recorder are to be sent in the next idle gap."""
-
-    def send_batches(self) -> None:
-        """Send the copies for a recorder that there are."""
 
 
 def resident_bytes() -> int:

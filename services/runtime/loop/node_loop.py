@@ -111,7 +111,7 @@ class NodeLoop:
             self._act_on_deadline(now)
             event = ""
         if event is not None and self.node.idle_after is not None:
-            self._note_event(event, woken)
+            self._deferred.note_event(woken, self._clock.monotonic_ns(), is_last=event == self.node.idle_after)
         if now >= self._health_ns:
             self._defer_report(now)
         if self._deferred.due_ns < NEVER_NS:
@@ -159,12 +159,6 @@ class NodeLoop:
         act()
         if journal is not None:
             journal.record_turn(kind)
-
-    def _note_event(self, event: str, begin_ns: int) -> None:
-        end_ns = self._clock.monotonic_ns()
-        self._deferred.note_event(begin_ns, end_ns, is_last=event == self.node.idle_after)
-        if self._bus.is_batch_due(end_ns):
-            self._deferred.add(self._bus.send_batches)
 
     def _defer_report(self, now_ns: int) -> None:
         """Add the tasks of a report: what node/health says, the message, and the batch of the journal."""
@@ -254,7 +248,7 @@ class NodeLoop:
             "memory_locked": self._realtime.memory_locked,
             "replay": self.node.replay,
             "inputs": self._bus.input_health(),
-            **(self.node.device_delay.report() if self.node.device_delay is not None else {}),
+            **self.node.device_health(),
         }
         self._receives_all = all(row.age_valid or not TOPICS[row.topic].rate_hz for row in self._health["inputs"])
         self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns

@@ -13,7 +13,6 @@ from proto.extras import how_to_install
 from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Bus, Subscriber, ZmqBus
-from services.runtime.bus.outgoing_batch import OutgoingBatch
 from services.runtime.bus.publisher import Publisher, ZmqPublisher
 from services.runtime.bus.reader import Reader
 from services.runtime.bus.transport import Transport, open_context
@@ -46,22 +45,18 @@ class Participant:
     wake_descriptor: int
     period_s: float = LOOP_PERIOD_S
     resources: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
-    batches: list[OutgoingBatch] = field(default_factory=list)
 
-    def bind(self, key: str, kind: int = zmq.PUB, *, batched: bool = False) -> ZmqPublisher:
+    def bind(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
         """Bind the endpoints of a node; EndpointError gives the reason if that fails.
 
         Args:
             key: The node as node@site.
             kind: The kind of the socket, of ZeroMQ.
-            batched: Whether a recorder on this machine may get the messages in batches, which the bus sends.
 
         Raises:
             EndpointError: The endpoints cannot be bound; the message has the reason.
         """
         publisher = self.resources.enter_context(contextlib.closing(self.network.publisher(key, kind)))
-        if batched:
-            self.batches.append(publisher.keep_batch())
         log = RateLimitedLog(self.log, self.clock)
         publisher.on_limited = lambda text: log.warning("range", text)
         return publisher
@@ -98,7 +93,7 @@ class Participant:
             newest_only: True for a node of the loop, which acts on the newest message of each `latest` topic.
         """
         # The publisher is opened first, because it may fail, and nothing is open yet.
-        publisher = self.bind(self.key, batched=newest_only)
+        publisher = self.bind(self.key)
         subscribers = self.subscribers(self.book.sources(self.key, topics), newest_only=newest_only)
         ends = self.datagrams(publisher, publisher, subscribers) if self.key == FAR_END else []
         return self.bus_of(publisher, [*subscribers, *ends, *(self.estop_inlet() if self.key in DEVICES else ())])
@@ -129,7 +124,7 @@ class Participant:
 
     def bus_of(self, publisher: Publisher, subscribers: Sequence[Reader]) -> ZmqBus:
         """Make one bus of sockets that were opened before."""
-        bus = ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network, self.batches)
+        bus = ZmqBus(publisher, subscribers, self.clock, self.wake_descriptor, self.network)
         bus.is_brief = self.book.spans_machines and site_of(self.key) == "slave"
         return bus
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from presets.regular_files import read_regular
-from proto.errors import ConfigError, known_names, probably_meant
+from proto.errors import ConfigError, RefusedError, known_names, probably_meant
 from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_value
 
 M = TypeVar("M", bound=BaseModel)
@@ -145,6 +145,17 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
                 raise ConfigError(f"{origin}: {undecodable}") from error
             raise ConfigError(_describe(error, origin, model, section)) from error
         raise ConfigError(f"{origin}: {error}") from error
+
+
+def changed_section(config: M, parameters: Mapping[str, Any], section: str, node: str) -> M:
+    """Return settings of a section with keys `section.…` changed by a command; RefusedError says what is wrong."""
+    try:
+        document = merge({section: config.model_dump()}, nested(parameters, "session/control"))
+        if others := sorted(set(document) - {section}):
+            raise RefusedError(f"{node}.{', '.join(others)}: unknown key, known is {section}")
+        return validate(type(config), document[section], "session/control", f"{node}.{section}")
+    except ConfigError as error:
+        raise RefusedError(str(error)) from error
 
 
 def _undecodable(value: Any, key: str = "") -> str:

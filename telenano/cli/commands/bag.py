@@ -304,24 +304,18 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="parquet, csv (folders), hdf5, mcap-json, nexus, or that of a package, such as protobuf or ros2.",
+            help="parquet, csv (folders), hdf5, mcap-json, or that of a package.",
         ),
     ],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Convert a recording for other tools; viewers read mcap-json, archives nexus."""
+    """Convert a recording for other tools; viewers read mcap-json."""
     with report_errors(as_json):
-        chosen = Selection.of(topics or (), exclude or ())
-        if to == "nexus":
-            from analysis.nexus_files import export_session
+        from recording.export import export_recording
 
-            _print_model(export_session(file, out, chosen), as_json)
-        else:
-            from recording.export import export_recording
-
-            _print_model(export_recording(file, out, to, chosen), as_json)
+        _print_model(export_recording(file, out, to, Selection.of(topics or (), exclude or ())), as_json)
 
 
 @app.command()

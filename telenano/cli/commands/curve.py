@@ -42,11 +42,7 @@ def curve(
     afm: AfmOption = None,
     overlay: Annotated[
         Path | None,
-        typer.Option(
-            "--overlay",
-            metavar="FILE",
-            help="Measured curve to draw beside it (.ibw, .jpk-force, .h5, .tab; a map or QI data of JPK).",
-        ),
+        typer.Option("--overlay", metavar="FILE", help="Measured curve to draw beside it, as a package reads it."),
     ] = None,
     number: Annotated[
         int, typer.Option("--number", min=0, metavar="N", help="Which curve of a map to overlay; the first is 0.")

@@ -17,7 +17,6 @@ import yaml
 
 from proto.errors import ConfigError
 from proto.extras import how_to_install
-from telenano.cli.commands.device_accept import accept
 from telenano.cli.commands.device_calibrate import calibrate_stage
 from telenano.cli.commands.device_files import run_ahead, section_of, write_document
 from telenano.cli.commands.device_impedance import KindOption, SetOption
@@ -37,7 +36,6 @@ simulate = command_group()
 guard = command_group()
 calibrate = command_group()
 calibrate.command("stage")(calibrate_stage)
-app.command("accept")(accept)
 app.command()(monitor)
 app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 app.add_typer(simulate, name="simulate", help="Run an emulated device in this terminal.")

@@ -29,13 +29,12 @@ def list_all(
             metavar="PREFIX", help="Only keys that begin so, such as delay_node.", autocompletion=scenario_sections
         ),
     ] = "",
-    as_page: Annotated[bool, typer.Option("--markdown", help="Print them as the page docs/scenarios.md.")] = False,
     core: CoreOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the keys of a scenario with default, range and unit: whatever `--set` can change."""
     with report_errors(as_json):
-        from services.launcher.scenario_keys import all_keys, markdown
+        from services.launcher.scenario_keys import all_keys
 
         keys = [key for key in all_keys(core=core) if key.name.startswith(prefix)]
         if not keys:
@@ -55,8 +54,6 @@ def list_all(
     ]
     if as_json:
         print_json({"keys": rows})
-    elif as_page:
-        typer.echo(markdown(keys), nl=False)
     else:
         print_rows([{key: value for key, value in row.items() if key != "type"} for row in rows])
 

@@ -85,7 +85,7 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     from services.afm_node.config import AfmConfig
     from services.afm_node.programs.settings import requested
     from services.afm_node.virtual import VirtualInstrument
-    from studies.assembly.bench import DISTURBED, bench
+    from studies.loops.particle_bench import DISTURBED, bench
 
     given = flag_overrides(overrides)
     lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}

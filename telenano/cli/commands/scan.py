@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from proto.messages import Scalar
     from studies.instrument.scan import ScanResult
 
-_FILES = ("scan.gwy", "scan.gsf", "scan.nxs", "scan.png")
-
-
 # fields of the model for which the command has options of its own
 _OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "--size", "depth_m": "--size"}
 
@@ -45,7 +42,7 @@ _OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "
 @with_options(ScanSettings, _OWN)
 def scan(
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.nxs, scan.png.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png; packages add more.")
     ],
     given: dict[str, Any],
     name: SampleOption = "dots",
@@ -67,7 +64,7 @@ def scan(
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
     with report_errors(as_json):
-        require("gwyfile", "h5py")
+        require("gwyfile")
         mode = given.get("mode") or (ScanSettings() if live else ScanSettings.in_simulated_time()).mode
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
@@ -102,7 +99,7 @@ def scan(
                 result = scans.scan(surface, request, config, advanced, noise)
             finish()
             said = _say_if_interrupted(result.partial)
-            write_images(folder, _images(result, mode), mode, sample=sample.name)
+            files = write_images(folder, _images(result, mode), mode, sample=sample.name)
     document: dict[str, Any] = {
         "sample": sample.name,
         "mode": mode,
@@ -113,7 +110,7 @@ def scan(
         "correlation": result.correlation,
         "gain_per_s": result.gain_per_s,
         "proportional": result.proportional,
-        "files": [str(out / name) for name in _FILES],
+        "files": [str(out / name) for name in files],
     }
     if result.partial:
         document["partial"] = result.partial
@@ -132,7 +129,7 @@ def _scan_live(
     # The rig decides the values that were not given.
     parameters: dict[str, Scalar] = {"program": "scan", **{f"scan.{name}": value for name, value in given.items()}}
     failure: RigError | KeyboardInterrupt | None = None
-    said = False
+    said, files = False, list[str]()
     with interrupts.finishing() as finish, results_in(out) as folder:
         try:
             report = follow_program(site_file, parameters, image, as_json=as_json, on_end=finish)
@@ -142,11 +139,11 @@ def _scan_live(
         finish()
         if count := image.finished:
             said = _say_if_interrupted(image.partial)
-            write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
+            files = write_images(folder, images_of_lines(image, count), settings.mode, "the running rig")
     if failure is not None:
         raise RigError(f"{failure or 'interrupted'}; {out} has {count} lines") if count else failure
     document = {"mode": settings.mode, "state": report.state, "lines": count, "pixels": settings.pixels,
-                "text": report.text, "files": [str(out / name) for name in _FILES] if count else []}  # fmt: skip
+                "text": report.text, "files": [str(out / name) for name in files]}  # fmt: skip
     if image.partial:
         document["partial"] = image.partial
     print_document(document, str(out), as_json=as_json)
@@ -205,16 +202,36 @@ def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
 
 def write_images(
     out: Path, images: "dict[str, Image]", mode: str, instrument: str = "simulated AFM", *, sample: str = ""
-) -> None:
-    """Write the files of an image into a folder; its height is the channel `height`, its mode contact or tapping."""
-    from analysis import nexus_files
-    from analysis.image_files import write_gsf, write_gwy, write_png
+) -> list[str]:
+    """Write the files of an image into a folder and return their names.
+
+    Args:
+        out: The folder.
+        images: The channels; the height is `height`.
+        mode: contact or tapping.
+        instrument: What took the image.
+        sample: The sample, where it is known.
+    """
+    from analysis.image_files import ImageFacts, write_gsf, write_gwy, write_png
+    from presets import plugins
     from services.recorder.provenance import versions
 
-    found = versions()
-    version = f"{found['package telenano']}, commit {found['commit']}"
-    facts = nexus_files.Facts(images["height"].caption, f"{mode} mode", instrument, version, sample)
-    nexus_files.write_images(out / "scan.nxs", images, facts)
     write_gsf(out / "scan.gsf", images["height"])
     write_gwy(out / "scan.gwy", images)
     write_png(out / "scan.png", images)
+    files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
+    found = versions()
+    facts = ImageFacts(mode, instrument, f"{found['package telenano']}, commit {found['commit']}", sample)
+    formats = plugins.load("images", lambda _, value: value if callable(value) else None, own)
+    for name, write in formats.found.items():
+        path = out / f"scan.{name}"
+        # An image that cannot be taken again is not lost by the code of a package.
+        try:
+            write(path, images, facts)
+            files.append(path.name)
+        except Exception as error:  # noqa: BLE001
+            path.unlink(missing_ok=True)
+            formats.problems[name] = plugins.fault_of_package(error) or str(error)
+    for name, problem in formats.problems.items():
+        typer.echo(f"telenano: scan.{name} was not written: {problem}", err=True)
+    return files

@@ -148,7 +148,7 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: S
         # What draws the figures takes longer to import than the page to open.
         from telenano.recording_document import judged_recording
 
-        return judged_recording(open_indexed(files, in_order=True))
+        return judged_recording(open_indexed(files))
 
     document = RecordingDocument(recordings, judged, LevelCache(files))
     with (

@@ -1,16 +1,13 @@
 """Samples from files and functions: what is read is what was written, and what is wrong is named."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from analysis.image_files import Image, write_gsf, write_gwy
+from analysis.image_files import Image, write_gsf
 from proto.errors import ConfigError
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface_files import read_surface
 
-DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 HEIGHTS = np.random.default_rng(5).normal(0.0, 3e-9, (7, 11)).astype(np.float32).astype(float)
 IMAGE = Image("Height", "m", HEIGHTS, 110e-9, 35e-9)
 
@@ -44,19 +41,6 @@ def test_a_simple_field_comes_back_as_it_was_written(gsf):
     assert (surface.width_m, surface.depth_m) == pytest.approx((110e-9, 35e-9), rel=1e-12, abs=0)
 
 
-def test_a_channel_of_a_gwyddion_file_is_found_by_its_height_or_name(tmp_path):
-    path = tmp_path / "map.gwy"
-    phase = IMAGE._replace(title="Phase", unit="deg", values=HEIGHTS * 1e9)
-    other = IMAGE._replace(title="Retrace Height", values=2 * HEIGHTS)
-    write_gwy(path, {"phase": phase, "height": IMAGE, "other": other})
-    assert np.array_equal(read_surface(path).height_m, HEIGHTS)
-    assert np.array_equal(read_surface(path, "retrace").height_m, 2 * HEIGHTS)
-    with pytest.raises(ConfigError, match="the unit of the heights of channel Phase is 'deg'"):
-        read_surface(path, "phase")
-    with pytest.raises(ConfigError, match="has no channel 'current'; it has: Phase, Height, Retrace Height"):
-        read_surface(path, "current")
-
-
 def test_a_file_in_nanometres_is_converted(tmp_path):
     write_gsf(tmp_path / "nm.gsf", IMAGE._replace(unit="nm", values=HEIGHTS * 1e9))
     assert np.allclose(read_surface(tmp_path / "nm.gsf").height_m, HEIGHTS, rtol=1e-6, atol=0)
@@ -82,9 +66,8 @@ def test_a_wrong_simple_field_is_named_with_what_is_wrong(gsf, old, new, what):
 
 
 def test_no_truncation_gives_a_traceback_or_a_map(tmp_path, gsf):
-    write_gwy(tmp_path / "map.gwy", {"height": IMAGE})
     np.save(tmp_path / "map.npy", HEIGHTS[:, :7])
-    for path in (gsf, tmp_path / "map.gwy", tmp_path / "map.npy"):
+    for path in (gsf, tmp_path / "map.npy"):
         whole = path.read_bytes()
         size_m = 1e-7 if path.suffix == ".npy" else None
         for length in (0, 5, 30, len(whole) // 2, len(whole) - 1):
@@ -129,14 +112,3 @@ def test_a_sample_of_ones_own_is_a_function_of_x_and_y(monkeypatch):
     ):
         with pytest.raises(ConfigError, match=what):
             SampleConfig(name=name, pixels=8).build()
-
-
-@pytest.mark.skipif(not DATA.exists(), reason="measured data are not beside the project: ../shared/data")
-def test_a_measured_topography_is_read_in_metres():
-    surface = read_surface(DATA)
-    assert surface.height_m.shape == (256, 256)
-    # 20 um over 255 intervals, 256 pixels
-    assert surface.width_m == pytest.approx(20e-6 * 256 / 255, rel=1e-6, abs=0)
-    assert surface.height_m.std() == pytest.approx(89.45e-9, rel=1e-3, abs=0)
-    with pytest.raises(ConfigError, match="PhaseTrace is 'deg'"):
-        read_surface(DATA, "phase")

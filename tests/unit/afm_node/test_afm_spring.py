@@ -34,7 +34,7 @@ def test_driver_gives_what_the_compiled_step_gives() -> None:
     state = initial_afm_state(PARAMS)
     for n in range(200):
         asked = AfmInputs(2e-9 * math.sin(0.1 * n), 0.0, 0, n == 0, False)
-        state, out = step(PARAMS, state, asked, 1e-3)
+        state, (out, _) = step(PARAMS, state, asked, 1e-3)
         sample = device.exchange(out.base_m)
         assert (sample.force_n, sample.distance_m, sample.in_contact) == (out.force_n, out.distance_m, out.in_contact)
 

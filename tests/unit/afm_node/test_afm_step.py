@@ -38,31 +38,31 @@ def test_it_starts_retracted_with_the_tip_at_rest(params):
 def test_outputs_describe_one_equilibrium(params):
     _, rows = follow(params, np.full(100, 12e-9))
     last = rows[-1]
-    assert last.base_m == 12e-9
-    assert last.mode == safety.MODE_FOLLOW and last.limited == 0
-    assert last.in_contact and last.meniscus
-    assert math.isclose(last.force_n, 40.0 * last.deflection_m, rel_tol=1e-12)
-    assert math.isclose(last.bridge_voltage_v, last.deflection_m * 6.25e6, rel_tol=1e-12)
-    assert math.isclose(last.deflection_m, last.distance_m + 12e-9 - 10e-9, rel_tol=1e-12)
+    assert last.sample.base_m == 12e-9
+    assert last.allowed.mode == safety.MODE_FOLLOW and last.allowed.limited == 0
+    assert last.sample.in_contact and last.sample.meniscus
+    assert math.isclose(last.sample.force_n, 40.0 * last.sample.deflection_m, rel_tol=1e-12)
+    assert math.isclose(last.sample.bridge_voltage_v, last.sample.deflection_m * 6.25e6, rel_tol=1e-12)
+    assert math.isclose(last.sample.deflection_m, last.sample.distance_m + 12e-9 - 10e-9, rel_tol=1e-12)
 
 
 def test_the_approach_from_the_safe_state_is_limited_in_speed(params):
     _, rows = follow(params, np.zeros(60))
-    bases = np.array([r.base_m for r in rows])
+    bases = np.array([r.sample.base_m for r in rows])
     assert np.diff(bases).max() <= 2e-9 * (1 + 1e-9)
-    assert rows[0].limited == safety.LIMITED_BY_SPEED
-    assert (bases[-1], rows[-1].limited) == (0.0, 0)
+    assert rows[0].allowed.limited == safety.LIMITED_BY_SPEED
+    assert (bases[-1], rows[-1].allowed.limited) == (0.0, 0)
 
 
 def test_the_tip_is_saved_from_a_crash(params):
     state, rows = follow(params, np.full(400, 200e-9))
-    forces = np.array([r.force_n for r in rows])
+    forces = np.array([r.sample.force_n for r in rows])
     tripped = int(np.flatnonzero(forces > params.safety.force_limit_n)[0])
     # one tick later it goes back, and the overshoot is what one tick of motion can do
-    assert rows[tripped + 1].mode == safety.MODE_RETRACTING
-    assert rows[tripped + 1].reason == safety.REASON_FORCE_LIMIT
+    assert rows[tripped + 1].allowed.mode == safety.MODE_RETRACTING
+    assert rows[tripped + 1].allowed.reason == safety.REASON_FORCE_LIMIT
     assert forces.max() <= params.safety.force_limit_n + 40.0 * 2e-9 + 1e-12
-    assert rows[-1].mode == safety.MODE_RETRACTED
+    assert rows[-1].allowed.mode == safety.MODE_RETRACTED
     assert state.safety.base_m == -100e-9
 
 
@@ -75,9 +75,9 @@ def test_the_limit_itself_is_allowed(params):
         force = measure(plant, initial_state(plant, mid), inputs_at(mid, 0.0, 0.0), DT)[1].force_n
         low, high = (mid, high) if force <= limit else (low, mid)
     _, rows = follow(params, np.full(300, low))
-    assert rows[-1].mode == safety.MODE_FOLLOW
+    assert rows[-1].allowed.mode == safety.MODE_FOLLOW
     _, rows = follow(params, np.full(300, high + 1e-12))
-    assert rows[-1].mode != safety.MODE_FOLLOW
+    assert rows[-1].allowed.mode != safety.MODE_FOLLOW
 
 
 def test_the_driver_behind_the_guard_gives_what_the_step_gives(params):
@@ -98,11 +98,7 @@ def test_the_driver_behind_the_guard_gives_what_the_step_gives(params):
         guard, allowed = safety_step(params.safety, guard, SafetyInputs(reference, age, action, arm, False, force), DT)
         sample = afm.exchange(allowed.base_m)
         force = sample.force_n
-        assert sample.base_m == outputs.base_m
-        assert sample.force_n == outputs.force_n
-        assert (sample.distance_m, sample.in_contact, sample.meniscus) == outputs[1:2] + outputs[5:7]
-        assert tuple(allowed[1:]) == outputs[7:11]
-        assert outputs[11:] == (sample.lateral_x_n, sample.lateral_y_n)
+        assert outputs == (sample, allowed)
     afm.close()
 
 
@@ -125,9 +121,9 @@ def virtual_impedance(params, seconds=8.0):
         v += DT * (20.0 * (F_m - F_s) - F_s - 2000.0 * v) / 10.0
         x += DT * v
         state, outputs = step(params, state, AfmInputs(1.5e-6 * x, 0.0, 0, i == 0, False), DT)
-        force = outputs.force_n
+        force = outputs.sample.force_n
         rows[i] = x, F_m, force
-        assert outputs.mode == safety.MODE_FOLLOW
+        assert outputs.allowed.mode == safety.MODE_FOLLOW
     return times, rows
 
 

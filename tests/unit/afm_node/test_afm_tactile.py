@@ -9,7 +9,7 @@ from test_afm_programs import Imager
 from proto.errors import RefusedError
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.law import HandSample, TipMeasurement
-from services.controller.laws.shared.impedance_scaling import impedance_scaled
+from services.controller.laws.tactile import impedance_scaled
 
 SECTION = {
     "cantilever": {"stiffness_n_per_m": 1.0},

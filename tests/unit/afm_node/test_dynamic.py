@@ -16,10 +16,10 @@ from services.afm_node.physics.dynamic import (
     advance,
     free_amplitude_m,
     steady_state,
+    thermal_motion,
 )
 from services.afm_node.physics.dynamic_plant import BOLTZMANN_J_PER_K, NORMALS_PER_PERIOD, Damping, build_dynamic
 from services.numerics.compiled import compiled_form
-from studies.instrument.instrument_calibration import _thermal_motion
 
 CONFIG = AfmConfig()
 PLANT = CONFIG.to_params().plant
@@ -168,7 +168,7 @@ def test_thermal_noise_has_the_density_of_a_damped_spring_from_zero_to_three_tim
     dynamic = build_dynamic(PLANT, 150e3, quality, 150e3, Damping(0, 1e-9, 0, 1e-9), steps, 300.0)
     random, length, pieces = np.random.Generator(np.random.PCG64(2)), 1 << 12, 200
     state, zeta = DynamicState(0.0, 0.0, FAR_M, 0.0, 0.0, False, False, 0), np.empty(length * (pieces + 1))
-    compiled_form(_thermal_motion)(dynamic, state, random.standard_normal(2 * len(zeta)), zeta)
+    compiled_form(thermal_motion)(dynamic, state, random.standard_normal(2 * len(zeta)), zeta)
     window, parts = np.hanning(length), zeta[length:].reshape(pieces, length)
     spectra = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
     found = np.mean(np.abs(spectra) ** 2, axis=0)

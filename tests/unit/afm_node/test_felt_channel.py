@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded_maps import frequency_shift_hz, write_3ds
+from recorded_maps import frequency_shift_hz, write_npz
 from test_recorded_map import Rig, config_of
 
 from services.afm_node.felt import BOUNDS, LEFT, RATE, SATURATED, FeelConfig, Felt, FeltInputs, FeltState, felt_step
-from services.afm_node.physics.sample.force_map import write_map
-from services.afm_node.physics.sample.map_files import Wanted, import_map
 from services.afm_node.programs.lateral import Place
 
 HERE = Place(0.0, 0.0)
@@ -110,9 +108,12 @@ def test_a_table_that_does_not_hold_is_refused_by_name(changes: dict[str, Any], 
 
 @pytest.fixture
 def grid(tmp_path: Path) -> Path:
-    """Write a map of a frequency shift, as Nanonis measures it and the import brings it in."""
-    write_map(tmp_path / "map.npz", import_map(write_3ds(tmp_path / "grid.3ds"), Wanted({}, points=201)).map)
-    return tmp_path / "map.npz"
+    """Write a map of a frequency shift, there and back, whose four columns differ by 1 % from one to the next."""
+    z = np.linspace(0.0, 2e-9, 201)
+    shift = frequency_shift_hz(z) * (1.0 + 0.01 * np.arange(4))[:, None, None]
+    both = np.broadcast_to(np.stack([shift, 0.9 * shift], axis=3), (4, 3, 201, 2))
+    x, y = (1e-9 * (np.arange(count) - 0.5 * (count - 1)) for count in (4, 3))
+    return write_npz(tmp_path / "map.npz", {"value": both, "x": x, "y": y, "z": z, "unit": "Hz", "length_unit": "m"})
 
 
 def test_a_recorded_frequency_shift_is_felt_and_shown_as_no_force(bench_of: Any, grid: Path) -> None:

@@ -93,7 +93,7 @@ def lockstep(params: Any, state: Any, rows: np.ndarray, found: np.ndarray) -> An
         row = rows[n]
         asked = AfmInputs(row[0], 0.0, 0, n == 0, False, row[1], row[2])
         state, out = step(params, state, asked, row[3])
-        found[n, 0], found[n, 1], found[n, 2] = out.base_m, out.force_n, out.distance_m
+        found[n, 0], found[n, 1], found[n, 2] = out.sample.base_m, out.sample.force_n, out.sample.distance_m
     return state
 
 
@@ -107,11 +107,12 @@ def test_the_tip_pushes_a_particle_in_the_driver_of_a_node_and_in_lockstep_alike
     assert device.stage is not None
     lateral_n = []
     for n, (reference_m, x_m, y_m, dt) in enumerate(rows.tolist()):
-        plain, out = step(AFM, plain, AfmInputs(reference_m, 0.0, 0, n == 0, False, x_m, y_m), dt)
+        plain, (out, _) = step(AFM, plain, AfmInputs(reference_m, 0.0, 0, n == 0, False, x_m, y_m), dt)
         device.stage.move_to(x_m, y_m)
         device.elapse(dt)
         sample = device.exchange(out.base_m)
-        assert (sample.base_m, sample.force_n, sample.distance_m) == tuple(found[n]) == (out[0], out[3], out[1])
+        assert sample == out
+        assert (sample.base_m, sample.force_n, sample.distance_m) == tuple(found[n])
         lateral_n.append(device.stage.lateral_force_n[0])
     assert device.state.part == plain.plant == state.plant
     # it went ahead of the tip, then aside of the line y = 1 nm on which the tip goes, and lies there

@@ -9,7 +9,7 @@ from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
-from studies.assembly.bench import bench
+from studies.loops.particle_bench import bench
 
 SPRING = {"environment": "spring", "spring": {"stiffness_n_per_m": 2.0, "rest_position_m": -1e-8, "bilateral": False}}
 KEY = "spring.stiffness_n_per_m"

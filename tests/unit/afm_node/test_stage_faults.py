@@ -190,8 +190,7 @@ def test_fault(rig: Rig, name: str) -> None:
         events.extend(event.text for event in rig.bench.take("session/event"))
         return rig.bench.take("afm/state")[-1]
 
-    assert rig.node.device_delay is not None
-    rig.node.device_delay.report()
+    rig.node.device_health()
     fault.begin(line)
     states = [tick() for _ in range(fault.duration_ms)]
     # driver
@@ -218,7 +217,7 @@ def test_fault(rig: Rig, name: str) -> None:
         assert line.driver.exchanges > exchanges + 10
     if name == "slow device":
         assert states[-1].sample_age_s > 19e-3
-        assert rig.node.device_delay.report()["device_age_s"] > 15e-3
+        assert rig.node.device_health()["device_age_s"] > 15e-3
     # and on it goes: with the tip retracted, until armed
     fault.end(line)
     states, volts[:] = [], []

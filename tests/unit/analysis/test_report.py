@@ -21,7 +21,7 @@ from recording.arrays import columns
 from recording.channel_filter import ALL
 from recording.multi_file import open_recordings
 from recording.reader import Recording
-from recording.rewrite import CopyWriter, filter_recording
+from recording.rewrite import filter_recording
 from services.viz_node.fig12 import draw_fig12
 
 
@@ -192,27 +192,3 @@ def test_the_title_names_the_verdict_and_calls_no_drift_unstable() -> None:
     found = {**CONDITIONS_OF_A_TITLE, "verdict": "drifting", "stable": False}
     text = _title(SimpleNamespace(scenario="fig12", conditions=found), found)  # type: ignore[arg-type]
     assert text == "fig12, wave, round trip of the link 40 ms: drifting, hold ratio 1.050"
-
-
-def test_a_file_in_which_the_hand_is_out_of_order_has_the_report_of_one_in_order(
-    session: Path, whole: tuple[dict[str, Any], bytes], tmp_path: Path
-) -> None:
-    """In the middle of the session a batch was written behind what its publisher sent later."""
-    messages = list(Recording(session).raw())
-    hand = [place for place, message in enumerate(messages) if message.channel.topic == "haptic/state"]
-    first, last = hand[1200], hand[1210]
-    moved = [messages[place] for place in hand[1200:1204]]
-    rest = [message for message in messages[first : last + 1] if message not in moved]
-    late = [message._replace(log_ns=rest[-1].log_ns) for message in moved]
-    path = tmp_path / "out_of_order.mcap"
-    with CopyWriter(path) as writer:
-        writer.copy_attachments_and_metadata([Recording(session)])
-        for message in (*messages[:first], *rest, *late, *messages[last + 1 :]):
-            writer.add(message)
-    assert Recording(path).overtaken == 4
-    summary = write_report(path, tmp_path / "out")
-    expected, file = whole[0], summary["recording"].pop("file")
-    assert file == str(path)
-    assert summary["seq_gaps"] == expected["seq_gaps"]
-    assert summary == expected | {"recording": {k: v for k, v in expected["recording"].items() if k != "file"}}
-    assert (tmp_path / "out" / "fig12.png").read_bytes() == whole[1]

@@ -79,7 +79,7 @@ def keys_of(value: Any, stem: str = "") -> Iterator[str]:
 
 
 def test_every_summary_has_the_keys_of_the_page_and_each_of_them_is_met(summaries: dict[str, dict[str, Any]]) -> None:
-    rows = re.findall(r"^\| `([^`]+)` \|", (ROOT / "docs" / "summary.md").read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(r"^- `([^`]+)` \(", (ROOT / "docs" / "summary.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert len(rows) == len(set(rows)) > 50
     met = {key for summary in summaries.values() for key in keys_of(summary)}
     packages = {f"plugins.<name>.{key}" for key in Package.model_fields}

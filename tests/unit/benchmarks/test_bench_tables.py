@@ -21,7 +21,7 @@ def test_what_is_between_the_marks_is_replaced() -> None:
 
 @pytest.mark.parametrize("name", tables.TABLES)
 def test_each_table_has_its_place_and_its_script(name: str) -> None:
-    assert sum(f"<!-- {name} begins -->" in page.read_text() for page in tables.PAGES) == 1
+    assert tables.PAGE.read_text().count(f"<!-- {name} begins -->") == 1
     assert (ROOT / "benchmarks" / tables.TABLES[name].script).is_file()
 
 
@@ -33,7 +33,6 @@ def test_tables_have_a_row_for_each_figure() -> None:
     assert tables.peers_lines({"age_ms": both, "rig_ratio": both, "missing": ["x"]})[2:] == [
         "| zenoh | 0.50 | 1.00 | 0.5 | 1.0 |", "| the whole rig | 0.50 | 1.00 | 0.5 | 1.0 |", "Not installed: x."
     ]  # fmt: skip
-    assert tables.figure_lines({"rate": {"p50": 2.0}, "whole": True})[2:] == ["| rate, p50 | 2 |", "| whole | 1 |"]
 
 
 def test_a_script_that_fails_is_named() -> None:

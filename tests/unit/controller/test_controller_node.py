@@ -7,9 +7,9 @@ import pytest
 
 from proto.errors import RefusedError
 from proto.messages import SessionControl
+from services.controller.__main__ import half_of_site
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.master_half import MasterController
-from services.controller.node import half_of_site
 from services.controller.slave_half import SlaveController
 
 PERIOD_NS = 1_000_000

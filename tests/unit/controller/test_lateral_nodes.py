@@ -107,7 +107,7 @@ def test_the_state_of_a_hand_that_pushes_can_be_restored(master: Any, bench_of: 
     other = MasterController(bench_of("controller@master").context, config())
     restore(other, pack(node))
     assert other._across == node._across
-    assert other.far_place == node.far_place
+    assert other.across == node.across
 
 
 def signals(bench: Any, node: SlaveController, references: list[float], place_m: float, mode: str = "follow") -> Any:

@@ -13,7 +13,6 @@ from services.haptic_node.physics.disturbances import (
     DisturbedHaptic,
     HandDisturbanceConfig,
     HandDisturbanceState,
-    changed_disturbances,
     disturbed,
 )
 from services.haptic_node.physics.sim import SimulatedHaptic
@@ -94,4 +93,4 @@ def test_they_are_switched_while_the_node_runs(bench_of: Any) -> None:
         ({}, "set needs parameters"),
     ):
         with pytest.raises(RefusedError, match=what):
-            changed_disturbances(HandDisturbanceConfig(), parameters)
+            switch(**parameters)

@@ -225,8 +225,7 @@ def test_fault(rig: Rig, name: str) -> None:
         events.extend(event.text for event in rig.bench.take("session/event"))
         return rig.bench.take("haptic/state")[-1]
 
-    assert rig.node.device_delay is not None
-    rig.node.device_delay.report()
+    rig.node.device_health()
     fault.begin(line)
     states = [tick() for _ in range(fault.duration_ms)]
     # driver
@@ -245,7 +244,7 @@ def test_fault(rig: Rig, name: str) -> None:
     if name == "slow device":
         # a half of the round trip: one-way stamps cannot tell which way takes it
         assert states[-1].sample_age_s > 3e-3
-        assert rig.node.device_delay.report()["device_age_s"] > 3e-3
+        assert rig.node.device_health()["device_age_s"] > 3e-3
         assert sum(fault.text in text for text in events) == 1
     fault.seen(line)
     # and on it goes, from where the arm is

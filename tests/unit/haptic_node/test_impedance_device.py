@@ -4,19 +4,19 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
+from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
 
 from services.haptic_node.__main__ import build
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import ZERO, CouplingSettings
-from services.haptic_node.devices.simulated_link import DeviceFaults, SimulatedLink
 from services.haptic_node.driver import Capabilities, DeviceError, DriveCommand
 from services.haptic_node.impedance import ImpedanceDevice
 from services.haptic_node.impedance_config import MODELS, CouplingConfig, SimulatedImpedanceConfig
 from services.haptic_node.node import HapticNode
-from services.haptic_node.physics.hand_motion import HandMotion
 from services.haptic_node.safety import MODE_FORCE, MODE_POSITION
 from services.haptic_node.servo import ServoCommand, ServoSample, Slot
 from services.runtime.loop.node_state import pack, restore
+from telenano.extend.emulators import HandMotion
 
 MS = 1e-3
 MASTER = "controller@master"

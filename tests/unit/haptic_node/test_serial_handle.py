@@ -360,11 +360,11 @@ def test_node_publishes_state_and_age_and_recovers_without_a_jump(bench_of: Any)
     states = rig.bench.take("haptic/state")
     assert {(state.v, state.device, state.mode) for state in states[1:]} == {(2, "ok", "position")}
     assert all(0.0 <= state.sample_age_s < 3e-3 for state in states[1:])
-    delay = rig.node.device_delay.report()
+    delay = rig.node.device_health()
     assert delay["device_latency_s"] == 2.5e-3
     assert 0.5e-3 < delay["device_age_s"] < 2.5e-3
     # a new interval began
-    assert "device_age_s" not in rig.node.device_delay.report()
+    assert "device_age_s" not in rig.node.device_health()
     rig.line.plugged = False
     rig.x_m = 8e-3
     rig.tick(40)

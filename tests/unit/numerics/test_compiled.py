@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from services.numerics.compiled import (
-    CACHE_DAYS,
+from services.numerics.source_digest import (
+    KEPT_FOLDERS,
     SOURCES,
     _source_files,
     cache_directory,
-    clean_cache,
+    remove_unused,
     source_digest,
 )
 
@@ -41,6 +41,10 @@ def step(state: State, dt_s: float) -> State:
 
 def unmarked(x):
     return x
+
+@compiled
+def twice(x):
+    return 2 * x
 
 @compiled
 def calls_unmarked(x):
@@ -96,12 +100,17 @@ def test_shells_and_other_files_hold_no_compiled_code(tree: Path) -> None:
     assert source_digest(tree) == first
 
 
-def test_the_folder_lies_in_the_cache_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_lies_in_the_cache_of_the_user_unless_numba_is_given_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert cache_directory().parent == tmp_path / "cache" / "telenano"
+    assert cache_directory() == tmp_path / "cache" / "telenano"
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache_directory().parent == tmp_path / ".cache" / "telenano"
+    assert cache_directory() == tmp_path / ".cache" / "telenano"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))
+    assert cache_directory() == tmp_path / "numba"
 
 
 def install(folder: Path, package: str) -> None:
@@ -112,15 +121,23 @@ def install(folder: Path, package: str) -> None:
     (facts / "entry_points.txt").write_text(f"[telenano.laws]\n{package} = {package}:LAW\n")
 
 
-def run_step(folder: Path, program: str = PROGRAM, *, installed: bool = True, **environment: str) -> str:
+def write_model(folder: Path, *, installed: bool = True) -> None:
     (folder / "model.py").write_text(MODULE)
     if installed:
         install(folder, "model")
+
+
+def environment_of(folder: Path, **environment: str) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     paths = os.pathsep.join((str(folder), str(ROOT)))
+    return {**kept, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(folder), **environment}
+
+
+def run_step(folder: Path, program: str = PROGRAM, *, installed: bool = True, **environment: str) -> str:
+    write_model(folder, installed=installed)
     done = subprocess.run(
         [sys.executable, "-c", program],
-        env={**kept, "PYTHONPATH": paths, "XDG_CACHE_HOME": str(folder), **environment},
+        env=environment_of(folder, **environment),
         capture_output=True,
         text=True,
         check=False,
@@ -131,21 +148,26 @@ def run_step(folder: Path, program: str = PROGRAM, *, installed: bool = True, **
 
 def test_a_step_is_compiled_into_that_folder(tmp_path: Path) -> None:
     assert run_step(tmp_path) == "function InterruptibleDispatcher"
-    folder = tmp_path / "telenano" / cache_directory().name
+    (folder,) = (tmp_path / "telenano").iterdir()
+    assert re.fullmatch("numba-[0-9a-f]{16}", folder.name)
     assert list(folder.rglob("*.nbc")), "no compiled code in the cache"
+    # no other user can put anything there, whatever the umask
+    assert folder.stat().st_mode & 0o777 == 0o700
     assert not list(ROOT.glob("services/runtime/__pycache__/*.nb?"))
 
 
 # spoils each file of the cache in each way, and runs the step as a process that starts then would
 SPOIL = """
-import logging, os, pathlib, model
+import logging, os, model
 from numba.core import config
-from services.numerics import compile_cache
-from services.numerics.compiled import cache_directory, compiled, compiled_form
+from services.numerics import numba_parts
+from services.numerics.compiled import compiled, compiled_form
+from services.numerics.source_digest import cache_folder
 
 def run():
     said.clear()
-    compile_cache._warn.cache_clear()
+    numba_parts._warn.cache_clear()
+    numba_parts._is_safe.cache_clear()
     # as a process that starts now: it has loaded nothing
     step = compiled_form(compiled(model.step))
     assert step(model.State(1.0, 0), 0.25) == (1.5, 1)
@@ -156,24 +178,30 @@ handler = logging.Handler()
 handler.emit = lambda record: record.getMessage().startswith("compiling") or said.append(record.getMessage())
 logging.getLogger().addHandler(handler)
 print(run())
-(kept,) = cache_directory().rglob("*.nb?")
-content = kept.read_bytes()
-middle = len(content) // 2
-flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1:]
-for spoiled in (content[:middle], b"", flipped, bytes(len(content)), content + b"x"):
-    kept.write_bytes(spoiled)
-    hits, texts = run()
-    assert (hits, texts) == (0, [f"the compiled code in {cache_directory()} was damaged, and is compiled again"])
-    # and is sound afterwards
-    assert run() == (1, [])
+for kind in ("nbc", "nbi"):
+    # what a crash of the machine leaves of a file
+    for left in (lambda size: content[: size // 2], lambda size: b"", bytes):
+        kept = max(cache_folder().rglob(f"*.{kind}"), key=lambda path: path.stat().st_mtime_ns)
+        content = kept.read_bytes()
+        kept.write_bytes(left(len(content)))
+        assert run() == (0, [f"the compiled code in {cache_folder()} is incomplete, and is compiled again"]), run()
+        # and is sound afterwards
+        assert run() == (1, [])
+# a process that ended between the two files, which are written one after the other
+for path in cache_folder().rglob("*.nbc"):
+    path.unlink()
+assert [run(), run()] == [(0, []), (1, [])]
 
-# A file that others can write is never unpickled, and one that only this user can write takes its place.
-for spoil in (lambda: kept.chmod(0o666), lambda: os.chown(kept, 12345, -1) if os.getuid() == 0 else kept.chmod(0o662)):
+# Nothing of a folder that others can write is ever unpickled.
+others = [lambda: cache_folder().chmod(0o777), lambda: cache_folder().chmod(0o720)]
+if os.getuid() == 0:
+    others.append(lambda: os.chown(cache_folder(), 12345, -1))
+for spoil in others:
     spoil()
-    hits, texts = run()
-    text = f"the compiled code in {cache_directory()} can be written by others, and is compiled again"
-    assert (hits, texts) == (0, [text])
-    assert kept.stat().st_mode & 0o777 == 0o600 and kept.stat().st_uid == os.getuid()
+    found = [f"the compiled code in {cache_folder()} can be written by others, and is not used"]
+    assert [run(), run()] == [(0, found), (0, found)]
+    os.chown(cache_folder(), os.getuid(), -1)
+    cache_folder().chmod(0o700)
     assert run() == (1, [])
 
 # code that checks its indices is neither found as the other, nor left for it
@@ -185,15 +213,69 @@ assert run() == (1, [])
 def full(*_):
     raise OSError(28, "No space left on device")
 
-kept.unlink()
-compile_cache.CheckedCacheFile._open_for_write = full
-assert run() == (0, [f"compiled code cannot be kept in {cache_directory()}: No space left on device"])
+for path in cache_folder().rglob("*.nb?"):
+    path.unlink()
+numba_parts._Files._open_for_write = full
+assert run() == (0, [f"compiled code cannot be kept in {cache_folder()}: No space left on device"])
 print("all")
 """
 
 
-def test_damaged_compiled_code_is_compiled_again_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
+def test_incomplete_or_foreign_code_is_never_run_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
     assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
+
+
+READ_ONLY = (
+    PROGRAM
+    + """
+print(sum(step.stats.cache_hits.values()))
+"""
+)
+
+
+def test_a_folder_that_cannot_be_written_is_read_and_left_as_it_is(tmp_path: Path) -> None:
+    assert run_step(tmp_path, READ_ONLY).split()[-1] == "0"
+    # as the system of files of an image: root may write wherever the mode forbids it
+    program = (
+        """
+import os, tempfile
+def refused(*_, **__):
+    raise OSError(30, "Read-only file system")
+os.utime = os.mkdir = os.replace = tempfile.TemporaryFile = refused
+"""
+        + READ_ONLY
+    )
+    assert run_step(tmp_path, program).split()[-1] == "1"
+
+
+# The second process reads the index before the first has written it, and writes after it, but for the code itself.
+AT_ONCE = """
+import model
+from numba.core.caching import IndexDataCacheFile
+from services.numerics.compiled import compiled, compiled_form
+
+def run(value):
+    result = compiled_form(compiled(model.twice))(value)
+    return result, type(result).__name__
+
+save_index, waiting = IndexDataCacheFile._save_index, []
+def interleaved(*of_a_process):
+    waiting.append(of_a_process)
+    if len(waiting) == 1:
+        run(2)
+    else:
+        for each in waiting:
+            save_index(*each)
+IndexDataCacheFile._save_index = interleaved
+run(2.5)
+IndexDataCacheFile._save_index = save_index
+assert len(waiting) == 2
+print(run(2.5), run(2))
+"""
+
+
+def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
+    assert run_step(tmp_path, AT_ONCE) == "(5.0, 'float') (4, 'int')"
 
 
 FORCE = """
@@ -361,18 +443,15 @@ print("said")
     assert run_step(tmp_path, program) == "said"
 
 
-def test_compiled_code_that_nobody_has_used_for_long_is_deleted(tmp_path: Path) -> None:
-    here = tmp_path / "numba-now"
-    old_s, new_s = 1e9 - (CACHE_DAYS + 1) * 86_400.0, 1e9
-    for name, time_s in (("numba-old", old_s), ("numba-new", new_s), ("keys", old_s), ("numba-now/afm_1", old_s)):
-        (tmp_path / name).mkdir(parents=True)
-        for kept, kept_s in (("old.nbc", old_s), ("new.nbc", new_s)):
-            (tmp_path / name / kept).write_bytes(b"1")
-            os.utime(tmp_path / name / kept, (kept_s, kept_s))
-        os.utime(tmp_path / name, (time_s, time_s))
-    assert clean_cache(here, 1e9) == [tmp_path / "numba-old", here / "afm_1" / "old.nbc"]
-    assert {path.name for path in tmp_path.iterdir()} == {"keys", "numba-new", "numba-now"}
-    # once a day, for it looks at every file
-    os.utime(here / "afm_1" / "new.nbc", (old_s, old_s))
-    assert clean_cache(here, 1e9 + 3600.0) == []
-    assert clean_cache(here, 1e9 + 90_000.0) == [here / "afm_1" / "new.nbc"]
+def test_the_folders_of_compiled_code_that_were_used_last_are_kept(tmp_path: Path) -> None:
+    names = [f"numba-{number:016x}" for number in range(KEPT_FOLDERS + 2)]
+    for number, name in enumerate(names):
+        (tmp_path / name / "afm").mkdir(parents=True)
+        os.utime(tmp_path / name, (1e9 + number, 1e9 + number))
+    # what else lies there is not ours
+    for name in ("keys", "numba-of-mine"):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (1.0, 1.0))
+    os.utime(tmp_path / names[0])
+    remove_unused(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"keys", "numba-of-mine", names[0], *names[3:]}

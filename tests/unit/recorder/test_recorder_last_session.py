@@ -32,7 +32,7 @@ def test_the_last_programme_is_the_session(session_s: list[float], expected: lis
 
 @pytest.mark.parametrize("behind", [range(40, 41), range(20, 30)])
 def test_a_message_behind_later_ones_begins_no_session(behind: range) -> None:
-    """What stands behind is of a batch; of two copies the second one is left out."""
+    """A copy that stands behind later messages is left out."""
     order = np.array([*range(60), *behind, *range(60, 100)])
     t_ns = stamps(COURSE_S[order], SECOND_NS)
     found = last_programme(COURSE_S[order], t_ns)

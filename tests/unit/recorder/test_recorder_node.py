@@ -3,6 +3,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -74,12 +75,6 @@ class QuietBus:
 
     def has_arrived(self) -> bool:
         return False
-
-    def is_batch_due(self, now_ns: int) -> bool:
-        return False
-
-    def send_batches(self) -> None:
-        """There are none."""
 
     def close(self) -> None:
         pass
@@ -321,12 +316,17 @@ def stage(site_file: Path) -> Iterator[Callable[..., Stage]]:
             each.close()
 
 
-def asked_by(site: str, far: str, scenario_file: Path, config: RecorderConfig) -> set[tuple[str, str]]:
+Asked = Callable[[str, str], set[tuple[str, str]]]
+
+
+@pytest.fixture
+def asked_by(scenario_file: Path, config: RecorderConfig, monkeypatch: pytest.MonkeyPatch) -> Iterator[Asked]:
     """Return of which node the recorder of a site of two machines asks for which topic."""
     site_file = Path(__file__).resolve().parents[3] / "presets" / "sites" / "two_sites.yaml"
     book = AddressBook.model_validate({**yaml.safe_load(site_file.read_text()), "insecure": True})
-    clock = SystemClock()
-    with zmq.Context() as context:
+    clock, context = SystemClock(), zmq.Context()
+
+    def asked_by(site: str, far: str) -> set[tuple[str, str]]:
         wiring = Wiring(
             key=f"recorder@{site}",
             book=book,
@@ -339,18 +339,21 @@ def asked_by(site: str, far: str, scenario_file: Path, config: RecorderConfig) -
         )
         found = listeners(wiring, config.model_copy(update={"far": far}))
         asked = {(each.publisher, topic) for each in found for topic in each.subscriber.topics}
-        for each in found:
-            each.subscriber.close()
         wiring.resources.close()
         wiring.network.close()
-    return asked
+        return asked
+
+    # a socket's path is short by law, pytest's folders are not
+    with tempfile.TemporaryDirectory(prefix="tnr-") as folder:
+        monkeypatch.setenv("TELENANO_RUNTIME_DIR", folder)
+        yield asked_by
+    # Also those that a failure has left open, for which the end of a context would wait.
+    context.destroy(linger=0)
 
 
 @pytest.mark.parametrize("far", ["fetch", "stream"])
-def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(
-    scenario_file: Path, config: RecorderConfig, far: str
-) -> None:
-    asked = asked_by("master", far, scenario_file, config)
+def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(asked_by: Asked, far: str) -> None:
+    asked = asked_by("master", far)
     assert {("delay_node@master", "node/health"), ("afm_node@slave", "session/event")} <= asked
     assert {("delay_node@master", "link/network"), ("delay_node@slave", "link/delay")} <= asked
     directly = {
@@ -363,10 +366,8 @@ def test_what_the_link_brings_to_the_master_does_not_cross_a_second_time(
 
 
 @pytest.mark.parametrize("far", ["fetch", "stream"])
-def test_the_far_recorder_leaves_what_the_link_says_of_itself_to_the_master(
-    scenario_file: Path, config: RecorderConfig, far: str
-) -> None:
-    asked = asked_by("slave", far, scenario_file, config)
+def test_the_far_recorder_leaves_what_the_link_says_of_itself_to_the_master(asked_by: Asked, far: str) -> None:
+    asked = asked_by("slave", far)
     assert {("delay_node@slave", "session/control"), ("afm_node@slave", "clock/pong")} <= asked
     own = {("delay_node@slave", "link/delay"), ("delay_node@slave", "clock/ping")}
     assert asked & own == (own if far == "stream" else set())

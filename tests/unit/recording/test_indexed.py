@@ -71,18 +71,6 @@ def test_chunks_without_what_is_wanted_are_not_unpacked(path: Path, monkeypatch:
     assert len(unpacked) <= 3
 
 
-def test_overtaken_messages_are_moved_only_in_order(tmp_path: Path) -> None:
-    writer = RecordingWriter.create("recorder@master", FileSettings(directory=tmp_path))
-    channel = writer.channel("haptic/state", "haptic_node@master", "master")
-    for at, seq in enumerate((0, 1, 4, 2, 3, 5)):
-        writer.write(channel, 100 + at, 10 * seq, seq, b"\x80")
-    writer.finish()
-    numbers = [message.seq for message in Recording(writer.path).select()]
-    assert numbers == [0, 1, 2, 3, 4, 5]
-    assert [message.seq for message in IndexedRecording(writer.path, in_order=True).select()] == numbers
-    assert [message.seq for message in IndexedRecording(writer.path).select()] == [0, 1, 4, 2, 3, 5]
-
-
 def damaged(path: Path, folder: Path, place: int, data: bytes) -> Path:
     """Return a copy of a file that has other bytes at a place."""
     copy = Path(shutil.copy(path, folder / "damaged.mcap"))

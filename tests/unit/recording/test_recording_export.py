@@ -122,7 +122,7 @@ def test_columns_carry_units_and_descriptions_and_where_they_are_from(rich: Path
     assert described["teleop/forward@slave", "velocity_m_per_s.0"]["unit"] == "m/s"
     assert described["haptic/state", "log_ns"] == {
         "channel": "haptic/state", "column": "log_ns", "unit": "ns",
-        "description": "Recorder's clock at the reception, in a batch at the sending",
+        "description": "Recorder's clock at the reception",
     }  # fmt: skip
 
 

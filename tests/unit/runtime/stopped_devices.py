@@ -80,12 +80,6 @@ class _Bus:
     def has_arrived(self) -> bool:
         return False
 
-    def is_batch_due(self, now_ns: int) -> bool:
-        return False
-
-    def send_batches(self) -> None:
-        """Send none."""
-
 
 class Device:
     """A process of a device: it runs, stands still (SIGSTOP), or is dead until it is started again."""

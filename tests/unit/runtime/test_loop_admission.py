@@ -15,7 +15,7 @@ from services.runtime.bus.bus import Received
 from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node import DeviceDelay, NodeContext
+from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
@@ -155,17 +155,6 @@ def test_messages_that_a_newer_one_replaced_are_no_refusal_to_be_logged(caplog: 
     rig.bus.refused = {SUPERSEDED: 5000, "malformed": 2}
     rig.run_until(3100 * MS)
     assert len([record for record in caplog.records if "refused" in record.getMessage()]) == 1
-
-
-def test_the_age_of_a_device_is_the_mean_of_an_interval_and_absent_without_samples() -> None:
-    delay = DeviceDelay(3e-3, "stage 7")
-    assert delay.report() == {"device_latency_s": 3e-3, "calibration": "stage 7"}
-    for age_s in (0.25, 0.75):
-        delay.record(age_s)
-    assert delay.report()["device_age_s"] == 0.5
-    delay.record(0.125)
-    assert delay.report()["device_age_s"] == 0.125
-    assert "device_age_s" not in delay.report()
 
 
 def test_the_first_report_counts_all_steps_since_the_start() -> None:

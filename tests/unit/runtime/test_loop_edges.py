@@ -12,7 +12,6 @@ from proto.messages import SessionControl
 from services.runtime.loop.commands import stop_of
 from services.runtime.loop.journal import DEFERRED
 from services.runtime.loop.kept_stop import keep
-from services.runtime.loop.node import DeviceDelay
 from services.runtime.loop.node_loop import NodeLoop
 
 NODE = "controller@master"
@@ -107,13 +106,6 @@ def test_whoever_drives_a_loop_learns_when_a_report_or_a_piece_of_one_is_due() -
     assert rig.loop.health_due_ns == 505 * MS + 250_000
     rig.run_until(519 * MS)
     assert rig.loop.health_due_ns == 1005 * MS
-
-
-def test_the_first_mean_age_of_a_device_has_its_first_samples_alone() -> None:
-    delay = DeviceDelay(3e-3, "stage 7")
-    for age_s in (0.25, 0.75):
-        delay.record(age_s)
-    assert delay.report()["device_age_s"] == 0.5
 
 
 def test_a_kept_file_that_is_no_stop_stops_the_node_all_the_same(tmp_path: Path) -> None:

@@ -489,7 +489,9 @@ def test_a_reader_that_stops_for_longer_than_its_mark_counts_what_it_missed(cont
     sender = context.socket(zmq.XPUB)
     sender.set(zmq.SNDHWM, 10)
     sender.bind("inproc://slow")
-    reader = Subscriber(context, SystemClock(), {"inproc://slow": ["haptic/state"]}, newest_only=True)
+    reader = Subscriber(context, SystemClock(), {"inproc://slow": ["haptic/state"]}, newest_only=True, connect=False)
+    reader.socket.set(zmq.RCVHWM, NEWEST_MARK)
+    reader.socket.connect("inproc://slow")
     sent = 2 * NEWEST_MARK
     try:
         assert sender.poll(WAIT_S * 1e3)
@@ -787,3 +789,61 @@ def test_a_reader_that_stands_still_for_longer_than_the_queue_goes_on_with_the_n
     # what was dropped with the connection is lost, and known to be; what had got through was superseded
     assert lost > 100
     assert lost + superseded + rows.qsize() == seq + 1 - rows.queue[0][0]
+
+
+HELD_UP = """
+import os, signal, sys, time, zmq
+from services.runtime.bus.bus import Subscriber
+from services.runtime.loop.clock import SystemClock
+endpoint, by_a_stop, late_s = sys.argv[1], sys.argv[2] == "stop", float(sys.argv[3])
+reader = Subscriber(zmq.Context(), SystemClock(), {endpoint: ["clock/ping"]}, newest_only=True, queue_s=0.2)
+print("begun", flush=True)
+sys.stdin.readline()
+if by_a_stop:
+    print("stopped", flush=True)
+    os.kill(os.getpid(), signal.SIGSTOP)
+# a thread that is busy with something else: what libzmq does meanwhile goes on
+time.sleep(late_s)
+while not reader.receive():
+    reader.socket.poll(50)
+while reader.socket.poll(1500):
+    reader.receive()
+(tracker,) = reader.trackers.values()
+print("newest", tracker.last_seq, flush=True)
+"""
+
+
+@pytest.mark.parametrize(("how", "late_s"), [("busy", 1.0), ("stop", 0.0), ("stop", 0.3)])
+def test_a_reader_that_was_held_up_goes_on_also_when_its_publisher_has_become_silent(
+    context: Context, endpoint: str, how: str, late_s: float
+) -> None:
+    publisher = ZmqPublisher(context, SystemClock(), "delay_node@slave", endpoint, kind=zmq.XPUB)
+    command = [sys.executable, "-c", HELD_UP, endpoint, how, str(late_s)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as reader:  # type: ignore[call-overload]
+        try:
+            assert reader.stdout.readline() == "begun\n"
+            assert publisher.socket.poll(WAIT_S * 1e3)
+            assert publisher.socket.recv() == b"\x01clock/ping"
+            # more than the socket of a reader once had room for
+            for _ in range(2000):
+                publisher.publish("clock/ping")
+            # pings tell the publisher how long to wait for this reader
+            time.sleep(0.5)
+            reader.stdin.write("\n")
+            reader.stdin.flush()
+            if how == "stop":
+                assert reader.stdout.readline() == "stopped\n"
+                # the end of the subscription is the end of the connection, and another one follows
+                assert publisher.socket.poll(WAIT_S * 1e3)
+                assert publisher.socket.recv() == b"\x00clock/ping"
+                os.kill(reader.pid, signal.SIGCONT)
+                assert publisher.socket.poll(WAIT_S * 1e3)
+                time.sleep(late_s + 0.2)
+                publisher.publish("clock/ping")
+            out, err = reader.communicate(timeout=WAIT_S)
+        finally:
+            reader.kill()
+            publisher.close()
+    assert reader.returncode == 0, err
+    assert out == f"newest {publisher.sequence_numbers()['clock/ping'] - 1}\n"

@@ -15,9 +15,12 @@ def exchange(offset_ns: int, there_ns: int, back_ns: int, sent_ns: int = 10**18,
 
 @pytest.mark.parametrize("offset_ns", [0, 1, -3_000_000_000, 7 * 10**15])
 def test_symmetric_path_gives_the_injected_offset(offset_ns: int) -> None:
-    measured = exchange(offset_ns, 80_000, 80_000)
-    assert measured.offset_ns == offset_ns
-    assert measured.round_trip_ns == 160_000
+    offsets = OffsetFilter(8)
+    offsets.record(exchange(offset_ns, 80_000, 80_000))
+    estimate = offsets.estimate()
+    assert estimate is not None
+    assert estimate.offset_s == pytest.approx(offset_ns * 1e-9, rel=1e-12, abs=1e-12)
+    assert estimate.round_trip_s == pytest.approx(160e-6, rel=1e-9, abs=0.0)
 
 
 @pytest.mark.parametrize(("there_ns", "back_ns"), [(30_000_000, 10_000_000), (0, 50_000_000), (50_000_000, 0)])

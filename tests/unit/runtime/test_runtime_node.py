@@ -48,8 +48,6 @@ class FakeBus:
         self.oversleep_ns = 0
         self.notices: list[ConnectionEvent] = []
         self.attended: list[bool] = []
-        self.batch_due_ns = 2**62
-        self.batches_ns: list[int] = []
 
     def publish(self, topic: str, **fields: Any) -> Message:
         model = TOPICS[topic].model
@@ -97,13 +95,6 @@ class FakeBus:
 
     def has_arrived(self) -> bool:
         return any(at <= self.clock.monotonic_ns() for at, _ in self.coming[:1])
-
-    def is_batch_due(self, now_ns: int) -> bool:
-        return now_ns >= self.batch_due_ns
-
-    def send_batches(self) -> None:
-        self.batches_ns.append(self.clock.monotonic_ns())
-        self.batch_due_ns = 2**62
 
     def close(self) -> None:
         self.sent.clear()
@@ -311,13 +302,12 @@ class Ticking(Probe):
     idle_after = "haptic/state"
 
 
-def test_reports_and_batches_go_out_in_idle_gaps_of_a_loop() -> None:
+def test_reports_go_out_in_idle_gaps_of_a_loop() -> None:
     rig = Rig()
     rig.node = Ticking(rig.node.context)
     rig.loop = NodeLoop(rig.node, rig.bus, GRANTED)
     for tick in range(6, 606):
         rig.bus.arrives(tick * MS, "haptic/state", src="haptic_node@master", seq=tick)
-    rig.bus.batch_due_ns = 300 * MS
     sent_ns: list[tuple[str, int]] = []
     publish = rig.node.publish
 
@@ -333,7 +323,6 @@ def test_reports_and_batches_go_out_in_idle_gaps_of_a_loop() -> None:
         ("node/health", 506 * MS + 250_000),
         ("node/journal", 508 * MS + 250_000),
     ]
-    assert rig.bus.batches_ns == [300 * MS + 250_000]
 
 
 def test_a_report_waits_for_the_gap_that_the_node_names() -> None:

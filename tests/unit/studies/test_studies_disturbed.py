@@ -42,14 +42,11 @@ def test_each_disturbs_as_in_the_node(name: str) -> None:
     # the first one is where both begin at rest
     for reference in (-100e-9, *(references + rng.normal(0.0, 0.2e-9, 300)).tolist()):
         asked = AfmInputs(reference, 0.0, safety.ACTION_POSITION, True, False)
-        state, found = step(params, state, asked, 1e-3)
+        state, (found, _) = step(params, state, asked, 1e-3)
         node.elapse(1e-3)
         expected = node.exchange(found.base_m)
         # the same parts, bit for bit
-        assert found[:7] == (
-            expected.base_m, expected.distance_m, expected.deflection_m, expected.force_n, expected.bridge_voltage_v,
-            expected.in_contact, expected.meniscus,
-        )  # fmt: skip
+        assert found == expected
         forces.append(found.force_n)
     assert max(forces) > 3e-9 > -3e-9 > min(forces)
 

@@ -61,7 +61,7 @@ def test_contact_loop_is_the_loop_written_out(delay_ms: int) -> None:
     box = [tip]
 
     def force_at(base_m: float) -> float:
-        box[0], sample = afm.step(params, box[0], afm.AfmInputs(base_m, 0.0, 0, False, False), PERIOD_S)
+        box[0], (sample, _) = afm.step(params, box[0], afm.AfmInputs(base_m, 0.0, 0, False, False), PERIOD_S)
         return float(sample.force_n)
 
     # while the rig waits for the session the far attraction of the sample moves the hand by less than a micrometre

@@ -15,8 +15,10 @@ from presets import plugins
 from proto.errors import ConfigError
 from services.afm_node import config as afm
 from services.afm_node.instrument import calibration_of_file
+from services.afm_node.physics.sample.surface_files import read_surface
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.runtime.settings.config import validate
+from studies.instrument.force_curve import read_measured
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
 
@@ -67,13 +69,38 @@ def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_pat
 
 
 @pytest.mark.parametrize(
-    "words", ["device image", "device approach", "device guard nanonis", "device simulate gwyscope"]
+    ("words", "package"),
+    [
+        ("device accept", "telenano-acceptance"),
+        ("device image", PACKAGE),
+        ("device approach", PACKAGE),
+        ("device guard nanonis", PACKAGE),
+        ("device simulate gwyscope", PACKAGE),
+        ("sample import", "telenano-afm-files"),
+    ],
 )
-def test_a_command_that_needs_a_package_names_it_and_its_command(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_that_needs_a_package_names_it_and_its_command(
+    words: str, package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(lazy_commands, "package_commands", dict)
     done = CliRunner().invoke(app, words.split())
     assert done.exit_code == 2
-    assert f"is in the package {PACKAGE}: pip install -e '" in " ".join(done.stderr.split())
+    assert f"is in the package {package}: pip install -e '" in " ".join(done.stderr.split())
+
+
+def test_a_package_that_needs_another_one_names_it_and_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "telenano_acceptance.haptic_device.person", None)
+    done = CliRunner().invoke(app, ["device", "simulate", "haply", "--person"])
+    assert done.exit_code == 2
+    assert "telenano-acceptance is not installed: pip install -e '" in " ".join(done.stderr.split())
+
+
+@pytest.mark.usefixtures("bare")
+def test_a_file_that_needs_a_package_names_it_and_its_command(tmp_path: Path) -> None:
+    for name, read in (("a.gwy", read_surface), ("a.sxm", read_surface), ("a.jpk-force", read_measured)):
+        (tmp_path / name).touch()
+        with pytest.raises(ConfigError, match=rf"{name}: .* by the package telenano-afm-files: pip install -e '"):
+            read(tmp_path / name)
 
 
 @pytest.mark.usefixtures("bare")

@@ -2,23 +2,28 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from presets import plugins
 from proto.errors import ConfigError
 from recording.export import export_recording
+from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.provenance import plugin_facts
+from studies.instrument.force_curve import read_measured
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
 from telenano.doctor.report import checks_of_packages, extensions, stale
 from telenano.extend.exports import write_recording
+from telenano.extend.images import Image, write_images
 from telenano.extend.messages import example, recorded
 
 RUNNER = CliRunner()
@@ -239,3 +244,54 @@ def names(recording, target, selection):
     with pytest.raises(ConfigError, match="the format ros2 is in the package telenano-ros2: pip install"):
         export_recording(recording, tmp_path / "x", "ros2")
     assert not (tmp_path / "x").exists()
+
+
+IMAGES = """
+def write(path, images, about):
+    path.write_text(f"{about.mode} {about.sample} {' '.join(images)}")
+def fail(path, images, about):
+    path.write_text("half")
+    raise ValueError("it is full")
+"""
+
+
+def test_an_image_is_written_in_the_formats_of_packages_and_kept_where_one_fails(
+    make: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make("painter", {"all.py": IMAGES}, {"images": "txt = painter.all:write\nraw = painter.all:fail"})
+    height = Image("Height", "m", np.zeros((2, 4)), 4e-8, 2e-8)
+    files = write_images(tmp_path, {"height": height}, "tapping", sample="flat")
+    assert (tmp_path / "scan.txt").read_text() == "tapping flat height"
+    assert set(files) == {path.name for path in tmp_path.iterdir() if path.is_file()}
+    assert set(files) >= {"scan.gwy", "scan.gsf", "scan.png", "scan.txt"}
+    assert "scan.raw was not written: the package painter 1.2 failed" in capsys.readouterr().err
+
+
+READER = re.search(r"## My files.*?```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text("utf-8"), re.DOTALL)
+LIBRARY = """
+import numpy
+def read(path):
+    values = numpy.loadtxt(path)
+    return type("Picture", (), {"width_m": 2e-7, "depth_m": 1e-7, "heights_m": values})
+"""
+
+
+def test_files_are_read_by_the_package_whose_entry_has_their_name(make: Any, tmp_path: Path) -> None:
+    assert READER is not None
+    files = {"files.py": READER[1], "none.py": "NONE = 3"}
+    make("my_package", files, {"readers": "my_scan = my_package.files:MY_SCAN\nbad = my_package.none:NONE"})
+    make("my_library", {"__init__.py": LIBRARY}, {})
+    heights = np.array([[0.0, 1e-9, 2e-9], [3e-9, 4e-9, 5e-9]])
+    np.savetxt(tmp_path / "a.my-scan", heights)
+    found = read_surface(tmp_path / "a.my-scan")
+    assert np.array_equal(found.height_m, heights)
+    assert (found.width_m, found.depth_m) == pytest.approx((2e-7, 1e-7))
+    (tmp_path / "b.my-scan").write_text("no numbers")
+    with pytest.raises(ConfigError, match=r"b\.my-scan: could not convert string"):
+        read_surface(tmp_path / "b.my-scan")
+    (tmp_path / "c.bad").touch()
+    with pytest.raises(ConfigError, match=r"c\.bad: bad of the package my_package 1\.2 cannot be used: TypeError"):
+        read_surface(tmp_path / "c.bad")
+    # what has no curve is no file of curves
+    with pytest.raises(ConfigError, match=r"a\.my-scan: is of no format that is known here; for this they are \.h5"):
+        read_measured(tmp_path / "a.my-scan")

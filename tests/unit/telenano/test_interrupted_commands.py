@@ -80,9 +80,7 @@ ELSEWHERE = {
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
-    "sample import": "reads a file in a child that ends with it, and writes one file at the end by `whole_file`",
     "particles": "reads an image, and writes one file at the end by `whole_file`",
-    "device accept": "reads a device for a minute, and then writes its files at once by `results_in`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
@@ -231,8 +229,8 @@ _SLOW = pytest.mark.endurance
 # a signal after the last line or point, while the first file is written
 _WHILE_WRITING = """
 import os, signal, sys
-import analysis.nexus_files, studies.instrument.force_curve as curves, studies.instrument.scan as scans
-from analysis import nexus_files
+import studies.instrument.force_curve as curves, studies.instrument.scan as scans
+from analysis import image_files
 from services.afm_node.programs.imaging import CHANNELS
 import numpy as np
 
@@ -249,7 +247,7 @@ def scanned(surface, request, config, progress, noise):
     return scans.ScanResult(lines, lines, lines[:, :, 0], 1e-7, 1e-7, 1.0, request.lines, 1.0, 0.0)
 
 scans.scan = scanned
-nexus_files.write_images = with_signals(nexus_files.write_images)
+image_files.write_gsf = with_signals(image_files.write_gsf)
 curves.write_hdf5 = with_signals(curves.write_hdf5)
 from telenano.cli.app import main
 main()

@@ -79,22 +79,6 @@ def anchors(page: Path) -> set[str]:
     return set(found)
 
 
-def test_a_test_that_a_page_names_is_there() -> None:
-    there = {
-        f"{path.name}::{name}"
-        for folder in ("tests", "packages")
-        for path in (ROOT / folder).rglob("test_*.py")
-        for name in re.findall(r"^def (test_\w+)\(", path.read_text(encoding="utf-8"), re.MULTILINE)
-    }
-    named = {
-        f"{file}::{name}"
-        for page in (*ROOT.glob("*.md"), *DOCS.rglob("*.md"))
-        for file, name in re.findall(r"\b(test_\w+\.py)::(test_\w+)", page.read_text(encoding="utf-8"))
-    }
-    assert len(named) > 50
-    assert named <= there
-
-
 def test_the_diagram_of_the_architecture_is_the_graph_of_the_tables() -> None:
     drawn = ElementTree.parse(DOCS / "architecture.svg").getroot()
     arrows = {}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import scenario_page
 import yaml
 from typer.testing import CliRunner
 
@@ -15,7 +16,7 @@ from presets import SCENARIO_DIRECTORY, SCHEMA_DIRECTORY, SITE_DIRECTORY
 from proto.errors import ConfigError
 from proto.nodes import SERVICES
 from services.launcher.plan import UpRequest, make_plan
-from services.launcher.scenario_keys import all_keys, markdown, scenario_schema, site_schema, value_at
+from services.launcher.scenario_keys import all_keys, scenario_schema, site_schema, value_at
 from services.runtime.settings.config import read_yaml
 from telenano.cli import completion
 from telenano.cli.rig_graph import dot, edges, mermaid
@@ -54,7 +55,7 @@ def test_the_schema_has_every_key_that_the_files_of_the_project_have() -> None:
 
 def test_the_page_of_all_keys_is_that_of_the_models() -> None:
     page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
-    assert page == markdown(all_keys(core=True)), "renew it: make schemas"
+    assert page == scenario_page.page(), "renew it: make schemas"
 
 
 def test_every_reference_of_a_schema_leads_somewhere() -> None:

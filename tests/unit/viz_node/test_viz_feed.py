@@ -104,14 +104,13 @@ def test_only_what_changed_is_told_again() -> None:
     assert feed.snapshot()["state"]["afm/state/slave"]["mode"] == "estop"
 
 
-def test_after_a_stall_the_newest_samples_are_left_and_the_rest_is_counted() -> None:
+def test_after_a_stall_the_newest_samples_are_left() -> None:
     feed = Feed()
     for i in range(2500):
         feed.record(seen("haptic/command", "controller@master", START_NS + i * 1_000_000))
     command = feed.take()["streams"]["command"]
     assert command["n"] == 1000
     assert command["t0"] == pytest.approx(1.5)
-    assert feed.skipped == 1500
 
 
 def test_a_node_that_has_ended_is_shown_as_ended() -> None:

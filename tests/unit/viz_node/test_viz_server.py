@@ -285,6 +285,17 @@ def test_fifty_pages_are_too_many_and_those_that_are_in_go_on(client: TestClient
     assert all(page.ask(**command())["ok"] for page in pages)
 
 
+def test_pages_that_connect_at_once_and_say_hello_later_are_no_more_than_may_be(
+    client: TestClient, stack: ExitStack
+) -> None:
+    connected = [stack.enter_context(client.websocket_connect("/bus", headers=HEADERS)) for _ in range(20)]
+    kinds = []
+    for socket in connected:
+        socket.send_bytes(msgpack.packb({"k": "hello", "token": ACCESS.operator_token, "protocol": 1}))
+        kinds.append(msgpack.unpackb(socket.receive_bytes())["k"])
+    assert kinds == ["snapshot"] * server.MOST_PAGES + ["refused"] * (20 - server.MOST_PAGES)
+
+
 def test_a_command_is_answered_with_what_the_nodes_said(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page = Page(stack, client)
     good = page.ask(**command(parameters={"law": "wave"}))

@@ -17,7 +17,7 @@ from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.profiles import PROFILES
-from services.numerics.compiled import source_digest
+from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings
 from studies.loops.cells import Cell, Environment
 

@@ -43,8 +43,8 @@ class SampleConfig(Settings):
     name: str = Field(
         "dots",
         min_length=1,
-        description="flat, dots, grating, a file (.gsf, .gwy, .ibw, .npy; others with the extra images), or"
-        " module:function of x and y [m], which only `--allow-code` runs.",
+        description="flat, dots, grating, a file (.gsf, .npy; others by the readers of packages), or module:function of"
+        " x and y [m], which only `--allow-code` runs.",
     )
     map: str | None = Field(
         None,
@@ -55,7 +55,7 @@ class SampleConfig(Settings):
     size_m: Length | None = Field(
         None, description="Side of the square [m], 1e-9 to 1e-3; default 150e-9. A file but .npy says its own."
     )
-    pixels: int = Field(512, ge=2, le=MOST_PIXELS, description="Heights along a side of a computed sample, 2 to 4096.")
+    pixels: int = Field(512, ge=2, le=MOST_PIXELS, description="Heights along a side of a computed sample.")
     channel: str | None = Field(None, description="Part of the name of one channel of a file; default: its height.")
     level: Literal["centre", "plane", "absolute"] = Field(
         "centre",
@@ -63,9 +63,9 @@ class SampleConfig(Settings):
         " plane: the mean plane is subtracted; absolute: as in the file.",
     )
     seed: int = Field(0, ge=0, description="Seed of the places of the dots.")
-    dot_count: int = Field(12, ge=1, le=10_000, description="Number of dots, 1 to 10000.")
+    dot_count: int = Field(12, ge=1, le=10_000, description="Number of dots.")
     dot_radius_m: Length = Field(5e-9, description="Radius of a dot at its foot [m].")
-    height_m: float = Field(10e-9, ge=0.0, le=1e-4, description="Height of a dot or of a ridge [m], up to 1e-4.")
+    height_m: float = Field(10e-9, ge=0.0, le=1e-4, description="Height of a dot or of a ridge [m].")
     period_m: Length = Field(50e-9, description="Period of the grating [m].")
     particles: ParticlesConfig | None = Field(None, description="Spheres on it which the tip moves; none by default.")
 

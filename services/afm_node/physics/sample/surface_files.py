@@ -1,8 +1,7 @@
-"""Height maps from files of other instruments and programs: .gsf, .gwy, .ibw, .npy, and those of `foreign_images`.
+"""Height maps from files: .gsf and .npy here, and those of other instruments by the readers of packages.
 
-Rows in a file run from the top of the picture down, except in Igor's waves, which run from the bottom; here y rises
-with the row. No memory is taken for what a header says before it was compared with the length of the file; `igor2`,
-which reads .ibw, does so in a child process with limits, and so do the libraries that read what is foreign.
+Rows in a file run from the top of the picture down; here y rises with the row. No memory is taken for what a header
+says before it was compared with the length of the file; the readers of packages run in a child process with limits.
 """
 
 import math
@@ -18,19 +17,14 @@ from numpy.lib import format as npy
 
 from presets.regular_files import open_regular
 from proto.errors import ConfigError, probably_meant
-from proto.extras import how_to_install
-from services.afm_node.physics.sample.foreign_images import load_image, load_nanonis
-from services.afm_node.physics.sample.gwy_reader import read_gwy
-from services.afm_node.physics.sample.igor_waves import load_wave, require_whole
 from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
-from services.runtime.untrusted.limited_child import limits_for, read_in_child
+from services.runtime.untrusted.file_readers import read_by_package
 
 GSF_MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LONGEST_GSF_HEADER = 1 << 16
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 # metres in a unit of length, as files write it
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
-_LIBRARIES_BYTES = 2 << 30
 # samples that are made, and no files
 SHAPES = ("flat", "dots", "grating")
 _HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
@@ -61,7 +55,7 @@ def read_surface(
     Raises:
         ConfigError: The file cannot be used; the message names it and what is wrong with it.
     """
-    read = _READERS.get(path.suffix.lower(), _read_foreign)
+    read = _READERS.get(path.suffix.lower(), _read_by_package)
     if size_m is not None and path.suffix.lower() != ".npy":
         raise ConfigError(f"{path}: says its own size; a size is given for .npy files only")
     try:
@@ -70,13 +64,8 @@ def read_surface(
         side = _metres(found.unit_xy, f"the sides of channel {found.name}")
         heights = found.values.astype(np.float64) * scale
         return checked(heights, found.width * side, found.depth * side, may_lack=may_lack)
-    except ImportError as error:
-        if read in (_read_foreign, _read_sxm):
-            raise ConfigError(
-                f"{path}: images of other makers need {error.name}: {how_to_install('images')}; without it"
-                f" {', '.join(sorted(_READERS.keys() - {'.sxm'}))} are read, and Gwyddion saves most images as .gwy"
-            ) from error
-        raise ConfigError(f"{path}: needs {error.name} to be read: {how_to_install('instrument')}") from error
+    except ConfigError:
+        raise
     except OSError as error:
         near = "" if path.suffix or path.name != str(path) else probably_meant(path.name, SHAPES)
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}{near}") from error
@@ -178,49 +167,8 @@ def _real(header: Mapping[str, str], key: str) -> float:
     return value
 
 
-def _read_gwy(path: Path, size_m: float | None) -> list[_Channel]:
-    return [
-        _Channel(field.title, field.values[::-1], field.width, field.depth, field.unit_xy, field.unit_z)
-        for field in read_gwy(path, MOST_PIXELS)
-    ]
-
-
-def _read_ibw(path: Path, size_m: float | None) -> list[_Channel]:
-    require_whole(path)
-    wave, (values,) = read_in_child(f"{load_wave.__module__}:{load_wave.__name__}", path)
-    if values.ndim not in (2, 3):
-        raise ValueError(f"has the shape {values.shape}; a map has rows and columns")
-    if wave["units"][0] != wave["units"][1]:
-        raise ValueError(f"its sides have different units, {wave['units'][0]!r} and {wave['units'][1]!r}")
-    columns, rows = values.shape[:2]
-    _check_pixels((rows, columns))
-    layers, labels, (dx, dy) = values.reshape(columns, rows, -1), wave["labels"][2], wave["steps"]
-    # the unit of the wave is that of its first layers; those that are no heights say so by their names
-    return [
-        _Channel(name, layers[:, :, i].T, columns * dx, rows * dy, wave["units"][0], _layer_unit(name, wave["unit"]))
-        for i, name in enumerate((*labels, *(f"layer {i}" for i in range(len(labels), layers.shape[2]))))
-        if i < layers.shape[2]
-    ]
-
-
-def _layer_unit(name: str, unit: str) -> str:
-    other = {"phase": "deg", "potential": "V", "deflvolts": "V"}
-    return next((found for part, found in other.items() if part in name.lower()), unit)
-
-
-def _read_foreign(path: Path, size_m: float | None) -> list[_Channel]:
-    return _foreign(path, load_image)
-
-
-def _read_sxm(path: Path, size_m: float | None) -> list[_Channel]:
-    return _foreign(path, load_nanonis)
-
-
-def _foreign(path: Path, load: Callable[[str], object]) -> list[_Channel]:
-    limits = limits_for(path.stat().st_size)
-    # pandas and scipy, which SurfaceTopography imports, take address space and time of their own.
-    limits = limits._replace(memory_bytes=limits.memory_bytes + _LIBRARIES_BYTES, cpu_s=2 * limits.cpu_s)
-    found, maps = read_in_child(f"{load.__module__}:{load.__name__}", path, limits=limits)
+def _read_by_package(path: Path, size_m: float | None) -> list[_Channel]:
+    found, maps = read_by_package(path, "heights")
     for values in maps:
         _check_pixels(values.shape)
     return [
@@ -229,10 +177,4 @@ def _foreign(path: Path, load: Callable[[str], object]) -> list[_Channel]:
     ]
 
 
-_READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {
-    ".npy": _read_npy,
-    ".gsf": _read_gsf,
-    ".gwy": _read_gwy,
-    ".ibw": _read_ibw,
-    ".sxm": _read_sxm,
-}
+_READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {".npy": _read_npy, ".gsf": _read_gsf}

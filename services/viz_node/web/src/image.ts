@@ -1,7 +1,7 @@
 import type { Commands } from "./commands";
 import { save } from "./dom";
 import { Form } from "./form";
-import { gwyFile, type Channel } from "./gwy";
+import { simpleField } from "./gsf";
 import { LEVELLINGS } from "./levelling";
 import { programsOf, settings } from "./schema";
 import type { Store } from "./store";
@@ -48,30 +48,28 @@ export class Image {
     else this.commands.show(`${program} begins`, false, "one of its settings cannot be: the tab Image says which");
   }
 
-  /** Save the image for Gwyddion: the heights as measured, and as they are shown where something was taken off. */
-  saveGwy(): void {
-    save("telenano-image.gwy", new Blob([this.gwy()], { type: "application/octet-stream" }));
+  /** Save the heights as they are shown, for Gwyddion. */
+  saveGsf(): void {
+    save("telenano-image.gsf", new Blob([this.gsf()], { type: "application/octet-stream" }));
   }
 
   /** The bytes of that file. */
-  gwy(): Uint8Array<ArrayBuffer> {
-    const extent = this.surface.extent;
+  gsf(): Uint8Array<ArrayBuffer> {
+    const { extent, levelling } = this.surface;
     if (!extent) throw new Error("there is no image to save");
     const { measured, shown, rows, columns } = this.surface.grid();
     const lines = Array.from({ length: rows }, (_, row) => row).filter((row) => !Number.isNaN(measured[row * columns]!));
     const isWhole = lines.length === rows;
-    const partial = isWhole ? "" : ` (partial: ${lines.length} of ${rows} lines)`;
-    const channel = (title: string, values: Float32Array): Channel => ({
-      title: title + partial,
-      unit: "m",
-      values: lines.flatMap((row) => Array.from(values.subarray(row * columns, (row + 1) * columns), (height) => height * METRE)),
-      rows: lines.length,
-      columns,
-      width_m: extent.width * METRE,
-      depth_m: ((extent.depth * (lines.length - 1)) / Math.max(1, rows - 1)) * METRE,
-    });
-    const { levelling } = this.surface;
-    const channels = [channel("Height", measured), ...(levelling === "none" ? [] : [channel(`Height less ${LEVELLINGS[levelling]}`, shown)])];
-    return gwyFile(channels, { Source: this.store.source.name, Program: "telenano", ...(isWhole ? {} : { Partial: `${lines.length} of ${rows} lines` }) });
+    const partial = `${lines.length} of ${rows} lines`;
+    const about = {
+      XReal: extent.width * METRE,
+      YReal: ((extent.depth * (lines.length - 1)) / Math.max(1, rows - 1)) * METRE,
+      Title: `Height${levelling === "none" ? "" : ` less ${LEVELLINGS[levelling]}`}${isWhole ? "" : ` (partial: ${partial})`}`,
+      Source: this.store.source.name,
+      Program: "telenano",
+      ...(isWhole ? {} : { Partial: partial }),
+    };
+    const heights = levelling === "none" ? measured : shown;
+    return simpleField(about, lines.map((row) => heights.subarray(row * columns, (row + 1) * columns).map((height) => height * METRE)));
   }
 }

@@ -29,7 +29,7 @@ export class ImagePanel implements Panel {
     const range = choice("range", "Range of the colours", RANGES.map(([share, text]) => [String(share), text] as const), (value) => (surface.clipped = Number(value)));
     const button = (id: string, text: string, action: () => void): HTMLButtonElement => make("button", { type: "button", id, disabled: true, onclick: action }, text);
     this.saves = [
-      button("save-gwy", "Save .gwy", () => cockpit.image.saveGwy()),
+      button("save-gsf", "Save .gsf", () => cockpit.image.saveGsf()),
       button("save-image", "Save PNG", () => cockpit.image.onPicture()?.toBlob((blob) => blob && save("telenano-image.png", blob))),
     ];
     root.append(make("div", { class: "row" }, levelling, palette, range), this.about, make("div", { class: "row" }, ...this.saves), this.forms);

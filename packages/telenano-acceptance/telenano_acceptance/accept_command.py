@@ -1,0 +1,145 @@
+"""`telenano device accept`: one motion of a minute, and what it shows of a device or an instrument."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from telenano.cli.output import print_rows
+from telenano.cli.sample_options import results_in
+from telenano.extend.commands import ConfigError, JsonOption, flag_overrides, print_json, report_errors, run_ahead
+
+if TYPE_CHECKING:
+    from telenano_acceptance.take import Kind, Say, Step, Take, Verdict
+
+_NOT_ACCEPTED = 1
+
+
+def accept(
+    driver: Annotated[
+        str, typer.Option("--device", metavar="DRIVER", help="Value of haptic_node.driver: the device to judge.")
+    ] = "simulated_impedance",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="A key of haptic_node.* or afm_node.* (repeat)."),
+    ] = None,
+    mass: Annotated[
+        float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass to hang at the handle; 0: none.")
+    ] = 0.0,
+    stop: Annotated[
+        str,
+        typer.Option("--independent-stop", metavar="TEXT", help="How the drives are stopped without the computer."),
+    ] = "",
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", metavar="FILE", help="Calibration of an instrument: it is judged instead."),
+    ] = None,
+    taken: Annotated[
+        Path | None, typer.Option("--from", metavar="FILE", help="Judge this take again in the place of a new one.")
+    ] = None,
+    faults: Annotated[
+        list[str] | None,
+        typer.Option("--fault", metavar="NAME=VALUE", help="Put a fault into the simulated device (repeat)."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for the take, the page and the verdicts.")
+    ] = Path("out/accept"),
+    as_json: JsonOption = False,
+) -> None:
+    """Lead through a motion of a minute, and tell of each of its checks: pass, fail, retake or cannot say.
+
+    A device is driven in the step *hold*: keep a hand at its independent stop. An instrument (--calibration, or a key
+    afm_node.*) approaches its sample behind the guard. The exit code is 1 if a check fails or asks for the motion once
+    more.
+    """
+    with report_errors(as_json):
+        from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
+        from telenano_acceptance.instrument.checks import INSTRUMENT
+        from telenano_acceptance.take import overall, read_take, silent
+
+        kind: Kind[Any]
+        take: Take[Any]
+        given, say = flag_overrides(settings or []), silent if as_json else _tell
+        if taken is not None:
+            kind, take = read_take(taken, HAPTIC_DEVICE, INSTRUMENT)
+        elif calibration is not None or "afm_node" in given:
+            if faults:
+                raise ConfigError("--fault: faults go into simulated_impedance; an emulated instrument has its own")
+            kind, take = INSTRUMENT, _take_of_instrument(calibration, _section(given, "afm_node"), say)
+        else:
+            section = {"driver": driver} | _section(given, "haptic_node")
+            kind, take = HAPTIC_DEVICE, _take_of_device(section, mass, stop, faults or [], say)
+        verdicts = kind.judge(take)
+        result, identity = overall(verdicts), take.facts.identity
+        document = {
+            "result": result,
+            "device": identity,
+            "seconds": take.seconds,
+            "checks": [verdict._asdict() for verdict in verdicts],
+            "files": str(out),
+        }
+        with results_in(out) as folder:
+            take.save(folder / "take.npz")
+            (folder / "accept.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+            _page(take, verdicts, result).write(folder / "accept.html")
+    if as_json:
+        print_json(document)
+    else:
+        print_rows([verdict._asdict() for verdict in verdicts])
+        typer.echo(f"{result}: {identity}; page, take and verdicts are in {out}")
+    if result != "pass":
+        raise typer.Exit(_NOT_ACCEPTED)
+
+
+def _tell(step: "Step") -> None:
+    typer.echo(f"{step.seconds:4.0f} s  {step.name}: {step.prompt}")
+
+
+def _section(given: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return the keys of a section; ConfigError names one of another."""
+    if other := sorted(set(given) - {name}):
+        raise ConfigError(f"--set {other[0]}: what is judged here has keys {name}.* only")
+    found: dict[str, Any] = given.get(name, {})
+    return found
+
+
+def _take_of_instrument(calibration: Path | None, section: dict[str, Any], say: "Say") -> "Take[Any]":
+    from telenano_acceptance.instrument.instruments import config_of, make_take
+
+    config = config_of(calibration, section)
+    if config.driver != "simulated":
+        # a guard takes a pause of this process for its death
+        run_ahead()
+    return make_take(config, say)
+
+
+def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: list[str], say: "Say") -> "Take[Any]":
+    import yaml
+
+    from services.haptic_node.config import HapticConfig
+    from services.runtime.settings.config import validate
+    from telenano_acceptance.haptic_device.devices import make_take
+
+    config = validate(HapticConfig, section, "--set", "haptic_node")
+    wrong = {name: yaml.safe_load(value) for name, _, value in (fault.partition("=") for fault in faults)}
+    return make_take(config, mass, stop, faults=wrong, say=say)
+
+
+def _page(take: "Take[Any]", verdicts: "list[Verdict]", result: str) -> Any:
+    from studies.pages.page import Page
+
+    page = Page(f"Acceptance of {take.facts.identity}: {result}")
+    page.paragraph(
+        f"{len(take.rows)} rows in {take.seconds:.0f} s, judged from this one take. "
+        "The tolerances are provisional until takes of real devices are there."
+    )
+    page.table(("check", "result", "found", "wanted"), verdicts)
+    for heading, text, values in take.facts.tables():
+        page.heading(heading)
+        if text:
+            page.paragraph(text)
+        page.table(("what", "value"), [(name, str(value)) for name, value in values.items()])
+    page.heading("The motion")
+    page.table(("step", "seconds", "what was asked for"), take.steps)
+    return page

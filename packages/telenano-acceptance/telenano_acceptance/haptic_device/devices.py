@@ -1,0 +1,76 @@
+"""The devices that a take can be made of, by the name of their driver."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConfig
+from telenano.extend.commands import ConfigError
+from telenano.extend.emulators import ProcessLink
+from telenano_acceptance.haptic_device.person import person, reach_of
+from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
+from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of
+from telenano_acceptance.take import MACHINE, Clock, Say, Take, silent
+
+
+def make_take(
+    config: HapticConfig,
+    mass_kg: float = 0.0,
+    independent_stop: str = "",
+    *,
+    pace: float = 1.0,
+    faults: Mapping[str, Any] | None = None,
+    say: Say = silent,
+) -> Take[Facts]:
+    """Lead a person, or a simulated one, through the motion at the device that a section names.
+
+    Args:
+        config: The section `haptic_node`.
+        mass_kg: Of the mass that is hung at the handle [kg]; 0.0 for none.
+        independent_stop: How the drives can be stopped without the computer; empty if they cannot.
+        pace: Stretches or shortens all steps.
+        faults: Those of `DeviceFaults` to put into a simulated device, by name.
+        say: Tells the person of each step as it begins.
+
+    Raises:
+        ConfigError: The driver is none of a device that takes a force, or faults were asked of a real one.
+        DeviceError: The device is not ready.
+    """
+    steps = steps_of(mass_kg, pace)
+    if config.driver == SIMULATED_IMPEDANCE:
+        # in virtual time: the simulated device has three buttons, the first a dead-man, and a wrist
+        able = config.impedance.capabilities()
+        able = able._replace(buttons=("a", "b", "c"), deadman="a", has_orientation=True)
+        hand = person(reach_of(able), len(able.buttons), 1, steps, mass_kg)
+        simulated = SimulatedLink(able, hand, _faults_of(faults or {}))
+        facts = Facts(able, config.coupling.to_settings(able), mass_kg, independent_stop)
+        return record_take(simulated, facts, steps, Clock(simulated.now_ns), say)
+    if faults:
+        raise ConfigError(f"faults can be put into {SIMULATED_IMPEDANCE} only, not into {config.driver}")
+    driver = DRIVERS.find(config.driver)
+    if driver is None or driver.wire is None:
+        known = ", ".join((SIMULATED_IMPEDANCE, *(name for name, one in DRIVERS.all().found.items() if one.wire)))
+        raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
+    settings_of_driver = getattr(config, driver.name) or driver.config()
+    link = ProcessLink(driver.name, settings_of_driver.model_dump(mode="json"))
+    link.open()
+    try:
+        facts = Facts(link.capabilities, config.coupling.to_settings(link.capabilities), mass_kg, independent_stop)
+        return record_take(link, facts, steps, MACHINE, say)
+    finally:
+        link.close()
+
+
+def _faults_of(given: Mapping[str, Any]) -> DeviceFaults:
+    """Return the faults of these names; ConfigError says what is wrong with one."""
+    good, found = DeviceFaults(), dict[str, Any]()
+    for name, value in given.items():
+        if name not in DeviceFaults._fields:
+            raise ConfigError(f"--fault {name}: no such fault; there are {', '.join(DeviceFaults._fields)}")
+        default = getattr(good, name)
+        is_list = isinstance(default, tuple)
+        parts = value if is_list and isinstance(value, list | tuple) else (value,)
+        if len(parts) != (len(default) if is_list else 1) or not all(isinstance(part, int | float) for part in parts):
+            what = f"a list of {len(default)} numbers" if is_list else "a number, true or false"
+            raise ConfigError(f"--fault {name}: must be {what}, not {value!r}")
+        found[name] = tuple(parts) if is_list else value
+    return good._replace(**found)

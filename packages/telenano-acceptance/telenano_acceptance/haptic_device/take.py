@@ -1,0 +1,184 @@
+"""The motion of a minute that a device that takes a force is judged by, and the recording of it.
+
+A row is what the servo of the device said, and what was asked of it.
+"""
+
+from typing import NamedTuple
+
+from services.haptic_node.coupling import (
+    FAULTS,
+    GATE_ACTIVE,
+    ZERO,
+    CouplingSettings,
+    Vector,
+    passive_stiffness_n_per_m,
+    stable_stiffness_n_per_m,
+)
+from services.haptic_node.servo import ServoCommand, ServoLink, ServoSample
+from telenano.extend.devices import Capabilities
+from telenano_acceptance.take import PERIOD_S, Clock, Recorder, Say, Step, Table, Take, row_of, silent
+
+STANDARD_GRAVITY_M_PER_S2 = 9.80665
+# The take begins with the first sample of the device, or after so long without one.
+_FIRST_NS = 2_000_000_000
+# K over that of the settings, one after the other, for the step *hold*
+LEVELS = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+# Forces along x, y and z are the first half of that step; each level begins with a reference that is off by so much.
+_NUDGE_M = 1e-3
+# Above this force [N] a device without an independent stop is refused: a hand can no longer just hold against it. In
+# the take it is driven with no more.
+MOST_WITHOUT_STOP_N = 5.0
+AXES = ("x", "y", "z")
+
+
+STEPS = (
+    Step("rest", 8.0, "put the handle down, or hold it still"),
+    Step("slow", 12.0, "move slowly through the whole workspace: right and left, forward and back, up and down"),
+    Step("fast", 8.0, "move quickly to and fro in all directions"),
+    Step("right", 3.0, "push the handle to the right, and let it come back"),
+    Step("forward", 3.0, "push the handle forward, away from you, and let it come back"),
+    Step("up", 3.0, "lift the handle, and let it come back"),
+    Step("hold", 12.0, "hold the handle still: the device pushes in three directions, and then becomes stiffer"),
+    Step("button", 5.0, "press and let go of each button, one after the other"),
+    Step("cable", 6.0, "pull the cable of the device out, wait for two seconds, and put it in again"),
+)
+MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off")
+
+ROW = row_of(
+    ("level", "f8"),
+    ("place_m", "f8", 3),
+    ("force_n", "f8", 3),
+    ("asked_n", "f8", 3),
+    ("gate", "i2"),
+    ("counter", "i8"),
+    ("late", "i8"),
+    ("buttons", "i4"),
+    ("orientation", "f8", 4),
+    ("lost", "?"),
+)
+
+
+class Facts(NamedTuple):
+    """What was declared and said beforehand: the device, and the coupling with which it is to be used.
+
+    mass_kg: of the mass that was hung at the handle, 0.0 for none. independent_stop: how the power of the drives can be
+    cut without the computer, empty if it cannot.
+    """
+
+    device: Capabilities
+    settings: CouplingSettings
+    mass_kg: float = 0.0
+    independent_stop: str = ""
+
+    @property
+    def identity(self) -> str:
+        return self.device.identity
+
+    def tables(self) -> list[Table]:
+        device, k, b = self.device, self.settings.stiffness_n_per_m[2], self.settings.damping_n_s_per_m[2]
+        timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
+        text = (
+            f"K = {k:.4g} N/m, B = {b:.4g} N s/m; passive up to {passive_stiffness_n_per_m(*timing):.4g} N/m, stable up"
+            f" to {stable_stiffness_n_per_m(*timing):.4g} N/m. What the check of the rendering stiffness found is a K"
+            " for haptic_node.coupling.stiffness_n_per_m, with a margin of your own."
+        )
+        return [
+            Table("What was declared", "", device._asdict()),
+            Table("The coupling", text, self.settings._asdict()),
+        ]
+
+
+def steps_of(mass_kg: float, pace: float = 1.0) -> tuple[Step, ...]:
+    """Return the steps, with that of the mass if there is one; pace stretches or shortens them all."""
+    steps = (*STEPS[:-1], MASS_STEP, STEPS[-1]) if mass_kg else STEPS
+    return tuple(step._replace(seconds=step.seconds * pace) for step in steps)
+
+
+def record_take(link: ServoLink, facts: Facts, steps: tuple[Step, ...], clock: Clock, say: Say = silent) -> Take[Facts]:
+    """Lead through the steps and record them; the link is open, and stays so.
+
+    Args:
+        link: The device and its servo.
+        facts: What was declared and said beforehand.
+        steps: Those of `steps_of`.
+        clock: That of the servo.
+        say: Tells the person of each step as it begins.
+    """
+    asker = _Asker(link, facts, clock)
+    first_ns = clock.now_ns()
+    while not asker.newest().taken_ns and clock.now_ns() - first_ns < _FIRST_NS:
+        clock.wait(clock.now_ns() + round(PERIOD_S * 1e9))
+    recorder = Recorder(steps, clock, say)
+    for number, step in enumerate(steps):
+        recorder.begin(number)
+        count = round(step.seconds / PERIOD_S)
+        for index in range(count):
+            recorder.wait()
+            level, asked = asker.ask(step.name, index / count)
+            found = asker.newest()
+            age_s = (clock.now_ns() - found.taken_ns) * 1e-9
+            lost = bool(found.error) or age_s > facts.settings.silence_s
+            recorder.add(
+                age_s, level, found.position_m, found.force_n, asked, found.gate, found.counter, found.late,
+                found.buttons, found.orientation, lost,
+            )  # fmt: skip
+    return recorder.take(ROW, facts)
+
+
+class _Asker:
+    """Commands for the servo, step by step, as a node would send them."""
+
+    def __init__(self, link: ServoLink, facts: Facts, clock: Clock) -> None:
+        settings = facts.settings
+        most_n = settings.max_force_n if facts.independent_stop else min(settings.max_force_n, MOST_WITHOUT_STOP_N)
+        self._push_n = min(1.0, 0.3 * most_n)
+        # What a reading that stands still is found by is less than the force of a push.
+        frozen_n = min(settings.frozen_force_n, 0.5 * self._push_n)
+        self._settings = settings._replace(max_force_n=most_n, frozen_force_n=frozen_n)
+        self._link, self._clock = link, clock
+        self._found = ServoSample()
+        self._counter = self._arm_count = 0
+        # where the hand was when the device was engaged last
+        self._home: Vector | None = None
+
+    def newest(self) -> ServoSample:
+        """Let a period pass, and return what the servo said last."""
+        self._found = self._link.newest(0.0, PERIOD_S) or self._found
+        return self._found
+
+    def ask(self, name: str, share: float) -> tuple[float, Vector]:
+        """Send the command for a place in a step; return the level of stiffness and the force that is asked for."""
+        engaged = name in ("hold", "mass", "button", "cable") and self._found.gate <= GATE_ACTIVE + 1
+        if self._found.gate in FAULTS:
+            # what is refused has been recorded; the rest of the minute is worth recording as well
+            self._arm_count += 1
+        if not engaged:
+            self._home = None
+        elif self._home is None:
+            self._home = self._found.position_m
+        level, force, place = 1.0, ZERO, self._home or ZERO
+        if name == "hold" and share < 0.5:
+            pushed = min(2, int(share * 6.0))
+            size = self._push_n if 0.2 < share * 6.0 - pushed < 0.9 else 0.0
+            force = (size * (pushed == 0), size * (pushed == 1), size * (pushed == 2))
+        elif name == "hold":
+            at = (share - 0.5) * 2.0 * len(LEVELS)
+            level = LEVELS[min(len(LEVELS) - 1, int(at))]
+            place = (place[0], place[1], place[2] + _NUDGE_M * (at - int(at) < 0.3))
+        x, y, z = self._settings.stiffness_n_per_m
+        settings = self._settings._replace(stiffness_n_per_m=(x, y, z * level))
+        self._counter += 1
+        self._link.send(
+            ServoCommand(
+                counter=self._counter,
+                sent_ns=self._clock.now_ns(),
+                position_m=place,
+                velocity_m_per_s=ZERO,
+                force_n=force,
+                engaged=engaged,
+                arm_count=self._arm_count,
+                stop=False,
+                settings=settings,
+            )
+        )
+        return level, force if engaged else ZERO

@@ -1,0 +1,76 @@
+"""The instruments that a take can be made of: the simulated one, and real ones by their calibration."""
+
+from pathlib import Path
+from typing import Any
+
+from services.afm_node.config import AfmConfig
+from services.afm_node.devices.capabilities import TABLE, capabilities_of
+from services.afm_node.instrument import calibration_of_file, driver_of
+from services.runtime.settings.config import merge, validate
+from telenano.extend.commands import ConfigError
+from telenano.extend.devices import AfmDriver
+from telenano_acceptance.instrument.take import Facts, press_of, record_take
+from telenano_acceptance.take import MACHINE, PERIOD_S, Clock, Say, Take, silent
+
+_CONTACT_N = 1e-9
+
+
+def config_of(calibration: Path | None, given: dict[str, Any]) -> AfmConfig:
+    """Return the section `afm_node` of an instrument: the one of a calibration file, or the simulated one.
+
+    Raises:
+        ConfigError: The file or a key cannot be used.
+    """
+    if calibration is None:
+        return validate(AfmConfig, given, "--set", "afm_node")
+    kind = getattr(calibration_of_file(calibration), "controller", "modbus")
+    section = {"driver": kind, kind: {"calibration": str(calibration)}}
+    return validate(AfmConfig, merge(section, given), "--set", "afm_node")
+
+
+def make_take(config: AfmConfig, say: Say = silent) -> Take[Facts]:
+    """Lead the instrument of a section through the motion; it is retracted and let go of at the end.
+
+    Raises:
+        DeviceError: The instrument is not ready.
+        ConfigError: Its files cannot be used, or its driver declares no capabilities.
+    """
+    _declared_hz(config)
+    driver = driver_of(config, PERIOD_S)
+    driver.open()
+    try:
+        # Nobody has to wait for a simulated instrument.
+        clock = Clock(lambda: 0) if driver.report is None else MACHINE
+        return record_take(driver, facts_of(config, driver), clock, say)
+    finally:
+        driver.close()
+
+
+def _declared_hz(config: AfmConfig) -> float:
+    """Return how often a new sample comes, as the driver of a section declares it [Hz]; ConfigError if it does not."""
+    found = capabilities_of(config.driver)
+    if found is None:
+        known = f"is none of {', '.join(TABLE)}, and declares no capabilities"
+        raise ConfigError(f"afm_node.driver = {config.driver} {known}: its package judges it")
+    return found.sample_hz
+
+
+def facts_of(config: AfmConfig, driver: AfmDriver) -> Facts:
+    """Return what is known of an instrument before a take; it is open."""
+    calibration: Any = getattr(driver, "calibration", None)
+    contact_n = _CONTACT_N if calibration is None else calibration.contact_force_n
+    cantilever = config.cantilever if calibration is None else calibration.cantilever
+    # A tick that was measured says more than what the device has as shipped.
+    tick_s = getattr(driver, "tick_s", 0.0)
+    limits = config.to_params().safety
+    return Facts(
+        driver=config.driver,
+        identity=getattr(driver, "identity", "the simulated instrument"),
+        latency_s=driver.latency_s,
+        sample_hz=1.0 / tick_s if tick_s else _declared_hz(config),
+        stiffness_n_per_m=cantilever.stiffness_n_per_m,
+        contact_force_n=contact_n,
+        limits=limits,
+        press_n=press_of(contact_n, limits.force_limit_n),
+        safe_m=driver.safe_position_m,
+    )

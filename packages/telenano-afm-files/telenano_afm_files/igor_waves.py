@@ -1,0 +1,143 @@
+"""Igor's binary waves (.ibw, version 5), by `igor2`, after their sizes were compared with the file: called in a child.
+
+Format: WaveMetrics, Technical Note 003. `igor2` takes the memory that the header asks for before it looks at the data.
+"""
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano.extend.readers import open_regular
+
+_VERSION = 5
+_DATA_START = 384
+# The lengths of the parts behind the data: formula, note, units, labels of dimensions, indices, two options.
+_PARTS = struct.Struct("8x14i")
+_POINTS, _TYPE, _DIMENSIONS = 76, 80, 132
+_ITEM_BYTES = {0x02: 4, 0x04: 8, 0x08: 1, 0x10: 2, 0x20: 4}
+_COMPLEX, _UNSIGNED = 0x01, 0x40
+
+Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
+
+
+def require_whole(path: Path) -> None:
+    """Raise ValueError where a file is no wave of version 5, or states sizes that it does not have; OSError."""
+    with open_regular(path) as file:
+        head = file.read(_DATA_START)
+        size = file.seek(0, 2)
+    order = next((each for each in "<>" if len(head) == _DATA_START and _read("h", each, head, 0) == (_VERSION,)), "")
+    if not order:
+        raise ValueError(f"it is no Igor binary wave of version {_VERSION}")
+    (points,), (kind,) = _read("i", order, head, _POINTS), _read("h", order, head, _TYPE)
+    sides = [side for side in _read("4i", order, head, _DIMENSIONS) if side != 0]
+    item = _ITEM_BYTES.get(kind & ~(_COMPLEX | _UNSIGNED), 0) * (2 if kind & _COMPLEX else 1)
+    if not item:
+        raise ValueError(f"it is no Igor binary wave of numbers (type {kind})")
+    if min([points, *sides]) < 0 or math.prod(sides) != points or _DATA_START + points * item > size:
+        shape = " x ".join(map(str, sides)) or "0"
+        raise ValueError(
+            f"it is no whole Igor binary wave: {shape} numbers of {item} bytes, {points} in all, of {size}"
+        )
+    parts = struct.unpack_from(order + _PARTS.format, head)
+    if min(parts) < 0 or _DATA_START + points * item + sum(parts) > size:
+        raise ValueError(f"it is no whole Igor binary wave: its note, units and labels go beyond its {size} bytes")
+
+
+def _read(form: str, order: str, head: bytes, place: int) -> tuple[int, ...]:
+    return struct.unpack_from(order + form, head, place)
+
+
+def load_wave(path: str) -> Found:
+    """Return a wave as plain values and its array, shape as in Igor.
+
+    Values: unit of the data, units and steps of the first two dimensions, labels of each dimension, and the note.
+    """
+    from igor2 import binarywave
+
+    require_whole(Path(path))
+    wave = binarywave.load(path)["wave"]
+    header = wave["wave_header"]
+    facts = {
+        "unit": _text(header["dataUnits"]),
+        "units": [_text(row) for row in header["dimUnits"][:2]],
+        "steps": [float(step) for step in header["sfA"][:2]],
+        "labels": [[_text(label) for label in labels[1:]] for labels in wave["labels"]],
+        "note": _text(wave["note"]),
+    }
+    values = np.asarray(wave["wData"])
+    if values.dtype.kind not in "fiu":
+        raise ValueError("its values are no numbers")
+    return facts, [values]
+
+
+def load_maps(path: str) -> Found:
+    """Return the maps of a wave, y rising with the row; its columns are Igor's rows.
+
+    Values: `channels`, for each map its name, its width and depth, and the units of both and of the values.
+    """
+    wave, (values,) = load_wave(path)
+    if values.ndim not in (2, 3):
+        raise ValueError(f"has the shape {values.shape}; a map has rows and columns")
+    if wave["units"][0] != wave["units"][1]:
+        raise ValueError(f"its sides have different units, {wave['units'][0]!r} and {wave['units'][1]!r}")
+    columns, rows = values.shape[:2]
+    layers, labels, (dx, dy) = values.reshape(columns, rows, -1), wave["labels"][2], wave["steps"]
+    count = layers.shape[2]
+    names = [*labels, *(f"layer {i}" for i in range(len(labels), count))][:count]
+    # the unit of the wave is that of its first layers; those that are no heights say so by their names
+    facts = [
+        {"name": name, "sides": [columns * dx, rows * dy], "unit": wave["units"][0], "z": _unit(name, wave["unit"])}
+        for name in names
+    ]
+    return {"channels": facts}, [layers[:, :, i].T for i in range(count)]
+
+
+def _unit(name: str, unit: str) -> str:
+    other = {"phase": "deg", "potential": "V", "deflvolts": "V"}
+    return next((found for part, found in other.items() if part in name.lower()), unit)
+
+
+def load_curve(path: str, number: str) -> Found:
+    """Return a force curve of Asylum's (Defl, and ZSnsr or Raw).
+
+    Values: k [N/m], speed of the approach [m/s] and points of the approach. Arrays: base and deflection [m].
+    """
+    refuse_number(number)
+    wave, (values,) = load_wave(path)
+    if values.ndim != 2:
+        raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
+    columns = dict(zip(wave["labels"][1], np.asarray(values, dtype=np.float64).T, strict=True))
+    if wave["unit"] != "m":
+        raise ValueError("its values are no lengths in m")
+    notes = notes_of(wave)
+    for names in (("Defl",), ("ZSnsr", "Raw")):
+        if not any(name in columns for name in names):
+            raise ValueError(f"it has no column {' or '.join(names)}")
+    if missing := [name for name in ("SpringConstant", "Indexes") if name not in notes]:
+        raise ValueError(f"its note lacks {', '.join(missing)}")
+    # towards the sample is where the deflection rises: Asylum's sensor does too
+    height = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
+    turn = int(float(notes["Indexes"].split(",")[1])) + 1
+    speed = abs(float(height[turn - 1] - height[0])) / (float(wave["steps"][0]) * turn)
+    facts = {"stiffness_n_per_m": float(notes["SpringConstant"]), "speed_m_per_s": speed, "turn": turn}
+    return facts, [height, columns["Defl"]]
+
+
+def notes_of(wave: dict[str, Any]) -> dict[str, str]:
+    """Return the lines of the note of a wave by their keys."""
+    return dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
+
+
+def refuse_number(number: str) -> None:
+    """Raise ValueError where a curve of a map is asked for, of a file that has one."""
+    if number != "0":
+        raise ValueError(f"it is no map, of which the curve {number} could be chosen")
+
+
+def _text(parts: Any) -> str:
+    """Return a text of an Igor header, which is bytes or single characters of them."""
+    return (parts if isinstance(parts, bytes) else b"".join(parts)).decode("latin-1").strip("\0 ")

@@ -1,0 +1,122 @@
+"""`telenano sample import` and `telenano sample info`: recorded maps of instruments, brought into what a rig feels."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from telenano.extend.commands import (
+    ConfigError,
+    JsonOption,
+    flag_overrides,
+    print_document,
+    progress,
+    report_errors,
+)
+from telenano.extend.maps import MEMBERS, SI_UNITS, gates, write_map
+from telenano_afm_files.map_files import Imported, Wanted
+from telenano_afm_files.map_files import import_map as read_map_of
+from telenano_afm_files.sader_jarvis import ASKED
+
+FileArgument = Annotated[
+    Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, or force curves that afmformats reads.")
+]
+MembersOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="What the file lacks, such as stiffness_n_per_m=0.1 (repeatable)."),
+]
+MapChannelOption = Annotated[
+    str | None, typer.Option("--channel", metavar="NAME", help="Part of the name of a channel of a .3ds file.")
+]
+
+
+class Level(StrEnum):
+    """What the heights of curves count from."""
+
+    EACH = "each"
+    COMMON = "common"
+
+
+class Quantity(StrEnum):
+    """What a map is converted to."""
+
+    FORCE = "force"
+
+
+def import_map(
+    file: FileArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="MAP", help="The map to write, a .npz.")],
+    members: MembersOption = None,
+    channel: MapChannelOption = None,
+    level: Annotated[
+        Level, typer.Option("--level", help="Heights of curves: each from its own lowest point, or common to all.")
+    ] = Level.EACH,
+    points: Annotated[
+        int, typer.Option("--points", min=0, max=4096, help="Points of the height; 0: as the curves have.")
+    ] = 0,
+    baseline: Annotated[
+        float,
+        typer.Option("--baseline", min=0.0, max=50.0, help="Share of the approach whose mean force is taken as 0 [%]."),
+    ] = 10.0,
+    converted: Annotated[
+        Quantity | None, typer.Option("--as", help="Make the force of a frequency shift, by Sader and Jarvis.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring a recorded map into a file that `afm_node.sample.map` feels."""
+    with report_errors(as_json):
+        if out.suffix.lower() != ".npz":
+            raise ConfigError(f"--out {out}: must be a .npz")
+        found = _read(file, members, channel, level.value, points, baseline, as_json, converted=converted is not None)
+        write_map(out, found.map)
+    print_document({**_about(found), "file": str(out)}, str(out), as_json=as_json)
+
+
+def info(
+    file: FileArgument, members: MembersOption = None, channel: MapChannelOption = None, as_json: JsonOption = False
+) -> None:
+    """Show what a recorded map is, or what it lacks to be felt."""
+    with report_errors(as_json):
+        found = _read(file, members, channel, Level.EACH.value, 0, 10.0, as_json)
+    print_document(_about(found), str(file), as_json=as_json)
+
+
+def _read(
+    file: Path,
+    members: list[str] | None,
+    channel: str | None,
+    level: str,
+    points: int,
+    baseline: float,
+    as_json: bool,
+    *,
+    converted: bool = False,
+) -> Imported:
+    given = flag_overrides(members or ())
+    known = (*MEMBERS, *ASKED) if converted else MEMBERS
+    if unknown := sorted(set(given) - set(known)):
+        raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(known)}")
+    with progress(file.name, 1.0, shown=not as_json) as show:
+        return read_map_of(file, Wanted(given, channel, level, points, 0.01 * baseline, converted), show)
+
+
+def _about(found: Imported) -> dict[str, Any]:
+    whole = found.map
+    onset, release = gates(whole)
+    contact = {"contact_m": [float(onset.min()), float(onset.max())]} if whole.quantity == "force" else {}
+    loop = {"loop_closed_m": [float(release.min()), float(release.max())]} if contact and len(whole.values) == 2 else {}
+    return {
+        "source": whole.source,
+        "quantity": f"{whole.quantity} [{SI_UNITS[whole.quantity]}]",
+        "branches": ["approach", "retract"][: len(whole.values)],
+        "points": list(whole.values.shape[1:]),
+        **{f"{name}_m": [float(axis[0]), float(axis[-1])] for name, axis in zip("xyz", whole[1:4], strict=True)},
+        "lowest": float(whole.values.min()),
+        "highest": float(whole.values.max()),
+        **({"stiffness_n_per_m": whole.stiffness_n_per_m} if whole.stiffness_n_per_m else {}),
+        **contact,
+        **loop,
+        "megabytes": round(whole.values.nbytes / 1e6, 3),
+        **({"notes": list(found.notes)} if found.notes else {}),
+    }

@@ -1,0 +1,31 @@
+"""Which function reads which files; telenano calls them in a child process with limits."""
+
+from telenano.extend.readers import FileReader, Limits, limits_for
+
+_LIBRARIES_BYTES = 2 << 30
+
+
+def limits_of_libraries(size_bytes: int) -> Limits:
+    """Return what SurfaceTopography and nanonispy2 may take: what they import takes address space and time too."""
+    limits = limits_for(size_bytes)
+    return limits._replace(memory_bytes=limits.memory_bytes + _LIBRARIES_BYTES, cpu_s=2 * limits.cpu_s)
+
+
+def limits_of_curves(size_bytes: int) -> Limits:
+    """Return what reading curves may take: one takes some 25 ms, however small it is, and has 13 kB and more."""
+    limits = limits_for(size_bytes)
+    return Limits(limits.memory_bytes + (1 << 30), limits.cpu_s + 10 + size_bytes // 50_000, limits.wall_s + 60.0)
+
+
+_CURVE, _DEFLECTIONS = (f"telenano_afm_files.curve_files:{name}" for name in ("load_afmformats", "load_deflections"))
+GWYDDION = FileReader(heights="telenano_afm_files.gwyddion:load_maps")
+IGOR = FileReader(
+    heights="telenano_afm_files.igor_waves:load_maps", curve="telenano_afm_files.igor_waves:load_curve",
+    deflections=_DEFLECTIONS, limits=limits_of_curves,
+)  # fmt: skip
+NANONIS = FileReader(heights="telenano_afm_files.images:load_nanonis", limits=limits_of_libraries)
+OTHER = FileReader(heights="telenano_afm_files.images:load_image", limits=limits_of_libraries)
+CURVES = FileReader(curve=_CURVE, deflections=_DEFLECTIONS, limits=limits_of_curves)
+CURVE_MAPS = FileReader(
+    curve="telenano_afm_files.curve_files:load_one_of_map", deflections=_DEFLECTIONS, limits=limits_of_curves
+)

@@ -1,0 +1,125 @@
+"""Images of other makers: the libraries read them in a child, the right way up, and what they cannot is a sentence."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analysis.image_files import Image, write_gwy
+from proto.errors import ConfigError
+from services.afm_node.physics.sample.surface_files import read_surface
+from services.runtime.untrusted import file_readers
+
+DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
+HEIGHTS = np.add.outer(np.linspace(0.0, 9e-9, 10), np.linspace(0.0, 4e-9, 16) ** 2 / 4e-9)
+
+
+def sxm(path: Path, direction: str, *, whole: bool = True) -> Path:
+    """Write a Nanonis image of 16 x 10 points over 160 x 100 nm, with the channel Z forward and backward."""
+    lines = {
+        "NANONIS_VERSION": "2",
+        "SCANIT_TYPE": "              FLOAT            MSBFIRST",
+        "REC_DATE": " 01.01.2026",
+        "REC_TIME": "12:00:00",
+        "REC_TEMP": "      290.0",
+        "ACQ_TIME": "      10.0",
+        "SCAN_PIXELS": "       16       10",
+        "SCAN_FILE": "a.sxm",
+        "SCAN_TIME": "             1.0E+0             1.0E+0",
+        "SCAN_RANGE": "           1.6E-7           1.0E-7",
+        "SCAN_OFFSET": "             0.0E+0         0.0E+0",
+        "SCAN_ANGLE": "            0.0E+0",
+        "SCAN_DIR": direction,
+        "BIAS": "            0.0E+0",
+        "DATA_INFO": "\tChannel\tName\tUnit\tDirection\tCalibration\tOffset\n\t14\tZ\tm\tboth\t1.0E-9\t0.0E+0\n",
+    }
+    head = "".join(f":{key}:\n{value}\n" for key, value in lines.items()) + ":SCANIT_END:\n\n"
+    rows = HEIGHTS[::-1] if direction == "down" else HEIGHTS
+    forward = rows.copy() if whole else np.where(np.arange(10)[:, None] < 7, rows, np.nan)
+    data = np.stack([forward, forward[:, ::-1]]).astype(">f4")
+    path.write_bytes(head.encode() + b"\n\x1a\x04" + data.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_a_nanonis_image_has_its_rows_from_below(tmp_path: Path, direction: str) -> None:
+    surface = read_surface(sxm(tmp_path / "a.sxm", direction))
+    assert surface.height_m == pytest.approx(HEIGHTS, abs=1e-15)
+    assert (surface.width_m, surface.depth_m) == pytest.approx((160e-9, 100e-9), rel=1e-6)
+
+
+def test_an_image_that_was_stopped_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"a\.sxm: its map Z was not scanned to its end"):
+        read_surface(sxm(tmp_path / "a.sxm", "up", whole=False))
+
+
+def test_a_library_that_is_missing_is_named_with_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacking(*arguments: Any, **options: Any) -> Any:
+        raise ImportError(name="SurfaceTopography")
+
+    monkeypatch.setattr(file_readers, "read_in_child", lacking)
+    (tmp_path / "map.spm").touch()
+    with pytest.raises(ConfigError, match=r"needs SurfaceTopography to be read: install telenano-afm-files with its"):
+        read_surface(tmp_path / "map.spm")
+
+
+IMAGE = Image("Height", "m", HEIGHTS, 160e-9, 100e-9)
+
+
+def test_a_channel_of_a_gwyddion_file_is_found_by_its_height_or_name(tmp_path: Path) -> None:
+    path = tmp_path / "map.gwy"
+    phase = IMAGE._replace(title="Phase", unit="deg", values=HEIGHTS * 1e9)
+    other = IMAGE._replace(title="Retrace Height", values=2 * HEIGHTS)
+    write_gwy(path, {"phase": phase, "height": IMAGE, "other": other})
+    assert np.array_equal(read_surface(path).height_m, HEIGHTS)
+    assert np.array_equal(read_surface(path, "retrace").height_m, 2 * HEIGHTS)
+    with pytest.raises(ConfigError, match="the unit of the heights of channel Phase is 'deg'"):
+        read_surface(path, "phase")
+    with pytest.raises(ConfigError, match="has no channel 'current'; it has: Phase, Height, Retrace Height"):
+        read_surface(path, "current")
+
+
+def test_a_gwyddion_file_that_was_cut_gives_neither_a_traceback_nor_a_map(tmp_path: Path) -> None:
+    path = tmp_path / "map.gwy"
+    write_gwy(path, {"height": IMAGE})
+    whole = path.read_bytes()
+    for length in (0, 5, 30, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ConfigError, match=r"map\.gwy: is no (whole )?Gwyddion file"):
+            read_surface(path)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="measured data are not beside the project: ../shared/data")
+def test_a_measured_topography_is_read_in_metres() -> None:
+    surface = read_surface(DATA)
+    assert surface.height_m.shape == (256, 256)
+    # 20 um over 255 intervals, 256 pixels
+    assert surface.width_m == pytest.approx(20e-6 * 256 / 255, rel=1e-6, abs=0)
+    assert surface.height_m.std() == pytest.approx(89.45e-9, rel=1e-3, abs=0)
+    with pytest.raises(ConfigError, match="PhaseTrace is 'deg'"):
+        read_surface(DATA, "phase")
+
+
+@pytest.mark.endurance
+def test_what_surface_topography_reads_is_the_right_way_up_and_of_the_right_size(tmp_path: Path) -> None:
+    write_gwy(tmp_path / "a.gwy", {"height": IMAGE})
+    shutil.copy(tmp_path / "a.gwy", tmp_path / "a.foreign")
+    own, foreign = read_surface(tmp_path / "a.gwy"), read_surface(tmp_path / "a.foreign")
+    assert foreign.height_m == pytest.approx(own.height_m, abs=1e-18)
+    assert (foreign.width_m, foreign.depth_m) == pytest.approx((own.width_m, own.depth_m), rel=1e-9)
+
+
+@pytest.mark.endurance
+def test_text_with_units_is_read_and_what_has_none_is_refused(tmp_path: Path) -> None:
+    rows = "\n".join(" ".join(f"{1e9 * value:.6f}" for value in row) for row in HEIGHTS[::-1])
+    head = "# Channel: Height\n# Width: 160 nm\n# Height: 100 nm\n# Value units: nm\n"
+    (tmp_path / "a.txt").write_text(head + rows)
+    assert read_surface(tmp_path / "a.txt").height_m == pytest.approx(HEIGHTS, abs=1e-15)
+    (tmp_path / "b.txt").write_text(rows)
+    with pytest.raises(ConfigError, match=r"b\.txt: has no map whose heights and sides have a unit of length"):
+        read_surface(tmp_path / "b.txt")
+    (tmp_path / "c.txt").write_text("no image at all")
+    with pytest.raises(ConfigError, match=r"c\.txt: is of no format that is known here; Gwyddion may open it"):
+        read_surface(tmp_path / "c.txt")

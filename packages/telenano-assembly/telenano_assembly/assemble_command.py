@@ -1,0 +1,185 @@
+"""`telenano particles` and `telenano assemble`: particles found in an image, and pushed into a pattern."""
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from presets import DEFAULT_SITE_FILE
+from proto.errors import ConfigError
+from recording.whole_files import whole_file
+from services.runtime.settings.config import flag_overrides, merge, validate
+from telenano.cli.options import JsonOption, SiteFileOption
+from telenano.cli.output import print_document, report_errors
+from telenano.cli.program_view import LiveOption
+from telenano.cli.progress import progress
+from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
+
+if TYPE_CHECKING:
+    from services.afm_node.config import AfmConfig
+    from telenano_assembly.find import Found
+    from telenano_assembly.plan import Point
+    from telenano_assembly.run import ProgramBench
+
+# A particle has arrived within this share of its diameter.
+_DONE_SHARE = 0.1
+
+
+def particles(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Image: .gsf, .npy, or what a package reads.")],
+    channel: ChannelOption = None,
+    size: Annotated[
+        float | None, typer.Option("--size", metavar="NM", help="Side of the image [nm], for .npy, which does not say.")
+    ] = None,
+    tip_radius: Annotated[
+        float, typer.Option("--tip-radius", min=0.1, max=1e4, metavar="NM", help="Radius of the apex of the tip [nm].")
+    ] = 10.0,
+    cone: Annotated[
+        float, typer.Option("--cone", min=1.0, max=60.0, metavar="DEG", help="Half-angle of the tip [degrees].")
+    ] = 15.0,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the particles as JSON.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find spheres in an image: places, radii and their standard errors."""
+    with report_errors(as_json):
+        from services.afm_node.physics.particles.tip_shape import tip_shape
+        from services.afm_node.physics.sample.surface_files import read_surface
+        from telenano_assembly.find import find_particles
+
+        surface = read_surface(file, channel, None if size is None else size * 1e-9, may_lack=True)
+        shape = tip_shape(tip_radius * 1e-9, math.radians(cone))
+        try:
+            found = find_particles(surface.height_m, surface.step_x_m, surface.step_y_m, shape)
+        except ValueError as error:
+            raise ConfigError(f"{file}: {error}") from error
+        document = {"file": str(file), "particles": [one._asdict() for one in found]}
+        if out is not None:
+            with whole_file(out) as part:
+                part.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    if as_json:
+        print_document(document, "", as_json=True)
+        return
+    _print_found(found, file)
+
+
+def _print_found(found: "list[Found]", file: Path) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{len(found)} particles in {file}; places from the middle of the image")
+    for name in ("", "x, nm", "y, nm", "radius, nm", ""):
+        table.add_column(name, justify="right")
+    for number, one in enumerate(found):
+        table.add_row(
+            str(number),
+            f"{one.x_m * 1e9:.2f} ± {one.x_error_m * 1e9:.2f}",
+            f"{one.y_m * 1e9:.2f} ± {one.y_error_m * 1e9:.2f}",
+            f"{one.radius_m * 1e9:.2f} ± {one.radius_error_m * 1e9:.2f}",
+            "more than spheres" if one.is_cluster else "",
+        )
+    Console().print(table)
+
+
+def assemble(
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for assembly.json and assembly.png.")
+    ] = Path("out/assembly"),
+    pattern: Annotated[
+        str,
+        typer.Option("--pattern", metavar="NAME|FILE", help="line, square, ring, letters:TEXT, or a file of x, y [m]."),
+    ] = "square",
+    count: Annotated[int, typer.Option("--count", min=1, max=50, metavar="N", help="Places of a named pattern.")] = 8,
+    spacing: Annotated[
+        float, typer.Option("--spacing", min=1.0, metavar="NM", help="Distance of neighbouring places [nm].")
+    ] = 1000.0,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, metavar="N", help="Seed of the particles' places and of the noise.")
+    ] = 0,
+    afm: AfmOption = None,
+    live: LiveOption = False,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Image, push particles into a pattern, and look again: in simulated time with noise and drift, or on a rig."""
+    with report_errors(as_json):
+        from telenano_assembly import recording
+        from telenano_assembly.figure import assembly_figure
+        from telenano_assembly.live import LiveBench
+        from telenano_assembly.patterns import pattern as places_of
+        from telenano_assembly.run import Assembler, ProgramBench, VirtualBench
+
+        config = _config(seed, afm or [])
+        targets = places_of(pattern, count, spacing * 1e-9)
+        sides = config.sample_sides_m()
+        with results_in(out) as folder:
+            with progress("the first image", len(targets), shown=not as_json, counted=True) as show:
+                virtual = None if live else VirtualBench(config, folder)
+                bench: ProgramBench = virtual or LiveBench(config, site_file, lambda report: "")
+
+                def tell(text: str, done: int) -> None:
+                    show(done, text=text)
+                    if virtual is not None and virtual.recorder is not None:
+                        virtual.recorder.say(text)
+
+                try:
+                    result = Assembler(bench, config, targets, sides, tell).run()
+                finally:
+                    if virtual is not None and virtual.recorder is not None:
+                        virtual.recorder.finish()
+            tolerance_m = _DONE_SHARE * _diameter_m(config)
+            assembly_figure(result, tolerance_m).savefig(folder / "assembly.png", dpi=120)
+            document = {
+                "pattern": pattern,
+                "seed": seed,
+                "placed": sum(one.error_m <= tolerance_m for one in result.placed),
+                "particles": [
+                    {
+                        "target_m": one.target,
+                        "believed_m": one.believed,
+                        "error_m": one.error_m,
+                        "pushes": one.pushes,
+                        **_true_error(bench, one.target),
+                    }
+                    for one in result.placed
+                ],
+                "tolerance_m": tolerance_m,
+                "pushes": result.pushes,
+                "looks": result.looks,
+                "losses": result.losses,
+                "duration_s": result.duration_s,
+                "drift_m_per_s": [result.drift.x.speed_m_per_s, result.drift.y.speed_m_per_s],
+            }
+            (folder / "assembly.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    names = ["assembly.json", "assembly.png", *([] if live else [recording.NAME])]
+    document["files"] = [str(out / name) for name in names]
+    print_document(document, str(out), as_json=as_json)
+
+
+def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
+    """Return what only a simulation knows, and no step of the assembly was told; nothing of a rig."""
+    from telenano_assembly.run import VirtualBench
+
+    if not isinstance(bench, VirtualBench):
+        return {}
+    return {"true_error_m": min(math.dist(target, place) for place in bench.truth())}
+
+
+def _config(seed: int, overrides: list[str]) -> "AfmConfig":
+    from services.afm_node.config import AfmConfig
+    from studies.loops.particle_bench import DISTURBED, bench
+
+    given = flag_overrides(overrides)
+    has_places = "places" in given.get("sample", {}).get("particles", {})
+    particles = {} if has_places else {"count": 8, "seed": seed}
+    document = bench(particles, disturbances={**DISTURBED, "seed": seed})
+    config = validate(AfmConfig, merge(document, given), "--afm")
+    if config.sample is None or config.sample.particles is None:
+        raise ConfigError("--afm: an assembly needs sample.particles")
+    return config
+
+
+def _diameter_m(config: "AfmConfig") -> float:
+    assert config.sample is not None and config.sample.particles is not None
+    return 2.0 * config.sample.particles.kind.radius_m

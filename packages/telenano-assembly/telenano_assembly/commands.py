@@ -1,0 +1,12 @@
+"""The commands of this package, which telenano lists without importing what they need."""
+
+COMMANDS = {
+    "particles": (
+        "telenano_assembly.assemble_command:particles",
+        "Find spheres in an image: places, radii and their errors.",
+    ),
+    "assemble": (
+        "telenano_assembly.assemble_command:assemble",
+        "Push particles into a pattern, in simulated time.",
+    ),
+}

@@ -1,0 +1,54 @@
+"""An assembly on a running rig: its images and pushes are programs of the instrument there."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.errors import RigError
+from proto.instrument import AfmProgram
+from proto.messages import Scalar
+from services.afm_node.config import AfmConfig
+from services.console.live_program import LiveImage, run_program
+from telenano_assembly.run import ProgramBench
+
+Array = npt.NDArray[np.float64]
+
+
+class LiveBench(ProgramBench):
+    """The instrument of a running rig.
+
+    Args:
+        config: What is known of the tip and of the kind of particle.
+        site_file: The site file of the rig.
+        on_report: Called with each report of a program; what it returns (abort or nothing) is sent.
+    """
+
+    def __init__(self, config: AfmConfig, site_file: Path, on_report: Callable[[AfmProgram], str]) -> None:
+        super().__init__(config)
+        self._site_file, self._on_report = site_file, on_report
+
+    @property
+    def time_s(self) -> float:
+        return time.monotonic()
+
+    def lines(self, keys: dict[str, Scalar]) -> Iterator[tuple[int, Array]]:
+        image, _ = self._run(keys)
+        for heights in (image.trace_m, image.retrace_m):
+            yield from enumerate(heights)
+
+    def values(self, keys: dict[str, Scalar]) -> Mapping[str, Scalar]:
+        _, report = self._run(keys)
+        if report.values is None:
+            raise RigError("the instrument says nothing of what it has pushed: is it of an older version?")
+        return report.values
+
+    def _run(self, keys: dict[str, Scalar]) -> tuple[LiveImage, AfmProgram]:
+        """Run a program to its end; RigError, where something else ended it."""
+        image = LiveImage()
+        report = run_program(self._site_file, "master", keys, image, self._on_report)
+        if report.state != "finished":
+            raise RigError(report.text)
+        return image, report

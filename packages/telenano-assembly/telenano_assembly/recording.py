@@ -1,0 +1,84 @@
+"""The recording of an assembly in simulated time: what the instrument of a rig would publish, and the truth apart."""
+
+from pathlib import Path
+from typing import Any
+
+from proto import TOPICS, encode
+from proto.instrument import MOST_TEXT
+from recording.writer import FileSettings, RecordingWriter
+from services.afm_node.guarded import Step, line_fields, particle_fields
+from services.afm_node.programs.runner import Report
+from services.afm_node.virtual import VirtualInstrument
+
+NAME = "assembly.mcap"
+_INSTRUMENT, _PLANNER = "afm_node@slave", "console@slave"
+# The instrument is recorded so often, and so often where nothing moves [s].
+_STATE_S, _REPORT_S, _RESTING_S = 0.05, 0.1, 1.0
+# Simulated time begins here [ns], because 0 means that there is no message.
+_BEGAN_NS = 1_000_000_000
+
+
+class AssemblyRecorder:
+    """Writes what an instrument in simulated time does: the same assembly gives the same file, byte by byte.
+
+    Args:
+        folder: Where the file goes.
+        instrument: The instrument.
+    """
+
+    def __init__(self, folder: Path, instrument: VirtualInstrument) -> None:
+        self._instrument = instrument
+        self._writer = RecordingWriter.create("recorder@slave", FileSettings(directory=folder, file_name=NAME))
+        self._writer.add_metadata("recording", {"node": "recorder@slave"})
+        self._channels: dict[str, tuple[int, int]] = {}
+        self._due_s = {"afm/state": 0.0, "afm/program": 0.0, "afm/particles": 0.0}
+
+    def step(self, step: Step) -> None:
+        """Record a step of a program, where it is due."""
+        if self._is_due("afm/state", _STATE_S):
+            self._write("afm/state", **self._instrument.fields(step))
+            self._truth()
+        if self._is_due("afm/program", _REPORT_S) and (report := self._instrument.report()) is not None:
+            self._report(report)
+        if (line := step.wanted.line) is not None:
+            lines = line.line + 1 if (report := self._instrument.report()) is None else report.lines
+            self._write("afm/scanline", **line_fields(line, lines, self._instrument.config.friction))
+
+    def ended(self) -> None:
+        """Record how a program has ended."""
+        if self._instrument.outcome is not None:
+            self._report(self._instrument.outcome)
+
+    def say(self, text: str) -> None:
+        """Record a sentence of the assembly."""
+        self._write("session/event", _PLANNER, id="", kind="mark", level="info", text=text[:MOST_TEXT], data={})
+
+    def finish(self) -> None:
+        """Close the file."""
+        self._writer.finish()
+
+    def _truth(self) -> None:
+        simulation = self._instrument.device.simulation
+        found = None if simulation is None else simulation.particles
+        if found is None or not (found.moving.any() or self._is_due("afm/particles", _RESTING_S)):
+            return
+        self._write("afm/particles", **particle_fields(found))
+
+    def _report(self, report: Report) -> None:
+        self._write("afm/program", **report._replace(text=report.text[:MOST_TEXT])._asdict())
+
+    def _is_due(self, topic: str, period_s: float) -> bool:
+        if self._instrument.time_s < self._due_s[topic]:
+            return False
+        self._due_s[topic] = self._instrument.time_s + period_s * (1.0 - 1e-9)
+        return True
+
+    def _write(self, topic: str, src: str = _INSTRUMENT, **fields: Any) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._writer.channel(topic, src, "slave"), 0
+        channel, seq = self._channels[topic]
+        self._channels[topic] = channel, seq + 1
+        t_ns, model = _BEGAN_NS + round(1e9 * self._instrument.time_s), TOPICS[topic].model
+        version = model.version_of([key for key, value in fields.items() if value is not None])
+        message = model(v=version, src=src, seq=seq, t_ns=t_ns, **fields)
+        self._writer.write(channel, t_ns, t_ns, seq, encode(message))

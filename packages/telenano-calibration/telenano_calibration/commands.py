@@ -1,0 +1,8 @@
+"""The commands of this package, which telenano lists without importing what they need."""
+
+COMMANDS = {
+    "calibrate": (
+        "telenano_calibration.command:app",
+        "Calibrate read-out and stiffness: simulated, or of own measurements.",
+    ),
+}

@@ -1,0 +1,211 @@
+"""Calibrations from measurements of one's own: a synthetic lever is found again, within the errors that are stated."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from telenano_calibration.own_calibration import (
+    AIR_DENSITY_KG_PER_M3,
+    AIR_VISCOSITY_PA_S,
+    BY_ANGLE,
+    Thermal,
+    columns_of,
+    hydrodynamic,
+    sader_n_per_m,
+    sensitivity_of_curve,
+    stiffness_of_record,
+    stiffness_of_spectrum,
+)
+from telenano_calibration.resonance import density
+from typer.testing import CliRunner
+
+from proto.errors import ConfigError
+from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
+from telenano.cli.root import app
+
+K, F0, Q, RATE, M_PER_V, KELVIN = 2.7, 70e3, 180.0, 1e6, 60e-9, 295.0
+KNOWN = Thermal(M_PER_V, KELVIN)
+
+
+def spectrum(seed: int, averages: int = 50, lines: int = 4000) -> tuple[Any, Any]:
+    """Return a thermal spectrum [V^2/Hz] of the lever, averaged, above a floor of 50 fm/sqrt(Hz)."""
+    frequency = np.linspace(0.0, 0.5 * RATE, lines + 1)[1:]
+    mean_square = BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K
+    mean = density(frequency, RATE, mean_square, F0, Q) + (50e-15) ** 2
+    random = np.random.default_rng(seed)
+    return frequency, mean * random.gamma(averages, 1.0 / averages, lines) / M_PER_V**2
+
+
+def covered(seeds: int) -> tuple[float, float]:
+    found = [stiffness_of_spectrum(*spectrum(seed), KNOWN._replace(averages=50)) for seed in range(seeds)]
+    inside = [abs(one.stiffness_n_per_m - K) < 1.96 * one.standard_error_n_per_m for one in found]
+    return sum(inside) / seeds, float(np.mean([one.stiffness_n_per_m for one in found])) / K
+
+
+def test_the_stiffness_of_a_spectrum_is_found_within_its_error() -> None:
+    found = stiffness_of_spectrum(*spectrum(1), KNOWN._replace(averages=50, width_m=30e-6, length_m=225e-6))
+    assert abs(found.stiffness_n_per_m - K) < 4.0 * found.standard_error_n_per_m
+    assert found.standard_error_n_per_m < 0.05 * K
+    assert found.resonance_hz == pytest.approx(F0, rel=1e-3)
+    assert found.quality == pytest.approx(Q, rel=0.1)
+    assert math.sqrt(found.floor_m2_per_hz) == pytest.approx(50e-15, rel=0.05)
+    assert found.sader_n_per_m == pytest.approx(sader_n_per_m(30e-6, 225e-6, found.resonance_hz, found.quality))
+    share, mean = covered(20)
+    assert share >= 0.8
+    assert mean == pytest.approx(1.0, abs=0.02)
+
+
+def lever_of(k_n_per_m: float) -> tuple[float, float]:
+    """Return width and length [m] of the lever that has this stiffness by Sader's method, with F0 and Q in air."""
+    width = 30e-6
+    return width, k_n_per_m / sader_n_per_m(width, 1.0, F0, Q)
+
+
+def test_both_methods_agree_within_their_errors_and_a_wrong_sensitivity_is_told() -> None:
+    width, length = lever_of(K)
+    known = KNOWN._replace(averages=50, width_m=width, length_m=length)
+    found = [stiffness_of_spectrum(*spectrum(seed), known) for seed in range(6)]
+    apart = [abs(math.log(one.sader_over_thermal or 0.0)) / (one.sader_over_thermal_error or 0.0) for one in found]
+    # the ratio moves from spectrum to spectrum as its error says
+    assert 0.5 < float(np.sqrt(np.mean(np.square(apart)))) < 1.5
+    agree = "they agree within their errors (without that of the sensitivity and of the size, which is not given)"
+    assert sum(agree in (one.agreement or "") for one in found) >= 5
+    wrong = known._replace(sensitivity_m_per_v=1.2 * M_PER_V)
+    told = stiffness_of_spectrum(*spectrum(0), wrong)
+    # the way counts twice, and the stiffness that is too small makes the ratio too great
+    assert told.sader_over_thermal == pytest.approx(1.44 * (found[0].sader_over_thermal or 0.0), rel=1e-6)
+    assert re.search(r"gives 1\.\d+ ± 0\.\d+ times .*: they differ by \d+\.\d standard errors", told.agreement or "")
+    # who knows that much of the sensitivity and the size has no reason to doubt
+    unsure = stiffness_of_spectrum(
+        *spectrum(0), wrong._replace(sensitivity_error_m_per_v=0.2 * M_PER_V, size_error_m=1e-6)
+    )
+    assert (unsure.agreement or "").endswith("they agree within their errors")
+    assert unsure.standard_error_n_per_m > 0.3 * unsure.stiffness_n_per_m
+
+
+@pytest.mark.endurance
+def test_of_1000_spectra_93_to_97_in_a_hundred_cover_the_stiffness() -> None:
+    share, mean = covered(1000)
+    assert 0.93 <= share <= 0.97
+    assert mean == pytest.approx(1.0, abs=0.005)
+
+
+def test_a_record_gives_what_its_spectrum_gives() -> None:
+    random, count = np.random.default_rng(3), 1 << 17
+    omega, gamma = 2.0 * math.pi * F0, math.pi * F0 / Q
+    pole = np.exp(complex(-gamma, math.sqrt(omega**2 - gamma**2)) / RATE)
+    noise = random.standard_normal(count) + 1j * random.standard_normal(count)
+    state, course = 0j, np.empty(count)
+    for i, push in enumerate(noise.tolist()):
+        state = pole * state + push
+        course[i] = state.real
+    course *= math.sqrt(BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K / np.mean(course**2))
+    found = stiffness_of_record(course / M_PER_V, KNOWN._replace(rate_hz=RATE))
+    assert found.stiffness_n_per_m == pytest.approx(K, rel=0.05)
+    assert found.resonance_hz == pytest.approx(F0, rel=2e-3)
+    with pytest.raises(ConfigError, match="--rate: a record needs the rate"):
+        stiffness_of_record(course, KNOWN)
+
+
+def test_the_hydrodynamic_function_has_its_limits() -> None:
+    # in a thin fluid the beam drags along what a plate does, and nothing is lost; both grow as the fluid thickens
+    assert hydrodynamic(1e4).real == pytest.approx(1.0, abs=0.05)
+    assert hydrodynamic(1e4).imag < 0.05
+    for part in ("real", "imag"):
+        values = [getattr(hydrodynamic(10.0**power), part) for power in range(-4, 5)]
+        assert values == sorted(values, reverse=True)
+    with pytest.raises(ConfigError, match="Reynolds number of 100000 is outside"):
+        hydrodynamic(1e5)
+    # four times as wide a lever at the same k, f0 and length has another Q: the formula is that of the paper
+    omega, width, length = 2.0 * math.pi * F0, 30e-6, 225e-6
+    reynolds = AIR_DENSITY_KG_PER_M3 * omega * width**2 / (4.0 * AIR_VISCOSITY_PA_S)
+    expected = 0.1906 * AIR_DENSITY_KG_PER_M3 * width**2 * length * Q * hydrodynamic(reynolds).imag * omega**2
+    assert sader_n_per_m(width, length, F0, Q) == pytest.approx(expected, rel=1e-12)
+
+
+def curve(seed: int, sign: float = 1.0) -> tuple[Any, Any]:
+    """Return way [m] and voltage of a lever of 60 nm/V that meets a hard sample after 200 nm, with noise of 5 mV."""
+    way = np.linspace(0.0, 400e-9, 400)
+    volts = sign * np.maximum(way - 200e-9, 0.0) / M_PER_V
+    return way, volts + 0.005 * np.random.default_rng(seed).standard_normal(400) + 0.3
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sensitivity_of_a_curve_is_found_and_its_interval_covers_it(sign: float) -> None:
+    found = [sensitivity_of_curve(*curve(seed, sign)) for seed in range(1000)]
+    inside = [abs(one.m_per_v - M_PER_V) < 1.96 * one.standard_error_m_per_v for one in found]
+    assert 0.93 <= sum(inside) / 1000 <= 0.97
+    assert np.mean([one.m_per_v for one in found]) == pytest.approx(M_PER_V, rel=1e-3)
+
+
+def test_what_is_no_curve_and_no_spectrum_is_refused(tmp_path: Path) -> None:
+    way = np.linspace(0.0, 1e-7, 200)
+    noise = np.random.default_rng(0).standard_normal(200)
+    with pytest.raises(ConfigError, match=r"no curve on a hard sample|points lie between"):
+        sensitivity_of_curve(way, noise)
+    with pytest.raises(ConfigError, match=r"points lie between 0\.3 and 0\.95"):
+        sensitivity_of_curve(way, np.zeros(200))
+    with pytest.raises(ConfigError, match="frequencies that rise"):
+        stiffness_of_spectrum(np.array([1.0, 0.5, 2.0]), np.ones(3), KNOWN)
+    frequency, power = spectrum(1)
+    for metre in (M_PER_V, 1e12 * M_PER_V):  # densities in m^2/Hz and in pm^2/Hz
+        with pytest.raises(ConfigError, match=r"N/m is that of no cantilever: look at the unit of the density"):
+            stiffness_of_spectrum(frequency, power * metre**2, KNOWN)
+    file = tmp_path / "s.txt"
+    file.write_text("Hz;V2/Hz\n" + "".join(f"{n};1e-9\n" for n in range(20)) + "20;loud\n")
+    with pytest.raises(ConfigError, match=r"s\.txt, line 22: is no line of numbers, after 20"):
+        columns_of(file, 2)
+    file.write_text("1;2\n")
+    with pytest.raises(ConfigError, match="has 1 lines of 2 numbers, 16 or more"):
+        columns_of(file, 2)
+
+
+def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
+    frequency, power = spectrum(1)
+    np.savetxt(tmp_path / "thermal.txt", np.column_stack([frequency, power]), header="Hz V^2/Hz")
+    np.savetxt(tmp_path / "curve.csv", np.column_stack([1e9 * curve(1)[0], curve(1)[1]]), delimiter=",")
+    run = CliRunner().invoke
+    found = run(app, ["calibrate", "sensitivity", "--curve", str(tmp_path / "curve.csv"), "--json"])
+    sensitivity = json.loads(found.stdout)
+    assert sensitivity["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=2e-3)
+    own = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "thermal.txt"), "--temperature", "295", "--json"]
+    found = run(app, [*own, "--sensitivity", "60", "--averages", "50", "--size", "30", "225"])
+    assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
+    refused = run(app, own)
+    assert refused.exit_code == 2
+    assert "--sensitivity: what was measured in volts needs" in json.loads(refused.stdout)["error"]
+
+
+UNITS = {
+    "V^2/Hz": 1.0, "V²/Hz": 1.0, "V**2/Hz": 1.0, "mV^2/Hz": 1e6, "V/sqrt(Hz)": 0.5, "V/√Hz": 0.5, "V/Hz^0.5": 0.5,
+    "V/rtHz": 0.5, "m^2/Hz": M_PER_V**2, "pm^2/Hz": 1e24 * M_PER_V**2, "V/Hz": None, "V": None, "": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("where", ["head", "option"])
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_spectrum_is_read_in_its_unit_or_asked_for_it(unit: str, where: str, tmp_path: Path) -> None:
+    frequency, power = spectrum(1)
+    factor = UNITS[unit]
+    density = np.sqrt(power) if factor == 0.5 else power * (factor or 1.0)
+    path = tmp_path / "thermal.txt"
+    np.savetxt(path, np.column_stack([frequency, density]), header=f"Hz {unit}" if where == "head" else "f PSD")
+    words = ["calibrate", "stiffness", "--spectrum", str(path), "--temperature", "295", "--averages", "50", "--json"]
+    words += [] if unit.endswith("m^2/Hz") else ["--sensitivity", "60"]
+    found = CliRunner().invoke(app, [*words, *(["--unit", unit] if where == "option" else [])])
+    if factor is None:
+        assert found.exit_code == 2 and "--unit" in json.loads(found.stdout)["error"]
+        assert "V^2/Hz, V/sqrt(Hz), m^2/Hz, m/sqrt(Hz)" in json.loads(found.stdout)["error"]
+    else:
+        assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
+
+
+def test_a_stiffness_far_from_what_the_size_allows_is_said_to_be() -> None:
+    width, length = lever_of(K)
+    known = KNOWN._replace(averages=50, width_m=width, length_m=length, sensitivity_m_per_v=10.0 * M_PER_V)
+    found = stiffness_of_spectrum(*spectrum(0), known)
+    assert "a lever of this size cannot have it: the unit of the density" in (found.agreement or "")

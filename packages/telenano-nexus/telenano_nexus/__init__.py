@@ -1,0 +1,1 @@
+"""Recordings and images of telenano as NeXus files."""

@@ -1,0 +1,307 @@
+"""An instrument behind its guard, and the parts around both: one step of it, of a command or of a program.
+
+A part is what an instrument may have or lack, such as a lateral stage or a recorded map (`device_node`).
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import msgspec
+import numpy as np
+
+from proto.messages import AfmCommand, Array
+from services.afm_node import safety
+from services.afm_node.config import AfmConfig
+from services.afm_node.driver import AfmDriver, DeviceReport, LateralStage, Oscillation, OwnScan, Simulation
+from services.afm_node.felt import LEFT, FeelConfig, FeltInputs, FeltState, felt_step
+from services.afm_node.physics.part import AfmSample, Particles
+from services.afm_node.programs.lateral import LateralParams, Place, moved
+from services.afm_node.programs.program import FinishedLine, Inputs, Wanted
+from services.afm_node.programs.runner import ProgramRunner
+from services.afm_node.section_config import FrictionConfig
+from services.runtime.loop.clock import NEVER_NS
+from services.runtime.loop.device_node import DeviceNode, Parts, StepPart
+from services.runtime.loop.node import Node
+
+# A hand that trembles at the edge of a map is told of it once.
+_QUIET_NS = 2_000_000_000
+# The truth about particles is looked at so often, and published then while one moves, else every so many looks.
+_LOOK_PERIOD_NS, _RESTING_LOOKS = 50_000_000, 20
+Event = Callable[[str, str, str], None]
+
+
+class AfmMemory(msgspec.Struct, array_like=True):
+    """What is remembered from step to step.
+
+    The state of the guard; the command in force, and when it was received [ns]; forces on the tip at the last step [N];
+    where the tip is, and where a person wants it; the times of the last report of a program, of the last step, and of
+    the next one [ns]; what is felt, None where it is the force; the number of the last look at the particles.
+    """
+
+    guard: safety.SafetyState
+    command: AfmCommand | None = None
+    command_received_ns: int = 0
+    force_n: float = 0.0
+    lateral_n: tuple[float, float] = (0.0, 0.0)
+    place: Place = Place(0.0, 0.0)
+    pointer: Place = Place(0.0, 0.0)
+    told_ns: int = 0
+    stepped_ns: int = 0
+    due_ns: int = 0
+    felt: FeltState | None = None
+    particles_look: int = 0
+
+    def asks(self, base_m: float, action: int, command_age_s: float, *now: bool) -> safety.SafetyInputs:
+        """Return what the guard is asked; `now`: whether to arm, whether to stop, and whether the device is lost."""
+        arm, estop, is_lost = now
+        across_n = math.hypot(*self.lateral_n)
+        return safety.SafetyInputs(base_m, command_age_s, action, arm, estop, self.force_n, is_lost, across_n)
+
+
+@dataclass(slots=True)
+class Step:
+    """One step of so long [s]: what the guard allows, what is wanted, what was measured, what a program was told.
+
+    said: keys of afm/state that the parts add.
+    """
+
+    allowed: safety.SafetyOutputs
+    wanted: Wanted[Any]
+    elapsed_s: float
+    sample: AfmSample = field(init=False)
+    inputs: Inputs = field(init=False)
+    said: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def follows(self) -> bool:
+        return self.allowed.mode == safety.MODE_FOLLOW
+
+    def fields(self, memory: AfmMemory) -> dict[str, Any]:
+        """Return afm/state, without what it says of a command."""
+        sample = self.sample
+        return {
+            "base_position_m": (*memory.place, 0.0 - sample.base_m),
+            "deflection_m": sample.deflection_m,
+            "tip_force_n": (*memory.lateral_n, sample.force_n),
+            "separation_m": sample.distance_m,
+            "separation_valid": sample.distance_valid,
+            "in_contact": sample.in_contact,
+            "meniscus": sample.meniscus,
+            "mode": safety.MODE_NAMES[self.allowed.mode],
+            "limited": self.allowed.limited != 0,
+            "step_s": self.elapsed_s,
+            **self.said,
+        }
+
+
+def line_fields(line: FinishedLine, lines: int, friction: FrictionConfig) -> dict[str, Any]:
+    """Return afm/scanline for a line of an image of so many lines."""
+    further = {"dissipated_j": line.dissipated_j, "lateral_force_n": line.lateral_n}
+    if line.lateral_n is not None:
+        further["torsion_rad"] = line.lateral_n / (friction.lateral_stiffness_n_per_m * friction.tip_height_m)
+    return {
+        "line": line.line,
+        "lines": lines,
+        "direction": "retrace" if line.backward else "trace",
+        "start_m": (*line.start, 0.0),
+        "end_m": (*line.end, 0.0),
+        "height_m": Array.from_numpy(line.height_m),
+        "amplitude_m": None if line.amplitude_m is None else Array.from_numpy(line.amplitude_m),
+        "phase_rad": None if line.phase_rad is None else Array.from_numpy(line.phase_rad),
+        **{key: Array.from_numpy(found) for key, found in further.items() if found is not None},
+    }
+
+
+def particle_fields(found: Particles) -> dict[str, Any]:
+    """Return afm/particles."""
+    arrays = found._replace(moving=found.moving.astype(np.uint8))._asdict()
+    return {"simulated": True, **{name: Array.from_numpy(array) for name, array in arrays.items()}}
+
+
+AfmPart = StepPart[Step, AfmMemory]
+
+
+class MapEdge(AfmPart):
+    """Keeps the tip on a recorded map in x and y, and says once that it was asked to go further."""
+
+    def __init__(self, places_m: tuple[float, float], event: Event) -> None:
+        self._places_m, self._event = places_m, event
+        self._quiet_until_ns = 0
+
+    def prepare(self, step: Step, memory: AfmMemory) -> None:
+        wanted, allowed = step.wanted.place, step.allowed
+        place = Place(*(min(max(at, -most), most) for at, most in zip(wanted, self._places_m, strict=True)))
+        if place == wanted and not (allowed.limited & safety.LIMITED_BY_RANGE and step.follows):
+            return
+        is_quiet = not step.follows or memory.stepped_ns < self._quiet_until_ns
+        self._quiet_until_ns = memory.stepped_ns + _QUIET_NS
+        step.wanted = step.wanted._replace(place=place)
+        if not is_quiet:
+            at = f"x = {wanted.x_m:.4g} m, y = {wanted.y_m:.4g} m"
+            asked = f"a base beyond {allowed.base_m:.4g} m" if place == wanted else at
+            text = f"the recorded map ends here, and the tip stays on it: it was asked to go to {asked}"
+            self._event("mode", "warning", text)
+
+
+class Stage(AfmPart):
+    """Moves the tip over the sample, and measures the force across it."""
+
+    def __init__(self, stage: LateralStage, params: LateralParams) -> None:
+        self._stage, self._params = stage, params
+
+    def prepare(self, step: Step, memory: AfmMemory) -> None:
+        if step.follows and step.wanted.place != memory.place:
+            memory.place = moved(self._params, memory.place, step.wanted.place, step.elapsed_s)[0]
+            self._stage.move_to(*memory.place)
+
+    def measure(self, step: Step, memory: AfmMemory) -> None:
+        memory.lateral_n = self._stage.lateral_force_n
+
+
+class SimulatedTime(AfmPart):
+    """Lets the time of a simulation pass, and publishes for recordings where its particles really are.
+
+    Between two steps it goes on by what is known of the motion, in shares that let others have the processor.
+    """
+
+    def __init__(self, simulation: Simulation, node: Node) -> None:
+        self._simulation, self._node = simulation, node
+
+    def prepare(self, step: Step, memory: AfmMemory) -> None:
+        self._simulation.elapse(step.elapsed_s)
+
+    def report(self, step: Step, memory: AfmMemory) -> None:
+        if self._simulation.settles:
+            self._node.defer(self._settle, NEVER_NS)
+        look, before = memory.stepped_ns // _LOOK_PERIOD_NS, memory.particles_look
+        if look == before:
+            return
+        memory.particles_look = look
+        found = self._simulation.particles
+        if found and (found.moving.any() or look // _RESTING_LOOKS != before // _RESTING_LOOKS):
+            self._node.publish("afm/particles", **particle_fields(found))
+
+    def _settle(self) -> None:
+        if self._simulation.settle():
+            self._node.defer(self._settle, NEVER_NS)
+
+
+class OwnImages(AfmPart):
+    """Has an instrument take an image by its own scan while the guard lets it, and end it otherwise."""
+
+    def __init__(self, own_scan: OwnScan) -> None:
+        self._own_scan = own_scan
+
+    def prepare(self, step: Step, memory: AfmMemory) -> None:
+        self._own_scan.want_image(step.wanted.image if step.follows else None)
+
+
+class RealDevice(AfmPart):
+    """Takes up the reports of a real instrument."""
+
+    def __init__(self, driver: AfmDriver, node: DeviceNode) -> None:
+        self._driver, self._node = driver, node
+
+    def measure(self, step: Step, memory: AfmMemory) -> None:
+        self._report = found = cast(DeviceReport, self._driver.report)
+        if not found.force_valid:
+            # A force beyond the range of the input is no number for the guard.
+            memory.force_n = math.nan
+        step.said.update(device=found.status, sample_age_s=found.age_s, output_v=found.output_v, input_v=found.input_v)
+
+    def report(self, step: Step, memory: AfmMemory) -> None:
+        self._node.take_up(self._report)
+
+
+class Feel(AfmPart):
+    """Makes the force that is felt out of a measured channel (`felt`).
+
+    The guard judges the greater of both forces; a value that has left the branch is no force to it.
+    """
+
+    def __init__(self, feel: FeelConfig, driver: AfmDriver, event: Event) -> None:
+        self._channel, self._params = feel.channel, feel.to_params()
+        self._driver, self._event = driver, event
+        self._left = False
+
+    def measure(self, step: Step, memory: AfmMemory) -> None:
+        value = getattr(self._driver, "channels", {}).get(self._channel, math.nan)
+        inputs = FeltInputs(value, step.sample.base_m, memory.place, step.allowed.mode == safety.MODE_RETRACTED)
+        memory.felt, felt = felt_step(self._params, memory.felt or FeltState(), inputs, step.elapsed_s)
+        left = felt.clamp == LEFT
+        memory.force_n = math.nan if left else max(memory.force_n, felt.force_n)
+        if left and not self._left:
+            text = f"{self._channel} = {value:.6g} has left the branch of feel.table: the tip retracts"
+            self._event("fault", "warning", text)
+        self._left = left
+        step.said.update(felt_channel=self._channel, felt_clamp=felt.clamp)
+        if math.isfinite(value):
+            step.said["felt_value"] = value
+        step.sample = step.sample._replace(force_n=felt.force_n)
+
+
+def parts_of(node: DeviceNode, config: AfmConfig, driver: AfmDriver) -> list[AfmPart]:
+    """Return the parts of an instrument whose driver is open, in the order in which they act."""
+    parts: list[AfmPart] = []
+    if config.map_span is not None:
+        parts.append(MapEdge(config.places_m, node.event))
+    if driver.stage is not None:
+        parts.append(Stage(driver.stage, config.to_lateral_params()))
+    if driver.simulation is not None:
+        parts.append(SimulatedTime(driver.simulation, node))
+    if (own_scan := getattr(driver, "own_scan", None)) is not None:
+        parts.append(OwnImages(own_scan))
+    if driver.report is not None:
+        parts.append(RealDevice(driver, node))
+    if config.feel is not None:
+        parts.append(Feel(config.feel, driver, node.event))
+    return parts
+
+
+class _Still:
+    """The base of an instrument that cannot be vibrated."""
+
+    oscillation = Oscillation(0.0, 0.0)
+
+    def vibrate(self, amplitude_m: float) -> None: ...
+
+
+class GuardedInstrument:
+    """A driver behind the guard with these limits, and the parts around both."""
+
+    def __init__(self, limits: safety.SafetyParams, driver: AfmDriver, parts: Sequence[AfmPart]) -> None:
+        self._limits, self._driver = limits, driver
+        self._vibration = driver.vibration or _Still()
+        own_scan = getattr(driver, "own_scan", None)
+        self._own_line = (lambda: None) if own_scan is None else own_scan.take_line
+        self.parts = Parts(parts)
+
+    def step(self, memory: AfmMemory, asked: safety.SafetyInputs, wanted: Wanted[Any], elapsed_s: float) -> Step:
+        """Guard what is asked, apply it and measure."""
+        memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
+        step = Step(allowed, wanted, elapsed_s)
+        self.parts.prepare(step, memory)
+        step.sample = self._driver.exchange(allowed.base_m)
+        memory.force_n = step.sample.force_n
+        self.parts.measure(step, memory)
+        return step
+
+    def step_program(
+        self, memory: AfmMemory, programs: ProgramRunner, elapsed_s: float, estop: bool = False, lost: bool = False
+    ) -> Step:
+        """Take a step of the program that runs, perhaps with the stop pressed or the device lost."""
+        mode, base_m = memory.guard.mode, memory.guard.base_m
+        felt, moving = (memory.force_n, memory.lateral_n), self._vibration.oscillation
+        inputs = Inputs(base_m, memory.place, *felt, moving, memory.pointer, own=self._own_line())
+        action, wanted = programs.step(inputs, elapsed_s)
+        self._vibration.vibrate(wanted.amplitude_m)
+        arm = mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION
+        # The references of the program are made in this step, and so have no age.
+        step = self.step(memory, memory.asks(wanted.base_m, action, 0.0, arm, estop, lost), wanted, elapsed_s)
+        step.inputs = inputs
+        programs.follow_guard(step.allowed.mode, step.allowed.reason)
+        if programs.is_over:
+            self._vibration.vibrate(0.0)
+        return step

@@ -1,0 +1,169 @@
+"""What a tick of the haptic node remembers, and the parts that stand around guard and device."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import msgspec
+
+from proto.messages import HapticCommand
+from services.haptic_node import safety
+from services.haptic_node.config import HapticConfig
+from services.haptic_node.coupling import FAULTS, GATE_ACTIVE
+from services.haptic_node.driver import (
+    Capabilities,
+    DeviceReading,
+    DeviceReport,
+    HapticDevice,
+    Pair,
+    SpatialCommand,
+    SpatialReading,
+)
+from services.haptic_node.operator_config import InteractiveConfig
+from services.haptic_node.physics.lateral_hand import LateralHandParams, LateralHandState, lateral_hand_step
+from services.haptic_node.physics.sim import SimulatedHaptic
+from services.runtime.loop.device_node import StepPart
+from services.runtime.loop.freshness import age_s
+
+# Place [m], velocity [m/s], own force and shown force [N] of the hand across the sample, (x, y) each.
+Across = tuple[Pair, Pair, Pair, Pair]
+_ZERO: Pair = (0.0, 0.0)
+_NO_SIDE = SpatialCommand()
+
+
+class HapticMemory(msgspec.Struct, array_like=True):
+    """What the node remembers from tick to tick.
+
+    The state of the guard, and where the arm was at the last tick [m]; the command in force, and when it was received
+    [ns]; the force of an operator without a device [N], when it was received [ns], and the one that the simulated hand
+    holds [N]; what was asked for since the last tick; ticks since the session began, None before; why an impedance
+    device gives no force, of `coupling.GATES`; ticks for which it is let go of, after a change of law; the force of
+    that operator across [N], and the simulated hand there.
+    """
+
+    guard: safety.SafetyState
+    position_m: float
+    command: HapticCommand | None = None
+    command_received_ns: int = 0
+    operator_force_n: float = 0.0
+    operator_force_ns: int = 0
+    pushed_n: float = 0.0
+    estop_requested: bool = False
+    arm_requested: bool = False
+    session_ticks: int | None = None
+    gate: int = GATE_ACTIVE
+    let_go_ticks: int = 0
+    operator_across_n: tuple[float, float] = (0.0, 0.0)
+    across: LateralHandState = LateralHandState()
+
+
+@dataclass(slots=True)
+class Tick:
+    """One tick: the command, what the guard lets through, and what the device then measured.
+
+    armed: a person has armed since the tick before. elapsed_s, session_s: time since then, and of the programme [s].
+    shown_n, pushed_n: force of the controller and of an operator without a device across [N]. said: keys of
+    haptic/state that the parts add.
+    """
+
+    command: HapticCommand
+    applied: safety.SafetyOutputs
+    armed: bool
+    elapsed_s: float
+    session_s: float
+    pushed_n: Pair = _ZERO
+    spatial: SpatialCommand = _NO_SIDE
+    reading: DeviceReading = field(init=False)
+    across: Across = (_ZERO, _ZERO, _ZERO, _ZERO)
+    said: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def shown_n(self) -> Pair:
+        return _ZERO if self.applied.mode == safety.MODE_OFF else self.command.force_n[:2]
+
+
+TickPart = StepPart[Tick, HapticMemory]
+
+
+class RealHandle(TickPart):
+    """Takes up what a real device reports."""
+
+    def __init__(self, device: HapticDevice, take_up: Callable[[DeviceReport], None]) -> None:
+        self._device, self._take_up = device, take_up
+
+    def measure(self, tick: Tick, memory: HapticMemory) -> None:
+        self._report = report = cast(DeviceReport, self._device.report)
+        tick.said.update({"device": report.status, "sample_age_s": report.age_s, **report.counts})
+
+    def report(self, tick: Tick, memory: HapticMemory) -> None:
+        self._take_up(self._report)
+
+
+class PushedHand(TickPart):
+    """Lets a simulated hand hold the newest force of an operator without a device, or none where it is too old."""
+
+    def __init__(self, device: HapticDevice, deadline_s: float, now_ns: Callable[[], int]) -> None:
+        self._deadline_s, self._now_ns = deadline_s, now_ns
+        self._hands = [device] if isinstance(device, SimulatedHaptic) else []
+
+    def prepare(self, tick: Tick, memory: HapticMemory) -> None:
+        # The age counts from the reception, because the page and the rig may have been started with different clocks.
+        is_fresh = age_s(self._now_ns(), memory.operator_force_ns) <= self._deadline_s
+        force_n, tick.pushed_n = (memory.operator_force_n, memory.operator_across_n) if is_fresh else (0.0, _ZERO)
+        for hand in self._hands:
+            if force_n != memory.pushed_n:
+                memory.pushed_n = force_n
+                hand.push(force_n)
+            hand.push_lateral(tick.pushed_n)
+
+
+class SpatialDevice(TickPart):
+    """Tells a device of impedance type or of three axes what concerns it alone, and takes up what it says besides."""
+
+    def __init__(self, able: Capabilities) -> None:
+        self._has_orientation, self._has_buttons = able.has_orientation, bool(able.buttons)
+
+    def prepare(self, tick: Tick, memory: HapticMemory) -> None:
+        is_off = tick.applied.mode == safety.MODE_OFF
+        tick.spatial = SpatialCommand(_ZERO if is_off else tick.command.position_m[:2], tick.shown_n, tick.armed)
+
+    def measure(self, tick: Tick, memory: HapticMemory) -> None:
+        found = tick.reading.spatial or SpatialReading()
+        memory.gate = found.gate
+        tick.across = found[:4]
+        tick.said.update(hand_energy_j=found.hand_energy_j, coupling_energy_j=found.coupling_energy_j)
+        if self._has_orientation:
+            tick.said["orientation"] = found.orientation
+        if self._has_buttons:
+            tick.said["buttons"] = found.buttons
+        if memory.gate in FAULTS:
+            # What cannot be believed until a person arms is no hand, simulated or not.
+            tick.said["device"] = "lost"
+
+
+class LateralHand(TickPart):
+    """Advances the simulated hand across the sample; the controller pulls at it while the guard lets it."""
+
+    def __init__(self, params: LateralHandParams) -> None:
+        self._params = params
+
+    def measure(self, tick: Tick, memory: HapticMemory) -> None:
+        forces = tick.pushed_n, tick.shown_n
+        memory.across = lateral_hand_step(self._params, memory.across, *forces, tick.session_s, tick.elapsed_s)
+        x, y, v_x, v_y, own_x, own_y, shown_x, shown_y = memory.across
+        tick.across = (x, y), (v_x, v_y), (own_x, own_y), (shown_x, shown_y)
+
+
+def parts_of(node: Any, config: HapticConfig, device: HapticDevice) -> list[TickPart]:
+    """Return the parts of the node, whose device is open, in the order in which they act."""
+    parts: list[TickPart] = []
+    able, operator = device.capabilities, config.operator
+    if isinstance(operator, InteractiveConfig):
+        parts.append(PushedHand(device, operator.force_deadline_s, node.clock.now_ns))
+    if device.report is not None:
+        parts.append(RealHandle(device, node.take_up_report))
+    if able.kind == "impedance" or able.axes == 3:
+        parts.append(SpatialDevice(able))
+    elif config.lateral is not None:
+        parts.append(LateralHand(config.lateral.to_params()))
+    return parts

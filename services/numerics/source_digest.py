@@ -1,0 +1,99 @@
+"""The sources of compiled steps, their digest, and the folder of compiled code that it names (ADR 0010)."""
+
+import contextlib
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+from presets.plugins import digest_of_all, package_files
+from presets.plugins import modules as package_modules
+
+_ROOT = Path(__file__).resolve().parents[2]
+# These folders and files hold the steps, and everything else that the outcome of a study depends on.
+SOURCES = (
+    *("services/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
+    *("studies/loops", "studies/instrument", "studies/learning", "analysis/modes.py", "analysis/verdict.py"),
+    # deadlines, which are compiled into the loop
+    *("proto/topics.py", "services/runtime/loop/freshness.py"),
+)
+_SHELLS = ("node.py", "half.py", "__main__.py")
+# Each edit begins a folder of a few megabytes; as many are kept as were used last.
+KEPT_FOLDERS = 8
+# Every module with steps imports this one before it defines them.
+_STARTED_S = time.time()
+
+
+def source_digest(root: Path = _ROOT) -> str:
+    """Return the digest (16 hex digits) of every Python file that may hold compiled steps or constants they use."""
+    digest = hashlib.sha256(version("numba").encode())
+    for path in _source_files(root):
+        digest.update(str(path.relative_to(root)).encode())
+        digest.update(path.read_bytes())
+    # installed packages have steps as well
+    digest.update(digest_of_all().encode())
+    return digest.hexdigest()[:16]
+
+
+def digest_covers(modules: Iterable[str]) -> bool:
+    """Return whether the digest stands for the code of these modules as this process has imported it.
+
+    It does not where a module is neither one of SOURCES nor of an installed package, nor where a source was edited
+    after this process began: what was imported may be older than its file.
+    """
+    return all((module + ".").startswith(_known_modules()) for module in modules) and not _edited_since(_STARTED_S)
+
+
+def cache_directory() -> Path:
+    """Return the folder in which each digest has a folder of compiled code."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("NUMBA_CACHE_DIR") or Path(base) / "telenano")
+
+
+@cache
+def cache_folder() -> Path:
+    """Return the folder of the code that is compiled from the sources as they are, made if that is possible."""
+    folder = cache_directory() / f"numba-{source_digest()}"
+    with contextlib.suppress(OSError):
+        if not folder.exists():
+            # Numba makes folders in it that others may write, if the user's umask says so.
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            remove_unused(folder.parent)
+        os.utime(folder)
+    return folder
+
+
+def remove_unused(directory: Path) -> None:
+    """Delete the folders of compiled code but the KEPT_FOLDERS that were used last."""
+    used = {folder: folder.stat().st_mtime for folder in directory.glob("numba-" + 16 * "[0-9a-f]")}
+    for folder in sorted(used, key=lambda folder: used[folder])[:-KEPT_FOLDERS]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@cache
+def _known_modules() -> tuple[str, ...]:
+    return (*(source.removesuffix(".py").replace("/", ".") + "." for source in SOURCES), *package_modules())
+
+
+def _source_files(root: Path) -> Iterator[Path]:
+    for source in SOURCES:
+        for path in sorted((root / source).rglob("*.py")) or [root / source]:
+            if not path.name.endswith(_SHELLS) and path.is_file():
+                yield path
+
+
+@cache
+def _watched() -> tuple[Path, ...]:
+    return (*_source_files(_ROOT), *package_files())
+
+
+def _edited_since(time_s: float) -> bool:
+    try:
+        # the time of the last change of a file, which copying it with its times does not set back
+        return any(path.stat().st_ctime > time_s for path in _watched())
+    except OSError:
+        return True

@@ -1,0 +1,102 @@
+"""What a node with a device does whatever the device is: it keeps out recordings, and takes up the device's reports.
+
+What a device or its settings may have or lack is a part of the node's step. The parts are put together once, when the
+node is built, so that no step asks what there is (ADR 0067).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, TypeVar
+
+from proto.messages import NodeHealth, SessionControl
+from services.runtime.bus.bus import Received
+from services.runtime.loop.node import Node, NodeContext
+
+S = TypeVar("S")
+M = TypeVar("M")
+
+
+class StepPart(Generic[S, M]):
+    """A part around guard and device of a step `S` with memory `M`; it implements the calls that it needs."""
+
+    def prepare(self, step: S, memory: M) -> None:
+        """Act on what the guard allows, before the device does."""
+
+    def measure(self, step: S, memory: M) -> None:
+        """Take up what was measured: for the state that is published, and for the guard at the next step."""
+
+    def report(self, step: S, memory: M) -> None:
+        """Publish what there is besides the state, after it."""
+
+
+class Parts(Generic[S, M]):
+    """The parts of a step as one, in the order in which they act."""
+
+    def __init__(self, parts: Sequence[StepPart[S, M]]) -> None:
+        self.prepare, self.measure, self.report = (_all(parts, name) for name in ("prepare", "measure", "report"))
+
+
+def _all(parts: Sequence[StepPart[S, M]], name: str) -> Callable[[S, M], None]:
+    calls = [getattr(part, name) for part in parts if getattr(type(part), name) is not getattr(StepPart, name)]
+
+    def call(step: S, memory: M) -> None:
+        for each in calls:
+            each(step, memory)
+
+    return call
+
+
+class DeviceNode(Node):
+    """A node with a device, which is simulated until `take_up` receives a report of a real one.
+
+    It rejects messages of publishers whose `node/health` is marked `replay`, unless that was allowed. A player
+    publishes that mark before its first message. An emergency stop is obeyed whoever sends it.
+    """
+
+    def __init__(self, context: NodeContext, *, allow_replay: bool) -> None:
+        super().__init__(context)
+        self.period_s = context.period_s
+        self.freshness.allow_replay = allow_replay
+        # publishers of a recording, and whether the first rejection of one was reported
+        self._replayed: dict[str, bool] = {}
+        self.is_lost, self._device_text = False, ""
+        self._device_health: dict[str, float | str] = {}
+        self._ages_s: list[float] = []
+
+    def admits(self, received: Received) -> bool:
+        message = received.message
+        if type(message) is NodeHealth:
+            if not message.replay:
+                # the live node is back
+                self._replayed.pop(message.src, None)
+            elif not self.freshness.allow_replay:
+                self._replayed.setdefault(message.src, False)
+            return True
+        is_reported = self._replayed.get(message.src)
+        if is_reported is None or (type(message) is SessionControl and message.command == "estop"):
+            return True
+        if not is_reported:
+            self._replayed[message.src] = True
+            text = f"commands of {message.src} come from a recording and are rejected (allow_replay is false)"
+            self.event("fault", "warning", text, source=message.src)
+        return False
+
+    def has_device(self, latency_s: float, calibration: str) -> None:
+        """Let node/health have the delay that a real device declares [s], and the identity of its calibration."""
+        self._device_health = {"device_latency_s": latency_s, "calibration": calibration}
+
+    def device_health(self) -> Mapping[str, float | str]:
+        ages_s, self._ages_s = self._ages_s, []
+        return {**self._device_health, **({"device_age_s": sum(ages_s) / len(ages_s)} if ages_s else {})}
+
+    def take_up(self, report: Any, *, is_late: bool = False) -> None:
+        """Take up status, age_s and text of a real device; the text is an event, once.
+
+        is_late: the sample is too old for what the device says to be no fault.
+        """
+        self.is_lost = report.status == "lost"
+        if not self.is_lost:
+            self._ages_s.append(report.age_s)
+        if report.text != self._device_text:
+            self._device_text = report.text
+            is_ready = report.status == "ok" and not is_late
+            self.event("node" if is_ready else "fault", "info" if is_ready else "warning", report.text)

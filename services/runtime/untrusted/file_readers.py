@@ -1,0 +1,78 @@
+"""Files that packages read: an entry of `telenano.readers` is a `FileReader`, with the end of the files' names as name.
+
+The entry `jpk_force` is for files `*.jpk-force`, and `other` for those that have none of their own.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from presets import plugins
+from presets.known_packages import KNOWN_PACKAGES
+from presets.regular_files import open_regular
+from proto.errors import ConfigError
+from proto.extras import how_to_add_package
+from services.runtime.untrusted.limited_child import Answer, Limits, limits_for, read_in_child
+
+_OTHER = "other"
+
+
+class FileReader(NamedTuple):
+    """How a package reads files: functions as `module:name`, empty for what these files do not have.
+
+    Each is called with a path in a child process, and returns plain values by name and a list of arrays.
+
+    heights: `channels` has for each array its `name`, `sides` (width and depth), `unit` (of the sides) and `z` (of the
+    values); the arrays are of shape (rows, columns) with y rising. curve: called with the number of the curve as text
+    too; `stiffness_n_per_m`, `speed_m_per_s`, and `turn`, the points of the approach; the arrays are the base, rising
+    towards the sample, and the deflection [m]. deflections: of approaches; the arrays are the points of each one, and
+    of all after each other the height, rising away from the sample [m], and the deflection [V]. limits: of the child,
+    by the size of the file [bytes].
+    """
+
+    heights: str = ""
+    curve: str = ""
+    deflections: str = ""
+    limits: Callable[[int], Limits] = limits_for
+
+
+def _checked(_: str, value: Any) -> FileReader:
+    if not isinstance(value, FileReader):
+        raise TypeError(f"it is {type(value).__name__}, and must be a telenano.extend.readers.FileReader")
+    return value
+
+
+def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
+    """Return what the reader of an installed package finds in a file.
+
+    Args:
+        path: The file.
+        what: Which function: `heights`, `curve` or `deflections`.
+        *arguments: What it is called with besides.
+
+    Raises:
+        ConfigError: No package that is installed reads it, or what its reader needs is missing.
+        OSError, ValueError: As `read_in_child`.
+    """
+    open_regular(path).close()
+    for name in (_name_of(path), _OTHER):
+        loaded = plugins.load("readers", _checked, only=name)
+        plugins.refuse(loaded, name)
+        reader = loaded.found.get(name, FileReader())
+        if function := getattr(reader, what):
+            try:
+                return read_in_child(function, path, *arguments, limits=reader.limits(path.stat().st_size))
+            except ImportError as error:
+                package = plugins.installed("readers")[name].package
+                text = f"{path}: needs {error.name} to be read: install {package} with its dependencies"
+                raise ConfigError(text) from error
+    package = KNOWN_PACKAGES["reader other"]
+    found = plugins.load("readers", _checked).found
+    known = [f".{name.replace('_', '-')}" for name, reader in found.items() if name != _OTHER and getattr(reader, what)]
+    if known:
+        raise ConfigError(f"{path}: is of no format that is known here; for this they are {', '.join(known)}")
+    raise ConfigError(f"{path}: files of other makers are read by the package {package}: {how_to_add_package(package)}")
+
+
+def _name_of(path: Path) -> str:
+    return path.suffix.lower().removeprefix(".").replace("-", "_")

@@ -1,0 +1,103 @@
+"""Twenty pages at once, of which sixteen may be: the loop goes on as without them, and no memory is kept for them."""
+
+import asyncio
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
+
+import msgpack
+import numpy as np
+import pytest
+from browser_page import View
+from stack_rig import CONSTANT_PUSH, Rig
+
+from recording.reader import Recording
+from services.viz_node.requests import PROTOCOL
+from services.viz_node.server import MOST_PAGES
+
+pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(600)]
+PAGES, WATCHED_S, ROUNDS = 20, 30.0, 3
+# of one round after the first, in which caches and the allocator find their size
+MOST_GROWTH_BYTES = 10_000_000
+
+
+class Watched(NamedTuple):
+    """What one page was sent."""
+
+    frames: int
+    snapshots: int
+    refused: str
+
+
+async def watch(address: str) -> Watched:
+    """Open a page, say who it is, and read for a while as a browser does."""
+    import websockets
+
+    parts = urlsplit(address)
+    origin: Any = f"http://{parts.netloc}"
+    frames, snapshots, refused = 0, 0, ""
+    async with websockets.connect(f"ws://{parts.netloc}/bus", origin=origin, max_size=None) as page:
+        await page.send(msgpack.packb({"k": "hello", "protocol": PROTOCOL, "token": parts.fragment}))
+        end = time.monotonic() + WATCHED_S
+        while time.monotonic() < end and not refused:
+            frame = msgpack.unpackb(await asyncio.wait_for(page.recv(), 20.0), strict_map_key=False)
+            frames += 1
+            snapshots += frame["k"] == "snapshot"
+            refused = frame["text"] if frame["k"] == "refused" else ""
+    return Watched(frames, snapshots, refused)
+
+
+async def watch_all(address: str) -> list[Watched]:
+    return await asyncio.gather(*(watch(address) for _ in range(PAGES)))
+
+
+def resident_bytes(process_id: int) -> int:
+    lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
+
+
+def loop_ages_s(recording: Recording, begin_ns: int, end_ns: int) -> "np.ndarray[Any, Any]":
+    """Return the age of the hand's sample behind each command in a span [s]."""
+    states = [message.fields() for message in recording.messages(["haptic/state"])]
+    ages = [
+        (state["answered_at_ns"] - state["answered_t_ns"]) * 1e-9
+        for state in states
+        if begin_ns <= state["t_ns"] < end_ns and state["answered_t_ns"] > 0
+    ]
+    return np.array(ages)
+
+
+def test_twenty_pages_hold_up_no_loop_and_leave_no_memory_behind(rig: Rig) -> None:
+    rig.start("--duration", "900", "--set", CONSTANT_PUSH)
+    rig.wait_until(rig.running, "a running session")
+    sizes, spans = [], []
+    with closing(View(rig.environment)) as view:
+        # nobody watches
+        begin_ns = time.time_ns()
+        time.sleep(WATCHED_S)  # what is measured is a span
+        alone = begin_ns, time.time_ns()
+        for _ in range(ROUNDS):
+            begin_ns = time.time_ns()
+            watched = asyncio.run(watch_all(view.observer))
+            spans.append((begin_ns, time.time_ns()))
+            refused = [page.refused for page in watched if page.refused]
+            assert refused == [f"{MOST_PAGES} pages are open, which is as many as may be"] * (PAGES - MOST_PAGES)
+            # each of the others is told what changes, and none is so far behind that it has to begin anew
+            admitted = [page for page in watched if not page.refused]
+            assert all(page.snapshots == 1 for page in admitted), watched
+            assert min(page.frames for page in admitted) > 5.0 * WATCHED_S, watched
+            sizes.append(resident_bytes(view.process_id))
+    code, summary, err = rig.stop()
+    assert code == 0, err
+    assert summary["recording"]["complete"], summary["recording"]
+    assert sizes[-1] - sizes[0] < (ROUNDS - 1) * MOST_GROWTH_BYTES, sizes
+    recording = Recording(rig.out / "session.mcap")
+    undisturbed = loop_ages_s(recording, *alone)
+    for span in spans:
+        ages = loop_ages_s(recording, *span)
+        assert np.median(ages) < 1.5 * np.median(undisturbed)
+        # as many answers a second as without them
+        rate = ages.size / (span[1] - span[0]) / (undisturbed.size / (alone[1] - alone[0]))
+        assert rate > 0.98, rate

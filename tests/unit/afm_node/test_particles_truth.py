@@ -1,0 +1,46 @@
+"""Truth and estimate are two things: no node and no plan can know where the particles of a simulation are."""
+
+from pathlib import Path
+from typing import Literal
+
+from proto import TOPICS
+from proto.instrument import AfmParticles
+from services.afm_node import node as afm
+from services.controller.__main__ import HALVES
+from services.haptic_node import node as haptic
+from services.viz_node.source import TOPICS_SHOWN
+
+ROOT = Path(__file__).parents[3]
+TRUTH = "afm/particles"
+# These are the table of topics, what writes it into recordings, and what judges a trial of an experiment afterwards;
+# docs and generated files of the contract are no readers.
+SAYS_IT = {
+    "proto/topics.py",
+    "services/afm_node/guarded.py",
+    "packages/telenano-assembly/telenano_assembly/recording.py",
+    "packages/telenano-experiments/telenano_experiments/recorded_trial.py",
+    "packages/telenano-experiments/telenano_experiments/tasks/push_particle.py",
+}
+
+
+def test_no_code_names_the_topic_of_the_truth_but_what_says_it() -> None:
+    folders = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "packages")
+    names = set()
+    for folder in folders:
+        for path in (ROOT / folder).rglob("*"):
+            ours = path.suffix in (".py", ".ts", ".yaml") and not {"node_modules", "dist", "tests"} & set(path.parts)
+            if ours and TRUTH in path.read_text(encoding="utf-8"):
+                names.add(str(path.relative_to(ROOT)))
+    assert names == SAYS_IT
+
+
+def test_the_truth_is_recorded_and_goes_to_no_other_machine_and_to_no_node() -> None:
+    row = TOPICS[TRUTH]
+    assert row.recorded and row.bridged is None and row.publishers == ("afm_node",)
+    inputs = (afm.INPUTS, *(half.inputs for half in HALVES.values()), haptic.INPUTS, TOPICS_SHOWN)
+    assert not any(TRUTH in topics for topics in inputs)
+
+
+def test_a_message_of_the_truth_is_marked_as_simulated() -> None:
+    fields = AfmParticles.model_fields
+    assert fields["simulated"].annotation == Literal[True]

@@ -1,0 +1,134 @@
+"""What comes from a recording stays away from devices, and is not taken for a repetition by readers."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from proto.messages import SessionEvent
+from proto.sequence import Arrival, SequenceTracker
+from services.afm_node.config import AfmConfig
+from services.afm_node.node import AfmNode
+from services.afm_node.physics.sim import simulated_afm
+
+SECOND_NS = 1_000_000_000
+HEALTH = {
+    "pid": 1,
+    "state": "running",
+    "uptime_s": 1.0,
+    "rate_hz": 1000.0,
+    "period_s": 0.0,
+    "lateness_p50_s": 0.0,
+    "lateness_p99_s": 0.0,
+    "lateness_max_s": 0.0,
+    "overruns": 0,
+    "rejected": {},
+    "cpu_percent": 0.0,
+    "memory_bytes": 0,
+    "realtime": False,
+    "memory_locked": False,
+    "inputs": (),
+}
+COMMAND = {"mode": "hold", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": 0}
+SOURCE = "controller@slave"
+
+
+@pytest.fixture
+def bench(bench_of: Any) -> Any:
+    return bench_of("afm_node@slave")
+
+
+def device_node(bench: Any, *, allow: bool = False) -> AfmNode:
+    config = AfmConfig(allow_replay=allow)
+    return AfmNode(bench.context, config, simulated_afm(config.to_params()))
+
+
+def command(bench: Any) -> Any:
+    return bench.received("afm/command", SOURCE, **COMMAND)
+
+
+def control(bench: Any, name: str, src: str = "launcher@master") -> Any:
+    return bench.received("session/control", src, id="1", command=name, target="*", parameters={})
+
+
+def test_commands_of_a_source_marked_replay_are_refused_until_it_is_live_again(bench: Any) -> None:
+    guard = device_node(bench)
+    assert guard.admits(command(bench))
+    assert guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
+    assert not guard.admits(command(bench))
+    assert not guard.admits(command(bench))
+    assert guard.admits(bench.received("afm/command", "controller@master", **COMMAND))
+    guard.admits(bench.received("node/health", SOURCE, replay=False, **HEALTH))
+    assert guard.admits(command(bench))
+
+
+def test_the_refusal_is_reported_once(bench: Any) -> None:
+    guard = device_node(bench)
+    guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
+    for _ in range(5):
+        guard.admits(command(bench))
+    (event,) = bench.take("session/event")
+    assert isinstance(event, SessionEvent)
+    assert (event.kind, event.level, event.data["source"]) == ("fault", "warning", SOURCE)
+
+
+def test_replayed_commands_are_obeyed_where_that_is_allowed(bench: Any) -> None:
+    guard = device_node(bench, allow=True)
+    guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
+    assert guard.admits(command(bench))
+
+
+def test_a_replayed_session_arms_nothing_but_may_stop_everything(bench: Any) -> None:
+    guard = device_node(bench)
+    guard.admits(bench.received("node/health", "launcher@master", replay=True, **HEALTH))
+    assert not guard.admits(control(bench, "arm"))
+    assert guard.admits(control(bench, "estop"))
+
+
+def test_the_age_of_a_device_is_the_mean_of_an_interval_and_absent_without_samples(bench: Any) -> None:
+    node = device_node(bench)
+    assert node.device_health() == {}
+    node.has_device(3e-3, "stage 7")
+    declared = {"device_latency_s": 3e-3, "calibration": "stage 7"}
+    assert node.device_health() == declared
+    for status, age_s in (("ok", 0.25), ("lost", 9.0), ("stale", 0.75)):
+        node.take_up(SimpleNamespace(status=status, age_s=age_s, text=""))
+    assert node.device_health() == declared | {"device_age_s": 0.5}
+    assert node.device_health() == declared
+
+
+def test_what_a_device_says_is_an_event_once(bench: Any) -> None:
+    node = device_node(bench)
+    bench.take("session/event")
+    for status, text in (("ok", "ready"), ("ok", "ready"), ("lost", "unplugged"), ("lost", "unplugged")):
+        node.take_up(SimpleNamespace(status=status, age_s=0.0, text=text))
+    assert node.is_lost
+    told = [(event.kind, event.level, event.text) for event in bench.take("session/event")]
+    assert told == [("node", "info", "ready"), ("fault", "warning", "unplugged")]
+
+
+def filled(count: int, t_ns: int = 100 * SECOND_NS) -> SequenceTracker:
+    tracker = SequenceTracker()
+    for seq in range(count):
+        tracker.accept(seq, t_ns + seq)
+    return tracker
+
+
+def test_a_recording_played_after_its_publisher_was_received_is_a_restart() -> None:
+    tracker = filled(5000)
+    arrivals = [tracker.accept(seq, 5 * SECOND_NS + seq) for seq in range(100)]
+    assert arrivals[:7] == [Arrival.DUPLICATE] * 7
+    assert arrivals[7] is Arrival.RESTART
+    assert set(arrivals[8:]) == {Arrival.NEXT}
+    assert (tracker.restarts, tracker.lost) == (1, 0)
+
+
+def test_repetitions_between_fresh_messages_or_young_ones_are_no_restart() -> None:
+    tracker = filled(100)
+    for seq in range(100, 200):
+        assert tracker.accept(seq, 100 * SECOND_NS + seq) is Arrival.NEXT
+        assert tracker.accept(seq, 100 * SECOND_NS + seq) is Arrival.DUPLICATE
+        assert tracker.accept(seq - 100, 5 * SECOND_NS) is Arrival.DUPLICATE
+    for seq in range(150, 200):
+        assert tracker.accept(seq, 100 * SECOND_NS + seq) is Arrival.DUPLICATE
+    assert tracker.restarts == 0

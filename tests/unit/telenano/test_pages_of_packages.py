@@ -1,0 +1,46 @@
+"""The commands of the project's packages: each answers for help, and the page of its package has its options."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from presets import plugins
+from telenano.cli.lazy_commands import load_row, package_commands
+from telenano.cli.root import app
+
+PACKAGES = Path(__file__).parents[3] / "packages"
+FOLDERS = {row.target.partition(".")[0]: row.package for row in plugins.installed("commands").values()}
+
+
+def with_inner(path: tuple[str, ...], command: Any, folder: str) -> Iterator[tuple[str, tuple[Any, str]]]:
+    inner = getattr(command, "commands", None)
+    if not inner:
+        yield " ".join(path), (command, folder)
+    for name, child in (inner or {}).items():
+        yield from with_inner((*path, name), child, folder)
+
+
+FOUND = dict(
+    found
+    for path, row in package_commands().items()
+    for found in with_inner(path, load_row(path[-1], row, path), FOLDERS[row.module.partition(".")[0]])
+)
+
+
+@pytest.mark.parametrize("words", sorted(FOUND))
+def test_a_command_answers_help_and_its_page_names_every_option(words: str) -> None:
+    command, folder = FOUND[words]
+    done = CliRunner().invoke(app, [*words.split(), "--help"])
+    assert done.exit_code == 0 and "Usage" in done.output
+    page = (PACKAGES / folder / "README.md").read_text(encoding="utf-8")
+    # A package of several commands has a heading for each.
+    part = page.partition(f"## telenano {words}\n")[2].partition("\n## ")[0] or page
+    options = [one for one in command.params if one.param_type_name == "option" and one.name not in ("help", "rig")]
+    assert [one.name for one in options if not one.help] == []
+    assert {one.opts[0] for one in options if not re.search(rf"`{one.opts[0]}[ /`]", part)} == set()
+    # What people did is kept beside the results of computations: `experiment run` has a folder of its own.
+    assert all(Path(one.default).parts[0] == "out" for one in options if "--out" in one.opts and one.default)
