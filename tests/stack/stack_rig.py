@@ -8,12 +8,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import machine
+import pytest
 from commands import COMMANDS
 from following import Following, Recorded
+
+from proto.messages import AfmState
+from recording.reader import Recording
 
 # far beyond what is expected: it only keeps a broken rig from holding the suite
 PATIENCE_S = 150.0
@@ -25,6 +30,26 @@ FIGURE_AND_PUSH = "haptic_node.operator.points=[{time_s: 0.8, force_n: 0.0}, {ti
 {time_s: 2.6, force_n: 1.0}, {time_s: 2.9, force_n: 2.0}, {time_s: 4.5, force_n: 2.0}, {time_s: 4.6, force_n: 0.0}, \
 {time_s: 8.2, force_n: 0.0}, {time_s: 8.6, force_n: 1.0}]"
 ROOT = Path(__file__).resolve().parents[2]
+# the deepest pull of Fig. 12 [nN], the longest step of the tip there at 1 kHz [nm], and how
+# steeply the force leaves the deepest place on its flatter side, in contact [nN/nm]
+PULL_NN, PULL_STEP_NM, PULL_SLOPE = -12.5, 0.035, 10.0
+
+
+def pulled_as_in_the_paper(recording: Path) -> Any:
+    """Give the range of the greatest pull of Fig. 12 that a recording allows.
+
+    The hand brings the tip through the deepest place within three milliseconds. A loop of a lower rate, or one that is
+    held up there, takes a longer step over it, and the recording says how long that step was.
+    """
+    states = [state for one in Recording(recording).messages() if isinstance(state := one.decode(), AfmState)]
+    steps_nm = [
+        1e9 * abs(new.base_position_m[2] - old.base_position_m[2])
+        for old, new in pairwise(states)
+        if min(old.tip_force_n[2], new.tip_force_n[2]) < 0.8e-9 * PULL_NN
+    ]
+    assert steps_nm, "the tip never came near the deepest pull"
+    over_nm = max(*steps_nm, PULL_STEP_NM) - PULL_STEP_NM
+    return pytest.approx(PULL_NN, abs=0.1 + PULL_SLOPE * over_nm)
 
 
 class Rig:
