@@ -19,12 +19,15 @@ pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest
 
 NS_PER_S = 1_000_000_000
 ATTEMPTS = 3
+# `passivity` lands the tip so gently that the first hold of the programme ends while it still settles: 1.4 s are too
+# few for that law in lockstep as well, and 1.8 are enough
+FIRST_HOLD_S = 2.6
 
 
 def undistorted(folder: Path, *network: Any, **chosen: Any) -> dict[str, Any]:
     """Run fig12 over a cable that was in time itself; a session in which it was not is reported, and tried again."""
     for attempt in range(ATTEMPTS):
-        found = fig12(folder / str(attempt), *network, **chosen)
+        found = fig12(folder / str(attempt), *network, first_hold_s=FIRST_HOLD_S, **chosen)
         if not found["distorted"]:
             return found
         machine.note(f"a session of {network} is no measurement of the link ({found['verdict']}): {found['distorted']}")
@@ -43,7 +46,7 @@ def test_a_network_that_loses_packets_is_borne_as_the_injected_one_is(
         assert run["hold_ratio"] == pytest.approx(1.0, abs=0.005)
     assert real["deadlines_missed"] == 0
     # a session is one draw of the losses
-    assert real["verdict"] in {injected["verdict"], *draws("passivity", delay_ms, loss)}
+    assert real["verdict"] in {injected["verdict"], *draws("passivity", delay_ms, loss, FIRST_HOLD_S)}
     for measured in real["one_way_ms_at"].values():
         # what the cable did, within the time that a busy machine takes to notice
         assert measured["p50"] == pytest.approx(delay_ms, abs=3.0)
@@ -53,7 +56,9 @@ def test_a_network_that_loses_packets_is_borne_as_the_injected_one_is(
 
 def test_a_probed_network_that_is_injected_has_the_same_delays_and_verdict(tmp_path: Path) -> None:
     probe = tmp_path / "probe"
-    real = fig12(tmp_path / "real", 20.0, 0.02, "passivity", probe_into=probe, duration_s=10.0)
+    real = fig12(
+        tmp_path / "real", 20.0, 0.02, "passivity", probe_into=probe, duration_s=10.0, first_hold_s=FIRST_HOLD_S
+    )
     again = undistorted(tmp_path / "again", 20.0, 0.02, "passivity", measured=probe)
     network = json.loads((probe / "probe.json").read_text())["network"]
     for direction, applied_ms in again["injected_ms"].items():
@@ -61,7 +66,7 @@ def test_a_probed_network_that_is_injected_has_the_same_delays_and_verdict(tmp_p
         assert applied_ms[:3] == pytest.approx(measured_ms, abs=1.0)
     assert set(again["injected_ms"]) == {"forward", "backward"}
     assert again["hold_ratio"] == pytest.approx(real["hold_ratio"], abs=0.005)
-    assert again["verdict"] in {real["verdict"], *draws("passivity", 20.0, 0.02)}
+    assert again["verdict"] in {real["verdict"], *draws("passivity", 20.0, 0.02, FIRST_HOLD_S)}
 
 
 @pytest.fixture

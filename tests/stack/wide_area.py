@@ -170,6 +170,14 @@ def injected_ms(folder: Path) -> dict[str, list[float]]:
     return {way: [round(float(q), 3) for q in np.quantile(delays, QUANTILES)] for way, delays in found.items()}
 
 
+def programme(first_hold_s: float) -> tuple[dict[str, Any], float]:
+    """Give the hand of fig12 with another length of its first hold, and the duration of such a session [s]."""
+    held_s = BEFORE_HOLD[-1][0] + first_hold_s
+    corners = [*BEFORE_HOLD, *((held_s + time_s, force_n) for time_s, force_n in AFTER_HOLD)]
+    points = [{"time_s": time_s, "force_n": force_n} for time_s, force_n in corners]
+    return {"kind": "force_profile", "points": points}, held_s + AFTER_HOLD_S
+
+
 def fig12(
     folder: Path,
     delay_ms: float,
@@ -201,12 +209,9 @@ def fig12(
     law_of = ["--set", f"controller.law={law}", "--set", f"recorder.far={far}"]
     chosen = {site: [*law_of, "--set", f"recorder.exclude={json.dumps(EXCLUDED[site])}"] for site in EXCLUDED}
     if first_hold_s is not None:
-        held_s = BEFORE_HOLD[-1][0] + first_hold_s
-        corners = [*BEFORE_HOLD, *((held_s + time_s, force_n) for time_s, force_n in AFTER_HOLD)]
-        points = [{"time_s": time_s, "force_n": force_n} for time_s, force_n in corners]
-        operator = {"kind": "force_profile", "points": points}
+        operator, programme_s = programme(first_hold_s)
         chosen["master"][:0] = ["--set", f"haptic_node.operator={json.dumps(operator)}"]
-        duration_s = max(duration_s, held_s + AFTER_HOLD_S)
+        duration_s = max(duration_s, programme_s)
     cable.change(**rules)
     network = {
         f"{way}.{key}": value
@@ -276,16 +281,21 @@ def fig12(
         rig.close()
 
 
-def draws(law: str, delay_ms: float, loss: float) -> list[str]:
+def draws(law: str, delay_ms: float, loss: float, first_hold_s: float | None = None) -> list[str]:
     """Give the verdicts of lockstep on the same programme over the same network, one for each draw of the losses."""
     from studies.loops.simulation import simulate_scenario
     from studies.loops.validate import SEEDS
 
     verdicts = []
+    chosen: dict[str, Any] = {}
+    duration_s = DURATION_S
+    if loss:
+        chosen |= {f"delay_node.{way}.loss.probability": loss for way in ("forward", "backward")}
+    if first_hold_s is not None:
+        chosen["haptic_node.operator"], duration_s = programme(first_hold_s)
     for seed in range(SEEDS if loss else 1):
-        chosen = {f"delay_node.{way}.loss.probability": loss for way in ("forward", "backward")} if loss else {}
         settings = {**chosen, "delay_node.seed": seed}
-        run = simulate_scenario("fig12", law=law, delay_ms=delay_ms, duration_s=DURATION_S, settings=settings)
+        run = simulate_scenario("fig12", law=law, delay_ms=delay_ms, duration_s=duration_s, settings=settings)
         verdicts.append(run.verdict)
     return verdicts
 
