@@ -128,7 +128,8 @@ class Rig:
                 words = (entry / "cmdline").read_bytes().decode().split("\0") if entry.name.isdigit() else []
             except OSError:
                 continue
-            if any(word.startswith(str(self.out)) for word in words):
+            # the process that reads the nodes for all observers knows their endpoints alone
+            if any(word.startswith((str(self.out), f"ipc://{self.sockets}")) for word in words):
                 found.append(int(entry.name))
         return found
 
