@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NoReturn
 
-SAFE_PATH = {"PYTHONSAFEPATH": "1"}
+_SAFE_PATH = "PYTHONSAFEPATH"
 _PR_SET_PDEATHSIG = 1
 
 
@@ -45,16 +45,13 @@ def become(command: Sequence[str]) -> NoReturn:
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
     """Set PYTHONSAFEPATH while the workers of `multiprocessing` are spawned, which starts Python in its own way."""
-    before = {name: os.environ.get(name) for name in SAFE_PATH}
-    os.environ.update(SAFE_PATH)
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        if not before:
+            del os.environ[_SAFE_PATH]
 
 
 def die_with_parent(signal_number: int) -> None:
@@ -77,4 +74,4 @@ def _safe(command: Sequence[str]) -> list[str]:
 
 
 def _environment(given: Mapping[str, str] | None) -> dict[str, str]:
-    return {**(os.environ if given is None else given), **SAFE_PATH}
+    return {**(os.environ if given is None else given), _SAFE_PATH: "1"}

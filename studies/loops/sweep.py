@@ -156,7 +156,9 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
     """Run on processes of this machine, which end with what reads their results."""
     # The workers are spawned, not forked, because the parent has threads of its own by now.
     others = set(active_children())
-    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    # The pool itself starts a process, which tracks its semaphores.
+    with children.safe_path():
+        pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
         with kept_from_children(), children.safe_path():
             futures = [pool.submit(run_batch, batch, kind.run) for batch in batches]

@@ -1,14 +1,28 @@
 import ast
+import contextlib
+import importlib.util
 import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from telenano_experiments.apparatus.rig_process import RigError, RigProcess
 
+from services.haptic_node.devices.servo_process import ProcessLink
+from services.haptic_node.driver import DeviceError
+from services.launcher.child_session import run_session
+from services.launcher.fan_out import fan_out
+from services.launcher.processes import NodeProcesses
+from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from services.runtime.untrusted.limited_child import read_in_child
 from services.signals import children
+from telenano.cli.commands.node import node as run_node
 
 ROOT = Path(__file__).parents[3]
 # Tests start programs as users do. The page is built, and a release is tried, where the project is not installed.
@@ -25,7 +39,10 @@ STARTS = {
     "pty": {"spawn", "fork"},
     "runpy": {"run_module"},
 }
-FOREIGN = ("recording.py", "numpy.py", "proto.py", "socket.py", "pickle.py", "json.py", "services.py")
+FOREIGN = (
+    "recording", "numpy", "proto", "services", "telenano", "asyncio", "zmq", "socket", "pickle", "json", "signal",
+    "threading", "warnings",
+)  # fmt: skip
 SHOWS_PATH = "import os, sys; print(sys.path[0], os.environ['PYTHONSAFEPATH'], sys.flags.safe_path)"
 
 
@@ -56,11 +73,26 @@ def starts_in(text: str) -> list[int]:
         for module, name, line in calls(tree)
         if name in STARTS.get(module, ()) or (module == "os" and re.match(r"exec|spawn", name))
     ]
-    # workers are spawned in a way of their own
-    spawns = re.search(r"get_context\(\"spawn\"\)|ProcessPoolExecutor\(|multiprocessing\.(Process|Pool)\(", text)
+    # workers are spawned in a way of their own, and with the pool already the process that tracks its semaphores
+    spawns = re.search(r"get_context\(\"spawn\"\)|multiprocessing\.(Process|Pool)\(", text)
     if spawns and "safe_path()" not in text:
         found.append(text[: spawns.start()].count("\n") + 1)
+    blocks = [each for each in ast.walk(tree) if isinstance(each, ast.With)]
+    safe = [each for each in blocks if any("safe_path()" in ast.unparse(item) for item in each.items)]
+    within = {id(part) for block in safe for part in ast.walk(block)}
+    found += [
+        each.lineno
+        for each in ast.walk(tree)
+        if isinstance(each, ast.Call)
+        and ast.unparse(each.func).endswith("ProcessPoolExecutor")
+        and id(each) not in within
+    ]
     return found
+
+
+def uses_children(path: Path) -> bool:
+    """Whether a file of the core or of a package starts a process by `children`."""
+    return bool(re.search(r"\bchildren\.(start|run|become|safe_path)\(", path.read_text()))
 
 
 @pytest.mark.parametrize(
@@ -73,6 +105,7 @@ def starts_in(text: str) -> list[int]:
         "import asyncio\nasyncio.create_subprocess_exec('a')",
         'from multiprocessing import get_context\nget_context("spawn").Process()',
         "from concurrent.futures import ProcessPoolExecutor\nProcessPoolExecutor(2)",
+        "pool = ProcessPoolExecutor(2)  # concurrent\nwith children.safe_path():\n    pool.submit(abs, 1)",
     ],
 )
 def test_a_start_of_a_process_is_seen(text: str) -> None:
@@ -104,11 +137,18 @@ def said_by(code: str) -> list[str]:
 
 @pytest.fixture
 def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "foreign"
+    folder.mkdir()
     for name in FOREIGN:
-        (tmp_path / name).write_text("raise SystemExit('a file of the folder was run')")
-    monkeypatch.chdir(tmp_path)
+        text = "open(__file__ + '.ran', 'w').close()\nraise SystemExit('a file of the folder was run')\n"
+        (folder / f"{name}.py").write_text(text)
+    monkeypatch.chdir(folder)
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
-    return tmp_path
+    return folder
+
+
+def were_run(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.ran"))
 
 
 @pytest.mark.usefixtures("foreign")
@@ -128,25 +168,139 @@ def test_a_python_that_is_started_imports_nothing_of_the_folder() -> None:
     ]
 
 
-@pytest.mark.parametrize("safe", [True, False])
-def test_workers_import_nothing_of_the_folder(safe: bool, foreign: Path) -> None:
-    block = "children.safe_path()" if safe else "contextlib.nullcontext()"
-    code = (
-        "import contextlib, os, sys\n"
-        "from concurrent.futures import ProcessPoolExecutor\n"
-        "from multiprocessing import get_context\n"
-        "from services.signals import children\n"
-        "if __name__ == '__main__':\n"
-        f"    with {block}, ProcessPoolExecutor(1, get_context('spawn')) as pool:\n"
-        "        print(pool.submit(abs, -7).result())\n"
-        "    print('PYTHONSAFEPATH' in os.environ)\n"
+IMPORTS = [sys.executable, "-c", "import recording, numpy, proto"]
+
+
+def answer(words: list[str], environment: dict[str, str]) -> bool:
+    return subprocess.run(words, env=environment, capture_output=True).returncode == 0
+
+
+def by_entrypoint(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    specification = importlib.util.spec_from_file_location("entrypoint", ROOT / "deploy" / "entrypoint.py")
+    assert specification is not None and specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    worked: list[bool] = []
+    monkeypatch.setattr(os, "execvpe", lambda file, *given: worked.append(answer(*given)))
+    module.main(IMPORTS)
+    return worked == [True]
+
+
+def by_node_command(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    worked: list[bool] = []
+    monkeypatch.setattr(os, "execvpe", lambda file, *given: worked.append(answer(*given)))
+    context: Any = SimpleNamespace(args=["--help"])
+    run_node(context, "recorder")
+    return worked == [True]
+
+
+def by_launcher(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    nodes = NodeProcesses({"a@b": IMPORTS}, [], folder.parent / "logs", 0)
+    nodes.start("a@b")
+    ended: dict[str, int] = {}
+    while not (ended := nodes.reap()):
+        time.sleep(0.01)
+    return ended == {"a@b": 0}
+
+
+def by_fan_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    endpoint = f"ipc://{folder.parent}/node"
+    book = SimpleNamespace(
+        nodes=["haptic_node@master"], uses_runtime_directory=True, local_endpoint=lambda name: endpoint
     )
+    plan: Any = SimpleNamespace(attach=False, site=None, book=book)
+    with fan_out(plan):
+        end_s = time.monotonic() + 60.0
+        while not (bound := is_bound(fan_out_endpoint(endpoint))) and not were_run(folder):
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
+    return bound
+
+
+def by_child_session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    return run_session([sys.executable, "-m", "telenano", "--help"]).returncode == 0
+
+
+def by_servo(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    with pytest.raises(DeviceError) as caught:
+        ProcessLink("x", {}).open()
+    return "there is no wire called 'x'" in str(caught.value)
+
+
+def by_reader(folder: Path, monkeypatch: pytest.MonkeyPatch, watch: Callable[[float], None] | None = None) -> bool:
+    others = folder.parent / "others"
+    others.mkdir()
+    (others / "a_reader.py").write_text("def read(path, *advance):\n    return path, []\n")
+    monkeypatch.setattr(sys, "path", [str(others), *sys.path])
+    with contextlib.suppress(ValueError):
+        return read_in_child("a_reader:read", others / "a_reader.py", watch=watch)[0] == str(others / "a_reader.py")
+    return False
+
+
+def by_watched_reader(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    return by_reader(folder, monkeypatch, lambda done: None)
+
+
+def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     # This program is started as a console script is: its own path is safe, and no flag of it says so to its workers.
-    script = foreign / "bin" / "script.py"
+    safe = "pass" if children.safe_path is SAFE else "sweep.children.safe_path = contextlib.nullcontext"
+    code = (
+        "import contextlib, os\n"
+        "from studies.loops import sweep\n"
+        "if __name__ == '__main__':\n"
+        f"    {safe}\n"
+        "    kind = sweep.Kind(str, abs, dict)\n"
+        "    print(list(sweep._on_processes(1, [[-7]], kind)), 'PYTHONSAFEPATH' in os.environ)\n"
+    )
+    script = folder.parent / "bin" / "script.py"
     script.parent.mkdir()
     script.write_text(code)
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
-    assert (done.returncode == 0 and done.stdout.split() == ["7", "False"]) is safe, done.stderr
+    return done.stdout.strip() == "[[7]] False" and not done.stderr
+
+
+def by_experiment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    with pytest.raises(RigError) as caught:
+        RigProcess(folder.parent / "rig", {}, ["--help"], lambda text: None)
+    return "Show this message" in str(caught.value)
+
+
+SAFE = children.safe_path
+Start = Callable[[Path, pytest.MonkeyPatch], bool]
+# Every file that starts a process, and what starts one there, or why no path can matter.
+STARTED: dict[str, tuple[Start, ...] | str] = {
+    "deploy/entrypoint.py": (by_entrypoint,),
+    "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
+    "services/haptic_node/devices/firmware.py": "a C compiler",
+    "services/haptic_node/devices/servo_process.py": (by_servo,),
+    "services/launcher/child_session.py": (by_child_session,),
+    "services/launcher/fan_out.py": (by_fan_out,),
+    "services/launcher/processes.py": (by_launcher,),
+    "services/recorder/provenance.py": "git",
+    "services/runtime/untrusted/limited_child.py": (by_reader, by_watched_reader),
+    "studies/loops/sweep.py": (by_sweep,),
+    "telenano/cli/commands/node.py": (by_node_command,),
+    "telenano/doctor/checks.py": "Python with -I",
+}
+
+
+def test_each_start_is_in_the_table() -> None:
+    found = {str(path.relative_to(ROOT)) for path in sources() if uses_children(path)}
+    assert {name for name in found if not name.startswith("benchmarks/")} == set(STARTED)
+
+
+@pytest.mark.parametrize("safe", [True, False])
+@pytest.mark.parametrize("start", [each for given in STARTED.values() if not isinstance(given, str) for each in given])
+def test_what_a_start_runs_imports_nothing_of_the_folder(
+    start: Start, safe: bool, foreign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not safe:
+        monkeypatch.setattr(children, "_safe", list)
+        monkeypatch.setattr(children, "_environment", lambda given: dict(os.environ if given is None else given))
+        monkeypatch.setattr(children, "safe_path", contextlib.nullcontext)
+    assert start(foreign, monkeypatch) is safe
+    assert bool(were_run(foreign)) is not safe
 
 
 def test_a_process_takes_the_place_of_this_one_with_a_safe_path() -> None:
