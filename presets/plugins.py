@@ -24,7 +24,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 # What scenarios and experiments name, and so what a run depends on.
 SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "programs", "tasks", "scenarios")
-KINDS = (*SCENARIO_KINDS, "commands", "checks", "exports", "images", "readers")
+KINDS = (*SCENARIO_KINDS, "commands", "checks", "exports", "images", "readers", "steps")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 T = TypeVar("T")
@@ -166,9 +166,14 @@ def in_lockstep() -> list[Plugin]:
     return [row for row in in_scenarios() if row.kind != "devices"]
 
 
-def modules() -> tuple[str, ...]:
-    """Return the packages of compiled steps, as the beginnings of module names."""
-    return tuple(sorted({_top_level(row.target) + "." for row in in_lockstep()}))
+def with_steps() -> list[Plugin]:
+    """Return those whose compiled steps no scenario can name: what is computed with them depends on them alone."""
+    return list(installed("steps").values())
+
+
+def modules(rows: Iterable[Plugin]) -> tuple[str, ...]:
+    """Return the packages of entries, as the beginnings of module names."""
+    return tuple(sorted({_top_level(row.target) + "." for row in rows}))
 
 
 def fault_of_package(error: BaseException) -> str:
@@ -186,15 +191,15 @@ def fault_of_package(error: BaseException) -> str:
     return found
 
 
-def digest_of_all() -> str:
-    """Return a digest of the files of all packages that lockstep can run; empty without any."""
-    found = [f"{row.kind}.{row.name} {row.digest}" for row in in_lockstep()]
+def digest_of_all(rows: Iterable[Plugin]) -> str:
+    """Return a digest of the files of the packages of entries; empty without any."""
+    found = [f"{row.kind}.{row.name} {row.digest}" for row in rows]
     return hashlib.sha256("\n".join(found).encode()).hexdigest() if found else ""
 
 
-def package_files() -> list[Path]:
-    """Return the files of all packages that lockstep can run."""
-    return [path for name in modules() for _, path in _files(name.removesuffix("."))]
+def package_files(rows: Iterable[Plugin]) -> list[Path]:
+    """Return the files of the packages of entries."""
+    return [path for name in modules(rows) for _, path in _files(name.removesuffix("."))]
 
 
 @cache

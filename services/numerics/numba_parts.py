@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import lower_builtin, type_callable
 
 from presets.regular_files import is_own
-from services.numerics.source_digest import cache_folder, digest_covers
+from services.numerics.source_digest import cache_folder, digest_covers, stamp
 from services.signals import interrupts
 
 _MAIN_THREAD = main_thread().ident
@@ -35,11 +35,15 @@ _lower: Any = lower_builtin
 class _Locator(UserProvidedCacheLocator):
     """Where the code of a function is kept. A folder that cannot be written is read all the same."""
 
+    def __init__(self, function: Any, source: str) -> None:
+        super().__init__(function, source)
+        self._stamp = stamp(function.__module__)
+
     def get_cache_path(self) -> str:
         return str(cache_folder() / self.get_suitable_cache_subpath(self._py_file))
 
     def get_source_stamp(self) -> str:
-        return cache_folder().name
+        return self._stamp
 
     @classmethod
     def from_function(cls, function: Any, source: str) -> "_Locator":
@@ -98,8 +102,8 @@ class StepCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self._python_calls, vars(config)["BOUNDSCHECK"])
 
     def _can_be_kept(self, signature: Any) -> bool:
-        modules = {self._py_func.__module__, *(kind.__module__ for kind in _classes(signature))}
-        return digest_covers(modules) and _is_safe()
+        classes = {kind.__module__ for kind in _classes(signature)}
+        return digest_covers(self._py_func.__module__, classes) and _is_safe()
 
 
 def _classes(part: Any) -> Iterator[type]:

@@ -10,7 +10,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from presets.plugins import digest_of_all, package_files
+from presets.plugins import digest_of_all, in_lockstep, package_files, with_steps
 from presets.plugins import modules as package_modules
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -35,17 +35,23 @@ def source_digest(root: Path = _ROOT) -> str:
         digest.update(str(path.relative_to(root)).encode())
         digest.update(path.read_bytes())
     # installed packages have steps as well
-    digest.update(digest_of_all().encode())
+    digest.update(digest_of_all(in_lockstep()).encode())
     return digest.hexdigest()[:16]
 
 
-def digest_covers(modules: Iterable[str]) -> bool:
-    """Return whether the digest stands for the code of these modules as this process has imported it.
+def stamp(module: str) -> str:
+    """Return what the compiled code of a module depends on: the name of its folder, and packages that only it uses."""
+    return cache_folder().name + (digest_of_all(with_steps()) if _has_own_steps(module) else "")
 
-    It does not where a module is neither one of SOURCES nor of an installed package, nor where a source was edited
+
+def digest_covers(module: str, classes: Iterable[str]) -> bool:
+    """Return whether its stamp stands for the code of a module, given classes of others, as this process imported it.
+
+    It does not where one is neither of SOURCES nor of an installed package with steps, nor where a source was edited
     after this process began: what was imported may be older than its file.
     """
-    return all((module + ".").startswith(_known_modules()) for module in modules) and not _edited_since(_STARTED_S)
+    known = _known_modules() + (package_modules(with_steps()) if _has_own_steps(module) else ())
+    return all((name + ".").startswith(known) for name in (module, *classes)) and not _edited_since(_STARTED_S)
 
 
 def cache_directory() -> Path:
@@ -76,7 +82,12 @@ def remove_unused(directory: Path) -> None:
 
 @cache
 def _known_modules() -> tuple[str, ...]:
-    return (*(source.removesuffix(".py").replace("/", ".") + "." for source in SOURCES), *package_modules())
+    own = (source.removesuffix(".py").replace("/", ".") + "." for source in SOURCES)
+    return (*own, *package_modules(in_lockstep()))
+
+
+def _has_own_steps(module: str) -> bool:
+    return (module + ".").startswith(package_modules(with_steps()))
 
 
 def _source_files(root: Path) -> Iterator[Path]:
@@ -88,7 +99,7 @@ def _source_files(root: Path) -> Iterator[Path]:
 
 @cache
 def _watched() -> tuple[Path, ...]:
-    return (*_source_files(_ROOT), *package_files())
+    return (*_source_files(_ROOT), *package_files([*in_lockstep(), *with_steps()]))
 
 
 def _edited_since(time_s: float) -> bool:

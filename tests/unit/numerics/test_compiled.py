@@ -113,12 +113,12 @@ def test_the_folder_lies_in_the_cache_of_the_user_unless_numba_is_given_one(
     assert cache_directory() == tmp_path / "numba"
 
 
-def install(folder: Path, package: str) -> None:
+def install(folder: Path, package: str, kind: str = "laws") -> None:
     """Make a module in a folder that of an installed package with an entry."""
     facts = folder / f"{package}-1.0.dist-info"
     facts.mkdir(exist_ok=True)
     (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
-    (facts / "entry_points.txt").write_text(f"[telenano.laws]\n{package} = {package}:LAW\n")
+    (facts / "entry_points.txt").write_text(f"[telenano.{kind}]\n{package} = {package}:LAW\n")
 
 
 def write_model(folder: Path, *, installed: bool = True) -> None:
@@ -323,8 +323,9 @@ def write_package(folder: Path, force: str) -> None:
 
 
 @pytest.mark.check("compiles in a folder of its own, several times")
-def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path) -> None:
-    install(tmp_path, "pack")
+@pytest.mark.parametrize(("kind", "folders"), [("laws", 3), ("steps", 1)])
+def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path, kind: str, folders: int) -> None:
+    install(tmp_path, "pack", kind)
     edits = (FORCE, FORCE.replace("params.k", "10.0 * params.k"), FORCE.replace("k: float\n    b", "b: float\n    k"))
     for edited, expected in zip(edits, ("4.0", "400.0", "4.0"), strict=True):
         write_package(tmp_path, edited)
@@ -332,6 +333,8 @@ def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path) -> None
         os.utime(tmp_path / "pack" / "force.py", (1e9, 1e9))
         assert run_step(tmp_path, RUN) == f"{expected} 0"
         assert run_step(tmp_path, RUN) == f"{expected} 1"
+    # what no scenario can name leaves the code of everything else as it is
+    assert len([*(tmp_path / "telenano").glob("numba-*")]) == folders
 
 
 def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_a_digest_is_of_every_file_of_the_package(entries: list[Any], tmp_path: 
     (folder / "table.csv").write_text("1,2\n")
     entries.append(entry("laws", "mine", "pack_d:LAW"))
     digests = {plugins.installed("laws")["mine"].digest}
-    assert plugins.digest_of_all() != ""
+    assert plugins.digest_of_all(plugins.in_lockstep()) != ""
     (folder / "table.csv").write_text("1,3\n")
     plugins._digest.cache_clear()
     digests.add(plugins.installed("laws")["mine"].digest)
@@ -96,7 +96,7 @@ def test_a_digest_is_of_every_file_of_the_package(entries: list[Any], tmp_path: 
     digests.add(plugins.installed("laws")["mine"].digest)
     assert len(digests) == 2
     assert all(len(digest) == len("sha256:") + 64 for digest in digests)
-    assert plugins.modules() == ("pack_d.",)
+    assert plugins.modules(plugins.in_lockstep()) == ("pack_d.",)
 
 
 def test_a_scenario_of_a_package_is_known_by_its_name(entries: list[Any], tmp_path: Path) -> None:

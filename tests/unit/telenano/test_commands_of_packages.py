@@ -157,14 +157,19 @@ def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_a
 
 
 def test_packages_that_lockstep_does_not_run_change_no_digest_and_only_drivers_are_recorded(make: Any) -> None:
-    before = plugins.digest_of_all(), plugin_facts(), plugins.modules(), plugins.package_files()
+    def found() -> tuple[Any, ...]:
+        run = plugins.in_lockstep()
+        return plugins.digest_of_all(run), plugin_facts(), plugins.modules(run), plugins.package_files(run)
+
+    before = found()
     make("tool", {"rows.py": rows(greet="tool.cli:greet")}, {"commands": "tool = tool.rows:ROWS"})
-    assert (plugins.digest_of_all(), plugin_facts(), plugins.modules(), plugins.package_files()) == before
+    make("stepping", {"motion.py": "X = 1"}, {"steps": "motion = stepping.motion"})
+    assert found() == before
     make("laws_too", {"law.py": "LAW = 1"}, {"laws": "mine = laws_too.law:LAW", "commands": "laws_too = laws_too:X"})
-    changed = plugins.digest_of_all()
+    changed = found()[0]
     assert changed != before[0] and "laws.mine" in plugin_facts()
     make("driver", {"device.py": "DEVICE = 1"}, {"devices": "its = driver.device:DEVICE"})
-    assert plugins.digest_of_all() == changed and "devices.its" in plugin_facts()
+    assert found()[0] == changed and "devices.its" in plugin_facts()
     assert not any(name.startswith("commands") for name in plugin_facts())
 
 
