@@ -19,12 +19,12 @@ import gymnasium
 import numpy as np
 from loop import PACED, RigRun, measure_rig
 from telenano_learning import PUSH
+from telenano_learning.engine import CONTROL_S
 from telenano_learning.push_env import PushVectorEnv
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.instrument import driver_of
 from services.runtime.settings.config import validate
-from studies.learning.engine import CONTROL_S
 
 ROWS = 64
 _PRESSED_M = 30e-9

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.learning import engine, steered, wilson
+from telenano.extend.learning import steered, wilson
+from telenano_learning import engine
 from telenano_learning.push_env import PushVectorEnv
 
 Action = tuple[float, float, float]

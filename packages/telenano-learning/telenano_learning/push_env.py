@@ -15,7 +15,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from telenano.extend.learning import engine as e
+from telenano_learning import engine as e
 
 Array = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[np.float32]]

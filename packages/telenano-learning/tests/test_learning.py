@@ -7,11 +7,9 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from telenano_learning import PUSH
+from telenano_learning import PUSH, engine
 from telenano_learning.baselines import RandomPolicy, evaluate, steered_push, straight_push
 from telenano_learning.push_env import PushEnv, PushVectorEnv
-
-from telenano.extend.learning import engine
 
 
 @pytest.fixture(autouse=True)

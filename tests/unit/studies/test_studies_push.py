@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 from analysis.intervals import wilson
 from presets import find_scenario
 from proto.errors import ConfigError
+from services.afm_node.physics.particles.adhered_sphere import KINDS
 from services.afm_node.physics.particles.push import KINETIC, push_step
 from services.afm_node.physics.particles.steering import steered
 from services.afm_node.physics.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from services.controller.lateral_settings import LateralConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig, LateralHandState, lateral_hand_step
-from studies.learning.engine import KIND
 from studies.loops import across, lockstep, push_hand, push_study
 from studies.loops.push_study import Outcome, Trial, check, read, rows_of, trials_of
 from studies.loops.simulation import simulate_document
@@ -28,6 +28,7 @@ from telenano.cli.root import app
 
 TIP = tip_shape(10e-9, math.radians(15.0))
 SPRING = Spring(1.0, 100.0, 0.0, False, 0.01)
+KIND = KINDS["latex_250"]
 FIXED = np.array([[KIND.radius_m, 21.505e-9, 10.7526e-9, 58.9e-9]])
 D_M = touch_distance_m(TIP, KIND.radius_m, 0.0)
 

@@ -12,10 +12,19 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from services.afm_node.physics.particles.adhered_sphere import KINDS, hold_of
-from services.afm_node.physics.particles.push import X, Y, packed, push_step
-from services.afm_node.physics.particles.tip_shape import Spring, TipShape, tip_shape, touch_distance_m
-from services.numerics.compiled import always_compiled
+from telenano.extend.learning import (
+    KINDS,
+    Spring,
+    TipShape,
+    X,
+    Y,
+    always_compiled,
+    hold_of,
+    packed,
+    push_step,
+    tip_shape,
+    touch_distance_m,
+)
 
 Array = npt.NDArray[np.float64]
 
