@@ -8,7 +8,8 @@ import itertools
 import json
 import math
 import random
-from collections.abc import Iterator
+import struct
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,11 @@ import numpy as np
 import pytest
 import zmq
 from made_sessions import BEGAN_NS, MS, Made
+from telenano_foxglove.bridge import LEFT_OUT, _Viewer
+from telenano_foxglove.bridge import Bridge as FoxgloveBridge
+from telenano_lsl.bridge import MARKERS, STATES, LslBridge, Sample, Stream
+from telenano_ros2.bridge import Ros2Bridge
+from telenano_ros2.crtk import TEXTS, Encoder, Ros2Message
 
 from analysis.report import write_report
 from proto import TOPICS, encode
@@ -72,14 +78,19 @@ def publisher_of(topic: str) -> str:
     return name if "@" in name else f"{name}@{SITES.get(name, 'slave')}"
 
 
+def ordinary_of(topic: str) -> dict[str, Any]:
+    example = msgpack.unpackb(encode(examples(TOPICS[topic])["ordinary"]))
+    return dict(example | {"src": publisher_of(topic), "t_ns": BEGAN_NS})
+
+
 def fuzzed(count: int | None) -> list[tuple[str, bytes]]:
     """Return topics and payloads in an order by chance, each with one part that is extreme or absent."""
     made = []
-    for topic, row in TOPICS.items():
-        plain = msgpack.unpackb(encode(examples(row)["ordinary"])) | {"src": publisher_of(topic), "t_ns": BEGAN_NS}
-        for path in places(plain):
-            made += [(topic, msgpack.packb(changed(plain, path, extreme))) for extreme in EXTREMES]
-        made += [(topic, msgpack.packb({k: v for k, v in plain.items() if k != key})) for key in plain]
+    for topic in TOPICS:
+        ordinary = ordinary_of(topic)
+        for path in places(ordinary):
+            made += [(topic, msgpack.packb(changed(ordinary, path, extreme))) for extreme in EXTREMES]
+        made += [(topic, msgpack.packb({k: v for k, v in ordinary.items() if k != key})) for key in ordinary]
     random.Random(SEED).shuffle(made)
     return made[:count]
 
@@ -166,6 +177,67 @@ def test_what_bridges_are_handed_has_a_plain_form(reader: Subscriber, messages: 
         assert json.dumps(plain(recorded(topic, payload)), allow_nan=False)
     assert len(taken) + sum(reader.rejected.values()) == len(messages)
     assert sum(reader.rejected.values()) > 0.5 * len(messages)
+
+
+class Outlets:
+    """What each bridge hands its messages to: it makes bytes of them, as the library behind it does."""
+
+    def __init__(self) -> None:
+        self.viewer = _Viewer()
+        self.viewer.subscriptions = {1: 1}
+        self.encoder = Encoder()
+
+    def lsl(self, stream: Stream) -> Callable[[Sample], None]:
+        def send(sample: Sample) -> None:
+            if len(sample.values) != len(stream.channels):
+                raise ValueError("the sample has another length than the stream has channels")
+            for value in sample.values:
+                assert value.encode() if isinstance(value, str) else struct.pack("<d", value)
+            assert math.isfinite(sample.time_s)
+
+        return send
+
+    def open(self, name: str, schema_name: str, schema: bytes) -> "Outlets":
+        json.loads(schema)
+        return self
+
+    def log(self, msg: bytes, *, log_time: int) -> None:
+        json.loads(msg)
+        self.viewer.offer(1, log_time, msg)
+
+    def ros2(self, topic: str, kind: str, definition: str, type_hash: str) -> Any:
+        encoder = self.encoder
+
+        class Publisher:
+            def publish(self, **fields: Any) -> None:
+                assert encoder.cdr(Ros2Message(topic, kind, encoder.store.types[kind](**fields)))
+
+        return Publisher()
+
+
+# Each bridge, and the topics of which it hands on every valid message.
+BRIDGES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
+    "foxglove": (lambda: FoxgloveBridge(Outlets(), 0.0), tuple(set(TOPICS) - set(LEFT_OUT))),
+    "lsl": (lambda: LslBridge(Outlets().lsl, lambda: 1.0, 0), (*STATES, *MARKERS)),
+    "ros2": (lambda: Ros2Bridge(Outlets().ros2, 0.0), TEXTS),
+}
+
+
+@pytest.mark.parametrize("name", BRIDGES)
+def test_no_message_ends_a_bridge(reader: Subscriber, messages: list[tuple[str, bytes]], name: str) -> None:
+    make, whole = BRIDGES[name]
+    bridge = make()
+    valid = [each for each in messages if reader.accepted([each[0].encode(), each[1]]) is not None]
+    ordinary = {topic: recorded(topic, msgpack.packb(ordinary_of(topic))) for topic in TOPICS}
+    journal = ordinary["node/journal"]
+    # A clock is known by the journal of its node.
+    channels = [journal.channel._replace(src=publisher_of(topic)) for topic in STATES]
+    bridge.run(iter([*(journal._replace(channel=channel) for channel in channels), *ordinary.values()]))
+    assert bridge.sent >= len(whole)
+    bridge.run(iter([recorded(*each) for each in messages]))
+    before = bridge.sent
+    bridge.run(iter([recorded(topic, payload) for topic, payload in valid if topic in whole]))
+    assert bridge.sent - before == sum(topic in whole for topic, _ in valid) > 0
 
 
 def test_report_playback_and_document_leave_out_what_is_not_valid(

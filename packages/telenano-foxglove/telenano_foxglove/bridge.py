@@ -17,7 +17,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from telenano.extend.bridges import Rate
 from telenano.extend.exports import RecordedMessage, plain, viewer_json, viewer_schema
-from telenano.extend.messages import TOPICS
+from telenano.extend.messages import TOPICS, RecordingError
 from telenano.extend.serving import (
     Access,
     Connections,
@@ -279,12 +279,15 @@ class Bridge:
             self.take(message)
 
     def take(self, message: RecordedMessage) -> None:
-        """Hand on a message if its channel is due; topics sent on change always are."""
+        """Hand on a message if its channel is due; topics sent on change always are, and what has no form never is."""
         if message.topic not in TOPICS or message.topic in LEFT_OUT or not self._rate.is_due(message):
             return
         key = message.channel_topic, message.src
         outlet, schema = self._outlets.get(key) or self._open(key, message.topic)
-        payload = viewer_json(plain(message), schema)
+        try:
+            payload = viewer_json(plain(message), schema)
+        except (RecordingError, TypeError, ValueError):
+            return
         outlet.log(payload, log_time=message.publish_ns)
         self.sent += 1
 

@@ -134,7 +134,7 @@ class LslBridge:
             elif message.src in self._offsets_ns:
                 # A node's first journal comes within a fraction of a second; before it its clock is not known.
                 self._state(message)
-        except (RecordingError, KeyError, TypeError, ValueError, IndexError):
+        except (RecordingError, KeyError, TypeError, ValueError, IndexError, OverflowError):
             return
 
     def _state(self, message: RecordedMessage) -> None:
