@@ -12,6 +12,7 @@ from network_bench import payload
 from test_runtime_datagram import _Blocked
 
 from services.runtime.bus.address_book import LinkTransport
+from services.runtime.datagram import end
 from services.runtime.datagram.arrivals import ArrivalRecord
 from services.runtime.datagram.body import (
     ASKING_TRAIN,
@@ -135,6 +136,33 @@ def test_a_report_has_the_state_of_the_line(ends: Pair) -> None:
         assert report.capacity_bit_per_s > 1e7
         assert report.line == "free"
         assert report.limit_bit_per_s == 6_000_000
+
+
+@pytest.mark.parametrize("each_ms", [64, 4, pytest.param(2, marks=pytest.mark.endurance)])
+def test_an_end_that_stood_still_and_catches_up_is_not_taken_for_a_full_line(
+    ends: Pair, monkeypatch: pytest.MonkeyPatch, each_ms: int
+) -> None:
+    ends.joined()
+    monkeypatch.setattr(datagram_bench, "STEP_NS", MS)
+    ends.turns(1500)
+    # What waited is taken so many datagrams a millisecond: in 8, 170 and 500 ms.
+    monkeypatch.setattr(end, "_BATCH", each_ms)
+    master, outgoing = ends.master, ends.master.end.outgoing
+    taken = ends.slave.end.arrivals.arrived
+    for _ in range(500):
+        for side in ends.sides:
+            side.clock.advance_ns(MS)
+        master.send()
+        master.take()
+    assert ends.slave.end.arrivals.arrived == taken
+    # An end that needs half a second for half a second looks like a line for a while; the rate is back 3 s later.
+    ends.turns(1500 if each_ms > 2 else 3600)
+    if each_ms > 2:
+        assert (outgoing.control.mode, outgoing.unsent) == ("free", 0)
+    before = outgoing.unsent
+    ends.turns(300)
+    assert outgoing.unsent == before
+    assert ends.slave.seqs[-1] == master.seq - 1
 
 
 def test_a_train_measures_what_the_line_carries_though_the_process_stood_still_for_a_moment() -> None:
