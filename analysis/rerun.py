@@ -26,17 +26,16 @@ from proto.sequence import Arrival
 from recording.reader import Recording
 from recording.tolerance import Tolerances
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Received, Subscriber, ZmqBus
+from services.runtime.bus.bus import Reader, Received, Subscriber, ZmqBus
 from services.runtime.bus.publisher import Publisher, ZmqPublisher
-from services.runtime.bus.reader import Reader
-from services.runtime.loop.clock import TurnClock
+from services.runtime.clock import TurnClock
 from services.runtime.loop.journal import COMMAND, DEADLINE, DEFERRED
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.main import Wiring, node_kind
 from services.runtime.loop.node import Node
 from services.runtime.loop.node_state import is_whole, restore
 from services.runtime.settings.config import flag_overrides, merge, parse_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+from services.runtime.wiring.main import Wiring, node_kind
 
 # the first parts of a journal may name inputs from before the recording began; later ones have to be complete
 _LATEST_START_NS = 1_500_000_000

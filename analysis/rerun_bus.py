@@ -13,7 +13,7 @@ from proto.topics import output_name
 from recording.messages import RecordedMessage
 from recording.tolerance import Tolerances, first_difference
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import TurnClock
+from services.runtime.clock import TurnClock
 
 
 class DifferenceError(Exception):

@@ -27,7 +27,8 @@ from proto.messages import (
     TeleopForward,
 )
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import RealtimeConfig, ahead_of_others, apply_realtime, freeze_garbage
+from services.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage
+from services.runtime.settings.scenario import RealtimeConfig
 
 PERIOD_NS = 1_000_000
 SPIN_NS = 100_000

@@ -33,7 +33,8 @@ from services.haptic_node.devices.serial_driver import SerialHandle
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.safety import MODE_OFF
 from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, use_huge_pages
+from services.runtime.loop.realtime import apply_realtime, freeze_garbage, use_huge_pages
+from services.runtime.settings.scenario import RealtimeConfig
 from services.signals import children
 
 PERIOD_S = 1e-3

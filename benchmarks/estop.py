@@ -25,8 +25,8 @@ import zmq
 from presets import DEFAULT_SITE_FILE
 from proto.errors import TelenanoError
 from services.console.command_client import send_control
+from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
-from services.runtime.loop.main import load_site
 from services.signals import children
 
 AFM = "afm_node@slave"

@@ -31,7 +31,7 @@ from services.delay_node.config import parse_settings
 from services.delay_node.node import DelayNode
 from services.runtime.bus.bus import Received, Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.journal import InputJournal
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext

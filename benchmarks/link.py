@@ -26,9 +26,10 @@ import zmq
 
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import RealtimeConfig, apply_realtime, freeze_garbage, shallow_idle
+from services.runtime.loop.realtime import apply_realtime, freeze_garbage, shallow_idle
+from services.runtime.settings.scenario import RealtimeConfig
 from services.signals import children
 
 BURST = 3

@@ -26,20 +26,15 @@ from link import ANSWER, SIGNAL
 from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import RELAY, AddressBook, LinkTransport
-from services.runtime.bus.transport import Transport, open_context
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.participant import Participant
-from services.runtime.loop.realtime import (
-    RealtimeConfig,
-    ahead_of_others,
-    apply_realtime,
-    freeze_garbage,
-    shallow_idle,
-)
+from services.runtime.loop.realtime import ahead_of_others, apply_realtime, freeze_garbage, shallow_idle
 from services.runtime.relay.protocol import split_host_port
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import KEYS_DIRECTORY_VARIABLE, Keyring
+from services.runtime.settings.scenario import RealtimeConfig
+from services.runtime.wiring.participant import Participant
+from services.runtime.wiring.transport import Transport, open_context
 from services.signals import children
 
 PERIOD_NS = 1_000_000

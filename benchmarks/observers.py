@@ -24,8 +24,8 @@ START_S, MARGIN_S = 4.0, 2.0
 OBSERVER = """
 import sys
 from presets import DEFAULT_SITE_FILE
-from services.runtime.bus.observer import Observer
-from services.runtime.loop.main import load_site
+from services.runtime.wiring.observer import Observer
+from services.runtime.wiring.main import load_site
 print("ready", flush=True)
 sys.stdin.readline()
 observer, count = Observer(load_site(DEFAULT_SITE_FILE), shared=sys.argv[1] == "shared"), 0

@@ -49,15 +49,10 @@ from services.recorder.intake import Intake, Listener
 from services.recorder.open_recording import open_recording
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import (
-    RealtimeConfig,
-    apply_realtime,
-    freeze_garbage,
-    on_time,
-    shallow_idle,
-)
+from services.runtime.loop.realtime import apply_realtime, freeze_garbage, on_time, shallow_idle
+from services.runtime.settings.scenario import RealtimeConfig
 from services.signals import children
 
 PERIOD_NS = 1_000_000

@@ -146,11 +146,11 @@ def _run_link(seconds: float, folder: Path, *, sending: bool) -> list[float]:
     from link import ANSWER, SIGNAL
 
     from services.runtime.bus.address_book import AddressBook
-    from services.runtime.bus.transport import Transport, open_context
-    from services.runtime.loop.clock import SystemClock
+    from services.runtime.clock import SystemClock
     from services.runtime.loop.log import StructuredLog
-    from services.runtime.loop.participant import Participant
     from services.runtime.security.keyring import Keyring
+    from services.runtime.wiring.participant import Participant
+    from services.runtime.wiring.transport import Transport, open_context
 
     nodes = {"delay_node@slave": f"tcp://{THERE}:{PORT}", "controller@slave": f"tcp://{HERE}:{PORT + 7}"}
     book = AddressBook.model_validate({"machines": {"master": THERE, "slave": HERE}, "nodes": nodes})

@@ -12,10 +12,10 @@ import presets
 from proto.errors import ConfigError
 from services.launcher.plan import anchored
 from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE
-from services.runtime.loop.main import EXIT_BAD_START
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.settings.config import ENVIRONMENT_PREFIX, layered
+from services.runtime.wiring.main import EXIT_BAD_START
 from services.signals import children
 
 # the cache that the build filled; the image is read-only, and a study compiles more

@@ -200,8 +200,8 @@ def live(site_file: str | os.PathLike[str] | None = None) -> Iterator[LiveRig]:
         RigError: No rig of the site file runs.
     """
     from presets import DEFAULT_SITE_FILE
-    from services.runtime.bus.observer import Observer, require_rig
-    from services.runtime.loop.main import load_site
+    from services.runtime.bus.address_book import load_site
+    from services.runtime.wiring.observer import Observer, require_rig
 
     path = Path(site_file) if site_file is not None else DEFAULT_SITE_FILE
     book = load_site(path)

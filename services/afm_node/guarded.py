@@ -21,7 +21,7 @@ from services.afm_node.programs.lateral import LateralParams, Place, moved
 from services.afm_node.programs.program import FinishedLine, Inputs, Wanted
 from services.afm_node.programs.runner import ProgramRunner
 from services.afm_node.section_config import FrictionConfig
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 from services.runtime.loop.device_node import DeviceNode, Parts, StepPart
 from services.runtime.loop.node import Node
 

@@ -12,14 +12,12 @@ import zmq
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import Message, NodeHealth, Scalar, SessionEvent
 from proto.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.ends import publish_end
-from services.runtime.bus.observer import RIG_HINT, require_rig
-from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.bus.address_book import AddressBook, load_site
+from services.runtime.bus.publisher import ZmqPublisher, publish_end
 from services.runtime.loop.commands import Command, CommandClient
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import Participant, open_participant
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
+from services.runtime.wiring.observer import RIG_HINT, require_rig
+from services.runtime.wiring.participant import Participant, open_participant
 
 _BIND_PATIENCE_NS = 2_000_000_000
 _RETRY_S = 0.1

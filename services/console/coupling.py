@@ -19,9 +19,9 @@ from proto.messages import AfmState, HapticState, TeleopBackward
 from proto.nodes import TIP, name_of
 from services.console.command_client import send_control
 from services.numerics.frames import to_paper_axis
-from services.runtime.bus.observer import RIG_HINT, Observer, require_rig
+from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
-from services.runtime.loop.main import load_site
+from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
 
 TOPICS = ("haptic/state", "afm/state", "teleop/backward")
 # A hand that presses harder [N] would be let go of while it presses.

@@ -18,7 +18,7 @@ import zmq
 from proto.errors import RigError
 from proto.nodes import DEVICES, LAUNCHERS, LINK, NODES, RECORDER, is_meant, name_of, site_of
 from services.runtime.bus.local_endpoint import estop_endpoint, is_bound, kept_stop_path, local_endpoint
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.kept_stop import keep
 
 _DEADLINE_S = 5.0

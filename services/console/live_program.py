@@ -14,9 +14,9 @@ from proto.instrument import AfmProgram
 from proto.messages import AfmScanline, AfmState, NodeHealth, Scalar
 from proto.nodes import TIP, Site
 from services.console.command_client import send_control
-from services.runtime.bus.observer import RIG_HINT, Observer, require_rig
+from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
-from services.runtime.loop.main import load_site
+from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
 from services.signals import interrupts
 
 Array = npt.NDArray[np.float64]

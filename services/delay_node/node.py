@@ -17,7 +17,7 @@ from services.delay_node.direction import DirectionEngine
 from services.delay_node.engine import LinkEngine, LinkState
 from services.delay_node.fate import Direction, Fate, Release
 from services.runtime.bus.bus import Received
-from services.runtime.bus.ends import publish_end
+from services.runtime.bus.publisher import publish_end
 from services.runtime.loop.clock_offset import Exchange, Offset, OffsetFilter, OffsetState
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.deferred import Task

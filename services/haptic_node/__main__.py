@@ -13,8 +13,8 @@ from services.haptic_node.config import DRIVERS, SIMULATED_IMPEDANCE, HapticConf
 from services.haptic_node.driver import HapticDevice
 from services.haptic_node.node import INPUTS, HapticNode
 from services.haptic_node.physics.disturbances import DisturbedHaptic
-from services.runtime.loop.main import NodeKind, ordinary, run_node
 from services.runtime.loop.node import LOOP_PERIOD_S, NodeContext
+from services.runtime.wiring.main import NodeKind, ordinary, run_node
 
 
 def build(context: NodeContext, config: HapticConfig) -> HapticNode:

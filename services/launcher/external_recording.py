@@ -5,7 +5,7 @@ from pathlib import Path
 from proto.errors import RecordingError
 from proto.messages import NodeHealth, SessionControl, SessionEvent
 from recording.reader import Recording
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.loop.commands import Command
 
 # The recorder's first report may take so long once everything else is ready; it reports twice a second.

@@ -24,7 +24,7 @@ from services.relay.__main__ import at_relay
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.commands import Command, CommandClient
-from services.runtime.loop.participant import Participant, open_participant
+from services.runtime.wiring.participant import Participant, open_participant
 
 SENDER = "launcher@slave"
 # In the folder of a session: which files the other site recorded, and where they are put.

@@ -2,7 +2,7 @@
 
 from proto.messages import Message
 from proto.network_messages import LinkNetwork
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 # What the loop sends each way at 1 kHz, with room for commands and reports [bit/s].
 FULL_BIT_PER_S = 2_000_000

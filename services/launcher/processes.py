@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 from proto.nodes import name_of
 from services.runtime.bus.publisher import LINGER_S
-from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 from services.runtime.settings.config import ENVIRONMENT_PREFIX
 from services.signals import children
 

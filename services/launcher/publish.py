@@ -8,8 +8,8 @@ from proto.errors import ConfigError
 from proto.messages import Message
 from proto.nodes import name_of
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.loop.participant import open_participant
 from services.runtime.settings.config import flag_overrides
+from services.runtime.wiring.participant import open_participant
 
 # Readers of the endpoint take about so long to notice that it is there.
 _CONNECT_S = 0.5

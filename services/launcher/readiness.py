@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from proto import TOPICS
 from proto.messages import NodeHealth
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 READY_DEADLINE_S = 60.0
 _LOOP_RATE_HZ = 100.0

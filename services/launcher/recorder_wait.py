@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from proto.messages import NodeHealth
 from services.launcher.liveness import NODE_TIMEOUT_S
 from services.launcher.readiness import input_ages_s
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 Report = Callable[[str], None]
 

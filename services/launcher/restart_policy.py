@@ -5,9 +5,9 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
+from services.runtime.clock import Clock
 from services.runtime.loop import hang_guard
-from services.runtime.loop.clock import Clock
-from services.runtime.loop.main import EXIT_BAD_START
+from services.runtime.wiring.main import EXIT_BAD_START
 
 _EXITS_KEPT = 8
 

@@ -17,7 +17,7 @@ from proto.messages import (
 )
 from proto.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
 from services.launcher.readiness import oldest_input_s, unmet
-from services.runtime.bus.observer import RIG_HINT, Observer
+from services.runtime.wiring.observer import RIG_HINT, Observer
 
 M = TypeVar("M", bound=Message)
 

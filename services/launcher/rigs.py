@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.nodes import site_of
 from services.launcher import processors
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
-from services.runtime.loop.main import load_site
-from services.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, RealtimeConfig, may_use_fifo
+from services.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
 from services.runtime.security.private_files import check_runtime_directory, write_private
 from services.runtime.settings.optional_modules import optional_module
+from services.runtime.settings.scenario import RealtimeConfig
 
 if TYPE_CHECKING:
     # Whoever only asks which rigs run needs no models of nodes.

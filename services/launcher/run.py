@@ -28,8 +28,8 @@ from services.runtime.bus.bus import ZmqBus
 from services.runtime.loop.kept_stop import forget
 from services.runtime.loop.log import configure_logging
 from services.runtime.loop.node import NodeContext
-from services.runtime.loop.participant import StopSignals, open_participant, run_loop
 from services.runtime.loop.realtime import shallow_idle
+from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Observer = Callable[[RigNode], None]

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 from proto.errors import ConfigError, known_names
 from proto.nodes import SERVICES
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.loop.main import node_kind
 from services.runtime.settings.config import merge
 from services.runtime.settings.device_drivers import core_only
 from services.runtime.settings.scenario import LoadedScenario, Scenario
+from services.runtime.wiring.main import node_kind
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from proto.nodes import RECORDER, name_of
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 # node/health comes twice a second
 SILENCE_S = 2.0

@@ -21,7 +21,7 @@ from recording.messages import RecordedChannel, RecordedMessage
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, PlaybackClock, is_state
 from services.runtime.bus.publisher import SNDMORE, ZmqPublisher
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes
 
 _TICK_NS = 50_000_000

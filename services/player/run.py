@@ -18,10 +18,9 @@ from recording.multi_file import RecordingSource
 from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
 from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
-from services.runtime.bus.address_book import AddressBook
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import StopSignals, open_participant, run_loop
+from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.loop.realtime import on_time, shallow_idle
+from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
 
 # One message of each channel is tried in so much of the beginning; the first of most comes within a second.
 _TRIED_NS = 5_000_000_000

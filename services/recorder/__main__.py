@@ -17,9 +17,9 @@ from services.recorder.listener import Listener
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
-from services.runtime.loop.main import NodeKind, Wiring, run_node
 from services.runtime.loop.node import Node, NodeBus
-from services.runtime.loop.participant import SITES
+from services.runtime.wiring.main import NodeKind, Wiring, run_node
+from services.runtime.wiring.participant import SITES
 
 
 def build(wiring: Wiring, config: RecorderConfig) -> tuple[Node, NodeBus]:

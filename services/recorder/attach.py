@@ -11,9 +11,9 @@ from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
 from services.recorder.open_recording import open_recording
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import NullPublisher
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import OBSERVER, StopSignals, open_participant, run_loop
+from services.runtime.wiring.participant import OBSERVER, StopSignals, open_participant, run_loop
 
 
 class Recorded(BaseModel):

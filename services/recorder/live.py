@@ -13,7 +13,7 @@ from recording.messages import RecordedChannel, RecordedMessage
 from recording.writer import channel_topic
 from services.recorder.listener import Listener
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.loop.participant import OBSERVER, SITES, Participant, open_participant
+from services.runtime.wiring.participant import OBSERVER, SITES, Participant, open_participant
 
 _WAIT_MS = 100
 

@@ -12,10 +12,9 @@ from services.recorder.config import RecorderConfig
 from services.recorder.disk_watch import DiskWatch
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
-from services.runtime.bus.bus import Received, ZmqBus
+from services.runtime.bus.bus import NetworkEvents, Received, ZmqBus
 from services.runtime.bus.publisher import Publisher
-from services.runtime.bus.reader import NetworkEvents
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.node import Node, NodeContext
 

@@ -9,7 +9,7 @@ from services.recorder.intake import Intake
 from services.recorder.provenance import write_provenance
 from services.recorder.rotation import FileRotation
 from services.recorder.snapshot_buffer import SnapshotBuffer, event_trigger
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 
 def open_recording(

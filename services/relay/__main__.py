@@ -11,12 +11,12 @@ from typing import Any
 
 from proto.errors import ConfigError, EndpointError, TelenanoError
 from services.relay.site_end import SiteEnd
-from services.runtime.bus.address_book import RELAY, AddressBook
+from services.runtime.bus.address_book import RELAY, AddressBook, load_site
 from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.main import EXIT_BAD_START, load_site, parse_arguments
 from services.runtime.loop.realtime import ahead_of_others, raise_file_limit
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
+from services.runtime.wiring.main import EXIT_BAD_START, parse_arguments
 from services.signals.children import die_with_parent
 
 

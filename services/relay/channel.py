@@ -13,7 +13,6 @@ import socket
 import struct
 from typing import Any
 
-from services.runtime.datagram.sealing import RejectedError
 from services.runtime.relay.protocol import (
     CHALLENGE_BYTES,
     MAGIC,
@@ -25,6 +24,7 @@ from services.runtime.relay.protocol import (
     unpack,
 )
 from services.runtime.security.keyring import KeyPair
+from services.runtime.security.sealed import RejectedError
 
 # Who has not shown its key after so long is let go.
 HELLO_S = 5.0

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.relay.channel import Budget
-from services.runtime.datagram.sealing import MOST_BYTES, RejectedError
+from services.runtime.datagram.sealing import MOST_BYTES
 from services.runtime.relay.protocol import (
     COOKIE,
     COOKIE_BYTES,
@@ -27,6 +27,7 @@ from services.runtime.relay.protocol import (
     unpack,
 )
 from services.runtime.security.keyring import KeyPair
+from services.runtime.security.sealed import RejectedError
 
 Address = tuple[Any, ...]
 Pair = tuple[bytes, bytes]

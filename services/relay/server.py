@@ -16,10 +16,10 @@ from typing import Any
 from proto.errors import ConfigError, EndpointError
 from services.relay.channel import CHUNK_BYTES, HELLO_S, Budget, Channel, Gone, abort, meet, splice, tend
 from services.relay.forwarder import Forwarder
-from services.runtime.datagram.sealing import RejectedError
 from services.runtime.loop.log import StructuredLog
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import KeyPair, key_text
+from services.runtime.security.sealed import RejectedError
 
 DEFAULT_PORT = 5750
 # Strangers: connections that have not shown a key yet, in all and from one address. A class of ten rigs behind one

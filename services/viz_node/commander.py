@@ -12,10 +12,10 @@ from services.console.command_client import send_control
 from services.console.coupling import couple_anew
 from services.console.emergency_stop import Answer, LocalRig, emergency_stop
 from services.numerics.frames import to_site_frame
-from services.runtime.bus.ends import publish_end
+from services.runtime.bus.address_book import load_site
+from services.runtime.bus.publisher import publish_end
 from services.runtime.loop.commands import Command, CommandName
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import open_participant
+from services.runtime.wiring.participant import open_participant
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
 # This one consists of several commands: hand and tip are coupled anew.

@@ -6,7 +6,7 @@ from typing import Any
 
 from proto.nodes import site_of
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.loop.participant import OBSERVER, open_participant
+from services.runtime.wiring.participant import OBSERVER, open_participant
 from services.viz_node.feed import Seen, seen
 from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN, NoTransport
 

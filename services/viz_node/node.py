@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import ClassVar
 
 from proto.errors import EndpointError
-from services.runtime.bus.bus import Received, ZmqBus
+from services.runtime.bus.bus import Received, Refusals, ZmqBus
 from services.runtime.bus.publisher import NullPublisher, Publisher
-from services.runtime.bus.reader import Refusals
 from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.participant import Participant
+from services.runtime.wiring.participant import Participant
 from services.viz_node.access import Access
 from services.viz_node.commander import RigCommander, RigHand, forms
 from services.viz_node.connections import Listener

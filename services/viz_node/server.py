@@ -15,7 +15,7 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.viz_node.access import Access, Role, is_loopback
 from services.viz_node.connections import SILENCE_S, Connections
 from services.viz_node.hub import Hub

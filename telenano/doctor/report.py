@@ -180,7 +180,7 @@ def extensions() -> list[Finding]:
     from proto.nodes import SERVICES
     from services.afm_node.config import DRIVERS as INSTRUMENTS
     from services.haptic_node.config import DRIVERS as HANDLES
-    from services.runtime.loop.main import node_kind
+    from services.runtime.wiring.main import node_kind
 
     for name in SERVICES:
         node_kind(name)
@@ -217,8 +217,8 @@ def rig(site_file: Path) -> list[Finding]:
     """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
     import zmq
 
+    from services.runtime.bus.address_book import load_site
     from services.runtime.bus.local_endpoint import runtime_directory
-    from services.runtime.loop.main import load_site
 
     findings = [
         checks.check_zmq(zmq.zmq_version(), curve=bool(zmq.has("curve"))),

@@ -10,8 +10,8 @@ import typer
 from proto.errors import RigError
 from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
-from services.runtime.bus.observer import RIG_HINT, nobody_runs
-from services.runtime.loop.main import load_site
+from services.runtime.bus.address_book import load_site
+from services.runtime.wiring.observer import RIG_HINT, nobody_runs
 
 __all__ = ["DEFAULT_RATE_HZ", "Bridge", "LiveRecording", "Rate", "RecordedMessage", "hand_on", "live_rig"]
 

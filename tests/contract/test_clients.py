@@ -15,7 +15,7 @@ from presets import DEFAULT_SITE_FILE
 from proto import TOPICS
 from proto.contract import FOLDER
 from proto.nodes import LINK, name_of, site_of
-from services.runtime.loop.main import load_site
+from services.runtime.bus.address_book import load_site
 from telenano.cli.root import app
 
 SCHEMAS = {path.stem: json.loads(path.read_text()) for path in sorted((FOLDER / "schemas").glob("*.json"))}

@@ -18,12 +18,12 @@ from proto import TOPICS, decode, encode
 from proto.contract import examples
 from proto.messages import AfmScanline, Array, Record, SessionControl
 from proto.sequence import Arrival, SequenceTracker
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.bus.transport import Transport
-from services.runtime.loop.clock import SystemClock
-from services.runtime.loop.main import load_site
+from services.runtime.clock import SystemClock
 from services.runtime.security.keyring import Keyring
+from services.runtime.wiring.transport import Transport
 
 ROW_OF = {
     Arrival.NEXT: "next",

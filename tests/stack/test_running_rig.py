@@ -25,10 +25,10 @@ from presets import DEFAULT_SITE_FILE
 from proto.errors import RigError
 from recording.reader import Recording
 from services.console.command_client import send_control
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.commands import Command
-from services.runtime.loop.main import load_site
 from services.viz_node.access import Access
 from services.viz_node.commander import RigCommander
 from services.viz_node.hub import Hub

@@ -9,7 +9,7 @@ from two_sites import TwoSites, needs_namespaces
 
 from analysis.report import write_report
 from recording.merge_sites import merge_sites
-from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(300)]
 

@@ -19,9 +19,9 @@ from recording.writer import RecordingWriter
 from services.afm_node.physics.sample.surface import Surface
 from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.config import RecorderConfig
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import open_participant
+from services.runtime.wiring.participant import open_participant
 from services.viz_node.requests import PROTOCOL
 
 pytestmark = [pytest.mark.browser, needs_browser]

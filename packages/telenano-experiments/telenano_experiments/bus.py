@@ -15,9 +15,9 @@ from proto.errors import ConfigError
 from proto.experiment_messages import MOST_QUESTIONS, ExperimentAnswer, Question
 from proto.messages import Array, Scalar
 from proto.nodes import EXPERIMENT, VIEW
-from services.runtime.bus.ends import publish_end
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import open_participant
+from services.runtime.bus.address_book import load_site
+from services.runtime.bus.publisher import publish_end
+from services.runtime.wiring.participant import open_participant
 from telenano.extend.tasks import Course
 from telenano_experiments.types import Trial
 

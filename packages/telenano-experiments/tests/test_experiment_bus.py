@@ -15,8 +15,8 @@ from telenano_experiments.types import Trial
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, EndpointError
-from services.runtime.bus.observer import Observer
-from services.runtime.loop.main import load_site
+from services.runtime.bus.address_book import load_site
+from services.runtime.wiring.observer import Observer
 from services.viz_node.commander import RigHand
 from telenano.extend.tasks import Course
 

@@ -358,7 +358,8 @@ def _as_tuples(value: Any) -> Any:
 def _run_ahead() -> None:
     """Request the scheduling of the nodes, on any processor: the node that started this one stays on its own."""
     from services.runtime.loop.log import StructuredLog, configure_logging
-    from services.runtime.loop.realtime import PROCESSORS_VARIABLE, RealtimeConfig, apply_realtime
+    from services.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime
+    from services.runtime.settings.scenario import RealtimeConfig
 
     if hasattr(os, "sched_setaffinity"):
         held = {int(part) for part in os.environ.get(PROCESSORS_VARIABLE, "").split(",") if part.isdigit()}

@@ -17,7 +17,7 @@ from proto.messages import SOURCE_PATTERN
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import TOPICS, Topic
 from services.runtime.bus.local_endpoint import estop_endpoint, is_in_runtime_directory, kept_stop_path, local_endpoint
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, read_yaml, validate
 
 # the machine that the link runs on, with its endpoints for both sites
 LINK_MACHINE = "master"
@@ -310,6 +310,11 @@ class AddressBook(Settings):
         if far and link in self.nodes and _crosses(topic, to_site=here) and link not in found:
             found.append(link)
         return found
+
+
+def load_site(path: Path) -> AddressBook:
+    """Read a site file; ConfigError names file and key."""
+    return validate(AddressBook, read_yaml(path), str(path))
 
 
 def split_tcp(endpoint: str) -> tuple[str, int]:

@@ -1,7 +1,8 @@
 """The bus of one node: a PUB socket that it binds, SUB connections to its publishers, and the statistics of both."""
 
 import select
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from heapq import nlargest
 from itertools import islice
 from typing import Any, NamedTuple, Protocol, cast
@@ -13,10 +14,8 @@ from proto.codec import MAX_MESSAGE_BYTES
 from proto.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from proto.ranges import limited
 from proto.sequence import Arrival, SequenceTracker
-from services.runtime.bus.newest import Header, Taken, without_superseded
 from services.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
-from services.runtime.bus.reader import NetworkEvents, Reader, Refusals
-from services.runtime.loop.clock import NEVER_NS, Clock
+from services.runtime.clock import NEVER_NS, Clock
 
 # Ten seconds of messages wait for a reader at the publisher, and as much again in a reader that runs and is behind.
 # Beyond that the newest are lost, which the reader counts.
@@ -41,6 +40,12 @@ _MOST_TRACKERS = 1024
 # A connection reports at most so many sources twice a second. The sender and every reader handle each of them, and a
 # thousand would cost a loop of 1 kHz tens of ticks.
 MOST_REPORTED = 64
+
+
+# frames of a message, and the time of reception [ns]
+Taken = tuple[Sequence[bytes], int]
+# the sequence statistics of its source, seq, t_ns
+Header = tuple[SequenceTracker, int, int]
 
 
 class Received(NamedTuple):
@@ -259,6 +264,51 @@ class Subscriber:
         return tracker
 
 
+class Reader(Protocol):
+    """What a bus receives with."""
+
+    descriptor: int
+    drained: bool
+    # It is called in each turn, whether or not its descriptor is readable.
+    shared: bool
+    # It returns messages at this time without a readable descriptor, on the monotonic clock [ns].
+    due_ns: int
+    trackers: dict[tuple[str, str], SequenceTracker]
+    rejected: dict[str, int]
+    last_error: str
+
+    def receive(self, *, signalled: bool = False) -> list[Received]:
+        """Return the messages that have arrived."""
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return the sequence statistics of every input."""
+
+
+class Refusals(Protocol):
+    """What counts the messages or connections that it refuses."""
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """How often something was refused, by reason."""
+
+    @property
+    def last_error(self) -> str:
+        """The newest refusal in words."""
+
+
+class NetworkEvents(Refusals, Protocol):
+    """What looks after the network connections of a bus."""
+
+    has_pending: bool
+
+    @property
+    def descriptors(self) -> Sequence[int]:
+        """What becomes readable when there is something to process."""
+
+    def process_events(self) -> list[ConnectionEvent]:
+        """Process pending events, a bounded number; `has_pending`: whether more are left."""
+
+
 class ZmqBus:
     """A publisher and its subscribers as one bus, with a wait that a signal or a message ends.
 
@@ -368,6 +418,42 @@ class ZmqBus:
         if superseded:
             total[SUPERSEDED] = superseded
         return total, self._last_error
+
+
+def without_superseded(
+    waiting: Sequence[Taken], latest: Container[bytes], header_of: Callable[[Sequence[bytes]], Header | None]
+) -> Sequence[Taken]:
+    """Return what waits without the messages of a `latest` topic that a newer one of their source stands behind.
+
+    Those are tracked by their header, and counted as superseded. The rest stays in its order and is judged as ever:
+    what is late or repeated, has no good header, or is the first from its source.
+
+    Args:
+        waiting: The messages that wait, in their order.
+        latest: The topics concerned.
+        header_of: Returns the header, or None for a message that is left alone.
+    """
+    topics = [frames[0] for frames, _ in waiting]
+    if len(set(topics)) == len(topics):
+        return waiting
+    crowded = {topic for topic, count in Counter(topics).items() if count > 1 and topic in latest}
+    newest: dict[SequenceTracker, tuple[int, int, int]] = {}
+    superseded: set[int] = set()
+    for place, (frames, _) in enumerate(waiting):
+        header = header_of(frames) if frames[0] in crowded else None
+        if header is None:
+            continue
+        tracker, seq, t_ns = header
+        before = newest.get(tracker)
+        if before is not None:
+            older, older_seq, older_t_ns = before
+            if seq <= older_seq and t_ns <= older_t_ns:
+                continue
+            superseded.add(older)
+            arrival = tracker.accept(older_seq, older_t_ns)
+            tracker.superseded += arrival not in (Arrival.DUPLICATE, Arrival.LATE)
+        newest[tracker] = (place, seq, t_ns)
+    return [taken for place, taken in enumerate(waiting) if place not in superseded]
 
 
 def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:

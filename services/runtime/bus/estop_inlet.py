@@ -10,7 +10,7 @@ from proto.messages import InputHealth
 from proto.nodes import is_estop
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import bind
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 
 class EstopInlet(Subscriber):

@@ -2,16 +2,17 @@
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import zmq
 
 from proto import TOPICS, compose
+from proto.ends import END_TOPIC, end_data
 from proto.errors import EndpointError
 from proto.messages import Message
 from services.runtime.bus.endpoint_lock import EndpointLock
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 
 # So many messages wait at a publisher for a reader whose whole process stands still: ten seconds of the busiest
 # publisher, a half of the controller with 2100 a second.
@@ -138,6 +139,20 @@ class ZmqPublisher(_NumberingPublisher):
         """Close the socket and let the endpoint go."""
         self.socket.close()
         self._lock.release()
+
+
+def publish_end(publisher: Publisher, node: str, forwarded: Mapping[tuple[str, str], int] | None = None) -> None:
+    """Publish how many messages were sent on each topic, as the last of all (see proto/ends.py).
+
+    Args:
+        publisher: Sends the event and counts the messages.
+        node: The name of the publisher.
+        forwarded: The messages that were sent on, see `end_data`.
+    """
+    sent = publisher.sequence_numbers()
+    sent[END_TOPIC] = sent.get(END_TOPIC, 0) + 1
+    text = f"{node} has ended, after {sum(sent.values())} messages of its own"
+    publisher.publish(END_TOPIC, id="", kind="node", level="info", text=text, data=end_data(sent, forwarded))
 
 
 def bind(socket: "zmq.Socket[bytes]", endpoint: str, node: str) -> None:

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import msgpack
 
 from proto import TOPICS
-from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, RejectedError
+from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES
+from services.runtime.security.sealed import RejectedError
 
 # The order is that of their numbers on the wire, so new topics are added at the end.
 DATAGRAM_TOPICS = ("teleop/forward", "teleop/backward", "law/status")

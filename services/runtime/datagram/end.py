@@ -17,6 +17,7 @@ from proto.messages import InputHealth, Message
 from proto.network_messages import LinkKey
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.datagram import flood_filter
 from services.runtime.datagram.agreement import Agreement
 from services.runtime.datagram.arrivals import ArrivalRecord
@@ -39,11 +40,11 @@ from services.runtime.datagram.place import Address, Outlets, Place
 from services.runtime.datagram.play_out import PlayOut
 from services.runtime.datagram.reception import Reception, Way
 from services.runtime.datagram.report import network_report
-from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener, RejectedError
+from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
 from services.runtime.datagram.touch import Touch
-from services.runtime.loop.clock import NEVER_NS, Clock
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from services.runtime.relay.path import RelayPath
+from services.runtime.security.sealed import RejectedError
 
 # The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64
@@ -376,8 +377,13 @@ class DatagramEnd:
             if self._expected:
                 self.outgoing.adapt_repeats(*self._acknowledged_counts)
             if self._agreement.peer_public:
-                fields = network_report(self, self._incoming)
-                self._outlets.reports.publish("link/network", **fields)
+                self._publish_report()
+
+    def _publish_report(self) -> None:
+        sending = "datagram" if self.acknowledged else "stream"
+        ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
+        parts = self.offset.estimate(), self.arrivals, self.outgoing, self.incoming.capacity
+        self._outlets.reports.publish("link/network", **network_report(ways, *parts), refused=dict(self.rejected))
 
     def _adapt(self, now_ns: int) -> None:
         """Adapt what is sent to the line, and tell of a line that is full."""

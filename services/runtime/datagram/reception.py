@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 from services.runtime.bus.bus import Subscriber
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 
 # After so long a silence the other way is used, and datagrams have to come for so long before they are relied upon.
 SILENCE_NS = 300_000_000

@@ -1,21 +1,30 @@
 """What an end reports of the network: counts, and the fate of each datagram since the last report."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from proto.messages import Array, LinkClock
 from proto.ranges import limited
+from services.runtime.datagram.arrivals import ArrivalRecord
+from services.runtime.datagram.outgoing import Outgoing
 from services.runtime.loop.clock_offset import Offset
 
-if TYPE_CHECKING:
-    from services.runtime.datagram.end import DatagramEnd
 
+def network_report(
+    ways: Mapping[str, str], offset: Offset | None, arrivals: ArrivalRecord, outgoing: Outgoing, capacity: int
+) -> dict[str, Any]:
+    """Return the fields of link/network for the direction that an end receives.
 
-def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]) -> dict[str, Any]:
-    """Return the fields of link/network for the direction that an end receives."""
-    offset = end.offset.estimate()
-    fates, queue_ns = end.arrivals.take_fates(), end.outgoing.line.take_back_ns()
+    Args:
+        ways: The direction, and the ways by which it is received and the other one sent.
+        offset: What is known of the clock of the other end.
+        arrivals: The datagrams of the direction; the fates that it has kept are taken.
+        outgoing: The other direction.
+        capacity: What the line to here carries [bit/s], 0 until it is known.
+    """
+    fates, queue_ns = arrivals.take_fates(), outgoing.line.take_back_ns()
     # The sender added the lead of the other clock to the time of sending.
     ahead_ns = 0 if offset is None else round(offset.offset_s * 1e9)
     lost = np.frombuffer(fates.lost, dtype="u1") if fates.lost else np.zeros(0, dtype="u1")
@@ -29,26 +38,23 @@ def network_report(end: "DatagramEnd", direction: Literal["forward", "backward"]
         "delay_ns": delay_ns,
         "lost_flag": lost,
     }
-    if direction == "forward" and end.outgoing.control.mode != "free":
+    if ways["direction"] == "forward" and outgoing.control.mode != "free":
         # This report crosses the line, and its rows would take a fifth of 1 Mbit/s.
         rows = {name: column[:0] for name, column in rows.items()}
     return {
-        "direction": direction,
-        "receiving": end.receiving,
-        "sending": "datagram" if end.acknowledged else "stream",
-        "sent": end.arrivals.sent,
-        "arrived": end.arrivals.arrived,
-        "late": end.arrivals.late,
-        "lost": max(0, end.arrivals.lost),
-        "refused": dict(end.rejected),
-        "settled": end.arrivals.settled,
-        "repeats": end.outgoing.repeats.count,
-        "unsent": end.outgoing.unsent,
-        "sent_bytes": end.outgoing.bytes,
+        **ways,
+        "sent": arrivals.sent,
+        "arrived": arrivals.arrived,
+        "late": arrivals.late,
+        "lost": max(0, arrivals.lost),
+        "settled": arrivals.settled,
+        "repeats": outgoing.repeats.count,
+        "unsent": outgoing.unsent,
+        "sent_bytes": outgoing.bytes,
         "queue_s": None if queue_ns is None else queue_ns * 1e-9,
-        "capacity_bit_per_s": end.incoming.capacity or None,
-        "line": end.outgoing.control.mode,
-        "limit_bit_per_s": round(8.0 * end.outgoing.control.bytes_per_s),
+        "capacity_bit_per_s": capacity or None,
+        "line": outgoing.control.mode,
+        "limit_bit_per_s": round(8.0 * outgoing.control.bytes_per_s),
         "delay_valid": valid,
         "delay_min_s": float(arrived_s.min()) if valid else 0.0,
         "delay_mean_s": float(arrived_s.mean()) if valid else 0.0,

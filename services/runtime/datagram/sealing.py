@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
+from services.runtime.security.sealed import RejectedError
 
 HEADER = struct.Struct("!4sQ")
 # A sealed datagram is longer than its body by so much.
@@ -33,14 +34,6 @@ _MOST_PER_S = 25_000
 _PURPOSE = b"telenano link datagrams, version 1"
 _KEY_BYTES = 32
 _NONCE_HEAD = bytes(4)
-
-
-class RejectedError(Exception):
-    """A datagram was refused; `cause` is the word that it is counted by."""
-
-    def __init__(self, cause: str) -> None:
-        super().__init__(cause)
-        self.cause = cause
 
 
 class DirectionKeys(NamedTuple):

@@ -1,1 +1,1 @@
-"""The loop of a node: clock, deadlines, commands, journal, and how a process begins and ends."""
+"""The loop of a node: deadlines, commands, journal, and the state that it keeps."""

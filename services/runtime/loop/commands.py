@@ -25,7 +25,7 @@ from proto import encode
 from proto.errors import TelenanoError
 from proto.messages import Scalar, SessionControl, SessionEvent
 from proto.nodes import is_estop, is_meant, is_pattern, site_of
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.loop.estop_latch import EstopLatch, begins_motion
 
 CommandName = Literal["start", "stop", "arm", "estop", "set", "mark"]

@@ -13,7 +13,7 @@ from proto.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward,
 from proto.nodes import LINK, name_of, site_of
 from proto.topics import LOOP_DEADLINE_S, deadline_of
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 
 LOOP_DEADLINE_NS = round(LOOP_DEADLINE_S * 1e9)
 # oldest sample or signal that a controller may still take for the present, by topic [s]

@@ -56,7 +56,7 @@ def endpoint_of(node: str, site_file: Path | None) -> str:
     if site_file is not None:
         # models of every message come with these: a third of a second of processor time
         from proto.errors import TelenanoError
-        from services.runtime.loop.main import load_site
+        from services.runtime.bus.address_book import load_site
 
         try:
             return load_site(site_file).endpoint(node)

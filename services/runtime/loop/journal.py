@@ -10,7 +10,7 @@ import numpy as np
 from proto.journal_messages import JournalInput
 from proto.messages import Array
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import TurnClock
+from services.runtime.clock import TurnClock
 from services.runtime.loop.node_state import pack
 
 DEADLINE, MESSAGE, COMMAND, DEFERRED = 0, 1, 2, 3

@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Any
 
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.untrusted.printable import printable
 
 # records of one library: so many at once, then so many a second

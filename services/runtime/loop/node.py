@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Literal, Protocol
 from proto.errors import RefusedError
 from proto.messages import MAX_TEXT, InputHealth, Scalar, SessionControl
 from services.runtime.bus.bus import Bus, ConnectionEvent, Received
-from services.runtime.bus.ends import publish_end
-from services.runtime.loop.clock import NEVER_NS, Clock
+from services.runtime.bus.publisher import publish_end
+from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
 from services.runtime.loop.freshness import Freshness
 from services.runtime.loop.log import StructuredLog

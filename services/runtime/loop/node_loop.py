@@ -13,7 +13,7 @@ from proto import TOPICS, WireError, accept
 from proto.messages import SUPERSEDED, NodeHealth, SessionControl
 from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
 from services.runtime.loop.deadlines import LatenessWindow
 from services.runtime.loop.deferred import Deferred, Task
@@ -93,6 +93,18 @@ class NodeLoop:
         """Monotonic time [ns] of the next report, or of the next deferred task."""
         return min(self._health_ns, self._deferred.due_ns)
 
+    #  wait               until a message, the deadline of the node, a report or a deferred task is due
+    #   |
+    #  _take_kept_stop    an emergency stop that was kept in a file comes before all that waited
+    #  _take              each message: admits -> on_message -> CommandHandler -> journal
+    #  process_events     connections to other machines that came, went or were refused
+    #  _act_on_deadline   where the deadline has come: on_deadline -> journal
+    #  note_event         the deferred tasks are told whether the tick is with other processes now
+    #  _defer_report      twice a second: node/health and the batch of the journal become deferred tasks
+    #  _run_deferred      the tasks that fit in until the next message
+    #  _end_batch         where the journal is full
+    #   |
+    #  the next turn
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
         self._bus.wait(min(self.node.deadline_ns(), self._health_ns, self._deferred.due_ns))

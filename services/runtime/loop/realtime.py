@@ -7,14 +7,14 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel
 
 from proto.errors import ConfigError
 from proto.nodes import name_of
 from services.runtime.loop.log import StructuredLog
 from services.runtime.settings.optional_modules import optional_module
+from services.runtime.settings.scenario import RealtimeConfig
 
 # Windows has no such module.
 resource = optional_module("resource")
@@ -38,31 +38,6 @@ _CPU_DMA_LATENCY = Path("/dev/cpu_dma_latency")
 PROCESSORS_VARIABLE, NO_PROCESSORS = "TELENANO_PROCESSORS", "none"
 # One less is what `lower_thread` gives.
 _BEHIND_RIGS = 2
-
-
-class RealtimeConfig(BaseModel):
-    """Real-time settings to request; `auto` uses what is permitted and logs once what is not."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
-
-    scheduler: Literal["auto", "fifo", "normal"] = Field(
-        default="auto", description="fifo: SCHED_FIFO or an error; auto: where permitted; normal: never"
-    )
-    priority: Annotated[int, Field(ge=1, le=98)] = Field(default=50, description="Priority under SCHED_FIFO")
-    memory_lock: Literal["auto", "on", "off"] = Field(default="auto", description="Lock the memory of the process")
-    cpus: Literal["auto", "link_at_master", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
-        default="auto",
-        description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
-        "slave's nodes on another; link_at_master: the link with the master's, which auto means where the AFM has "
-        "model dynamic; free: any; or a mapping of node or node@site to a processor",
-    )
-    rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = Field(
-        default=1000.0,
-        description="Rate of hand, instrument, law and devices [Hz]; what a machine reaches is in docs/performance.md",
-    )
-    huge_pages: bool = Field(
-        default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
-    )
 
 
 class RealtimeStatus(BaseModel):

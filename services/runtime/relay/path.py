@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from services.runtime.datagram.sealing import RejectedError
 from services.runtime.relay.protocol import (
     ANSWER,
     COOKIE,
@@ -22,6 +21,7 @@ from services.runtime.relay.protocol import (
     request_bytes,
     unpack,
 )
+from services.runtime.security.sealed import RejectedError
 
 Address = tuple[Any, ...]
 Send = Callable[[bytes, Address], None]

@@ -9,7 +9,7 @@ from proto import WireError
 from proto.nodes import is_visitor
 from services.runtime.bus.address_book import is_relayed, may_carry
 from services.runtime.bus.bus import ConnectionEvent, Subscriber
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Role
 from services.runtime.security.socket_monitor import (

@@ -7,7 +7,7 @@ import zmq
 
 from services.runtime.bus.bus import ConnectionEvent
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.security.accept_limiter import PER_S, AcceptLimiter, Admission
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text

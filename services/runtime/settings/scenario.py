@@ -4,20 +4,40 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeGuard, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeGuard, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
-from services.runtime.loop.realtime import RealtimeConfig
-from services.runtime.settings.config import layered, validate
+from services.runtime.settings.config import Settings, layered, validate
 
 M = TypeVar("M", bound=BaseModel)
 
 
-class Scenario(BaseModel):
-    """An experiment: what runs, for how long, and the section of each node, which the node itself checks."""
+class RealtimeConfig(Settings):
+    """Real-time settings to request; `auto` uses what is permitted and logs once what is not."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    scheduler: Literal["auto", "fifo", "normal"] = Field(
+        default="auto", description="fifo: SCHED_FIFO or an error; auto: where permitted; normal: never"
+    )
+    priority: Annotated[int, Field(ge=1, le=98)] = Field(default=50, description="Priority under SCHED_FIFO")
+    memory_lock: Literal["auto", "on", "off"] = Field(default="auto", description="Lock the memory of the process")
+    cpus: Literal["auto", "link_at_master", "free"] | dict[str, Annotated[int, Field(ge=0)]] = Field(
+        default="auto",
+        description="Processor that a process stays on. auto: under SCHED_FIFO the master's nodes on one, link and "
+        "slave's nodes on another; link_at_master: the link with the master's, which auto means where the AFM has "
+        "model dynamic; free: any; or a mapping of node or node@site to a processor",
+    )
+    rate_hz: Annotated[float, Field(ge=50.0, le=10_000.0)] = Field(
+        default=1000.0,
+        description="Rate of hand, instrument, law and devices [Hz]; what a machine reaches is in docs/performance.md",
+    )
+    huge_pages: bool = Field(
+        default=True, description="Put the memory of each process on pages of 2 MB at its start, where the kernel can"
+    )
+
+
+class Scenario(Settings):
+    """An experiment: what runs, for how long, and the section of each node, which the node itself checks."""
 
     name: str = Field(pattern=r"^[a-z0-9_-]{1,64}$", description="Name of the experiment, used for files")
     description: str = Field(description="What it shows, in a sentence")

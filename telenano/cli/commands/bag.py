@@ -233,7 +233,7 @@ def fetch(
         from recording.multi_file import open_recordings
         from services.launcher.far_recording import Sites, checked_names, fetch_and_merge, noted_files
         from services.launcher.run import own_recordings
-        from services.runtime.loop.main import load_site
+        from services.runtime.bus.address_book import load_site
 
         names = noted_files(folder) if files is None else checked_names(files, "--file")
         own, faults = own_recordings(folder)

@@ -32,7 +32,7 @@ def graph(
 ) -> None:
     """Draw the nodes of the loop, and the topics between them with their rates [Hz]."""
     with report_errors(as_json):
-        from services.runtime.bus.observer import RIG_HINT, list_topics
+        from services.runtime.wiring.observer import RIG_HINT, list_topics
         from telenano.cli.commands.topic import open_observer
         from telenano.cli.rig_graph import dot, edges, mermaid
 

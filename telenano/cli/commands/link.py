@@ -11,9 +11,9 @@ from proto.errors import RigError
 from proto.nodes import LINK
 from recording.tables import json_fields
 from services.delay_node.profiles import PROFILES, profile_named
-from services.runtime.bus.observer import RIG_HINT, Observer, messages_of
-from services.runtime.loop.main import load_site
+from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import flatten
+from services.runtime.wiring.observer import RIG_HINT, Observer, messages_of
 from telenano.cli.commands.link_probe import probe
 from telenano.cli.commands.session import SessionCommand, send_command
 from telenano.cli.commands.topic import open_observer

@@ -15,8 +15,8 @@ from proto.network_messages import LinkNetwork
 from proto.nodes import LINK
 from services.console.command_client import send_control
 from services.delay_node.node import TRAIN
-from services.runtime.bus.observer import RIG_HINT
 from services.runtime.loop.commands import Command
+from services.runtime.wiring.observer import RIG_HINT
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_json, print_rows, report_errors

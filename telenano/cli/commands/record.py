@@ -11,9 +11,9 @@ from proto.errors import TelenanoError
 from services.recorder.attach import run_record
 from services.recorder.config import RecorderConfig
 from services.recorder.node import RecorderNode
-from services.runtime.bus.observer import RIG_HINT, nobody_runs
-from services.runtime.loop.main import load_site
+from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import validate
+from services.runtime.wiring.observer import RIG_HINT, nobody_runs
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption

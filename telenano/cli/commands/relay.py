@@ -9,9 +9,8 @@ from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
 from services.relay.__main__ import run_site_end, until_stopped
 from services.relay.server import DEFAULT_PORT, Relay
-from services.runtime.bus.address_book import RELAY
+from services.runtime.bus.address_book import RELAY, load_site
 from services.runtime.loop.log import StructuredLog, configure_logging
-from services.runtime.loop.main import load_site
 from services.runtime.loop.realtime import ahead_of_others, raise_file_limit
 from services.runtime.relay.protocol import split_host_port
 from services.runtime.security.access_control import AccessControl

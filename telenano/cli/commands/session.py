@@ -12,7 +12,7 @@ from proto.errors import ConfigError
 from proto.messages import SessionEvent
 from services.console.command_client import parse_parameters, send_control
 from services.console.coupling import couple_anew
-from services.runtime.loop.clock import process_start_ns
+from services.runtime.clock import process_start_ns
 from services.runtime.loop.commands import Command, CommandName
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED

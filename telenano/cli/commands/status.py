@@ -15,9 +15,9 @@ from presets import DEFAULT_SITE_FILE
 from services.launcher.processors import fits_text, held, permitted, shared_folder
 from services.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
 from services.launcher.rigs import RigFacts, about_rig, running_rigs
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
-from services.runtime.bus.observer import Observer
-from services.runtime.loop.main import load_site
+from services.runtime.wiring.observer import Observer
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import console, fail, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells

@@ -16,7 +16,8 @@ from proto.nodes import VIEW
 from recording.quantities import quantity
 from recording.tables import json_fields
 from services.launcher.scenario_keys import value_at
-from services.runtime.bus.observer import (
+from services.runtime.bus.address_book import load_site
+from services.runtime.wiring.observer import (
     RIG_HINT,
     Observer,
     known_name,
@@ -27,7 +28,6 @@ from services.runtime.bus.observer import (
     messages_of,
     require_rig,
 )
-from services.runtime.loop.main import load_site
 from telenano.cli.options import (
     CountOption,
     DurationOption,

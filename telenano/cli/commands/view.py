@@ -17,11 +17,12 @@ from proto.nodes import PAGE
 from recording.indexed import open_indexed
 from recording.multi_file import RecordingSource
 from services.launcher.restart_policy import RestartTracker
-from services.runtime.bus.observer import nobody_runs
-from services.runtime.loop.clock import SystemClock
-from services.runtime.loop.main import EXIT_DIED, load_site
-from services.runtime.loop.participant import StopSignals, open_participant, run_loop
+from services.runtime.bus.address_book import load_site
+from services.runtime.clock import SystemClock
 from services.runtime.loop.realtime import behind_others
+from services.runtime.wiring.main import EXIT_DIED
+from services.runtime.wiring.observer import nobody_runs
+from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
 from services.viz_node.access import LOOPBACK, Access
 from services.viz_node.config import ViewConfig
 from services.viz_node.connections import Listener

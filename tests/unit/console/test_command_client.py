@@ -8,9 +8,8 @@ from recorder_samples import sample
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
 from services.console.command_client import Attention, addressed, console_of, parse_parameters, send_control
-from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.loop.commands import Command
-from services.runtime.loop.main import load_site
 from services.runtime.security.keyring import Keyring
 from services.runtime.settings.config import validate
 

@@ -25,7 +25,7 @@ from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _S
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.estop_inlet import EstopInlet
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.commands import CommandHandler
 from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop

@@ -15,10 +15,10 @@ from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
 from proto.nodes import PAGE, START_ORDER, site_of
 from services.launcher.processes import LINGER_GRACE_S, RECORDER_GRACE_S
-from services.runtime.loop.main import load_site, node_kind
-from services.runtime.loop.realtime import RealtimeConfig
+from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import environment_overrides, validate
-from services.runtime.settings.scenario import Scenario, load_scenario
+from services.runtime.settings.scenario import RealtimeConfig, Scenario, load_scenario
+from services.runtime.wiring.main import node_kind
 
 ROOT = Path(__file__).resolve().parents[3]
 DEPLOY = ROOT / "deploy"

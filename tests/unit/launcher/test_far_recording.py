@@ -29,9 +29,9 @@ from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import AddressBook, NodeEntry
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node_loop import NodeLoop
-from services.runtime.loop.participant import NO_REALTIME, open_participant
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
+from services.runtime.wiring.participant import NO_REALTIME, open_participant
 
 NAME, NS = "session_1.mcap", 1_000_000_000
 

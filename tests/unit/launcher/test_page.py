@@ -21,9 +21,9 @@ from services.launcher.processes import NodeProcesses, node_command
 from services.launcher.restart_policy import RestartPolicy
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcessSample, Watchdog
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.healthcheck import endpoint_of, receive_health
-from services.runtime.loop.main import EXIT_BAD_START, EXIT_DIED
+from services.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
 from services.viz_node import serve
 from telenano.extend.testing import VirtualClock
 

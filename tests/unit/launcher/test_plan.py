@@ -10,7 +10,7 @@ from proto.errors import ConfigError
 from proto.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 from services.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
 from services.launcher.run import disk_warning
-from services.runtime.loop.main import load_site
+from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import read_yaml
 
 

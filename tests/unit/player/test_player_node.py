@@ -23,11 +23,10 @@ from services.player.plan import ReplayPlan
 from services.player.playback import Playback, Span
 from services.player.run import ReplayRequest, absent_topics, refused_messages, remote_control, run_replay
 from services.recorder.config import RecorderConfig
-from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.bus.bus import ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.main import load_site
 from services.runtime.loop.node import NodeContext
 from telenano.extend.testing import VirtualClock
 

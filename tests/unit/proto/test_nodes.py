@@ -35,8 +35,9 @@ from proto.nodes import (
     site_of,
     sites_of,
 )
-from services.runtime.loop.main import NodeKind, load_site, node_kind
+from services.runtime.bus.address_book import load_site
 from services.runtime.settings.scenario import Scenario
+from services.runtime.wiring.main import NodeKind, node_kind
 
 ROOT = Path(__file__).resolve().parents[3]
 COMPOSE = [ROOT / "deploy" / name for name in ("docker-compose.yml", "compose.master.yml", "compose.slave.yml")]

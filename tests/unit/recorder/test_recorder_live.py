@@ -13,7 +13,7 @@ from recording.messages import RecordedMessage
 from services.recorder.live import LiveRecording
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 
 HAND, FAR = "haptic_node@master", "delay_node@slave"
 

@@ -27,13 +27,13 @@ from services.recorder.node import RecorderBus, RecorderNode
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.bus.transport import Transport
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.main import Wiring
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
+from services.runtime.wiring.main import Wiring
+from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
 
 PATIENCE_S = 30.0

@@ -4,7 +4,7 @@ import pytest
 from relay_bench import MASTER, RELAY, RELAY_ADDRESS, SLAVE, STRANGER, End, Network, key_pair
 
 from services.relay.forwarder import PLACE_S
-from services.runtime.datagram.sealing import MOST_BYTES, RejectedError
+from services.runtime.datagram.sealing import MOST_BYTES
 from services.runtime.relay.protocol import (
     COOKIE_BYTES,
     REQUEST_BYTES,
@@ -16,6 +16,7 @@ from services.runtime.relay.protocol import (
     request_bytes,
 )
 from services.runtime.security.keyring import KeyPair
+from services.runtime.security.sealed import RejectedError
 
 ELSEWHERE = ("192.0.2.66", 666)
 

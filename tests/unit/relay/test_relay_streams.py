@@ -18,10 +18,10 @@ from services.relay.look import look_at_relay, seen_by_relay
 from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.datagram.sealing import RejectedError
 from services.runtime.loop.log import StructuredLog
 from services.runtime.relay.protocol import raw_key
 from services.runtime.security.access_control import AccessControl
+from services.runtime.security.sealed import RejectedError
 from telenano.doctor.relay import check_relay
 
 PATIENCE_S = 30.0

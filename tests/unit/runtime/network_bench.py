@@ -16,8 +16,8 @@ from proto.contract import examples
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.bus.transport import Transport, open_context
 from services.runtime.security.keyring import Keyring, Role
+from services.runtime.wiring.transport import Transport, open_context
 from telenano.extend.testing import VirtualClock
 
 PATIENCE_S = 30.0

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks
 from telenano.extend.testing import VirtualClock
 

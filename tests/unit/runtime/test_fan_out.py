@@ -15,10 +15,10 @@ from presets import DEFAULT_SITE_FILE
 from proto import encode
 from services.launcher.fan_out import endpoints_of, fan_out
 from services.launcher.plan import UpRequest, make_plan
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.fan_out import serve
 from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
-from services.runtime.bus.observer import Observer
-from services.runtime.loop.main import load_site
+from services.runtime.wiring.observer import Observer
 
 WAIT_MS = 20_000
 HAND = "haptic_node@master"

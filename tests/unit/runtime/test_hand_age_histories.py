@@ -3,7 +3,7 @@
 import pytest
 
 from proto.messages import LinkDelay
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 from services.runtime.loop.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, Freshness
 
 MS = 1_000_000

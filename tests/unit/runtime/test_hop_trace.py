@@ -10,7 +10,7 @@ from hop_trace import PARTS, HopTrace
 
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.loop.log import StructuredLog
 
 

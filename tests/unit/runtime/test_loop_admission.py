@@ -12,7 +12,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 from services.runtime.bus.bus import Received
-from services.runtime.loop.clock import NEVER_NS
+from services.runtime.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext

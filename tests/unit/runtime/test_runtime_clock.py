@@ -1,7 +1,7 @@
 import pytest
 
 from proto.errors import ConfigError
-from services.runtime.loop.clock import EPOCH_OFFSET_VARIABLE, SystemClock
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE, SystemClock
 from telenano.extend.testing import VirtualClock
 
 

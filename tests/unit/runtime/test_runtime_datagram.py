@@ -17,17 +17,9 @@ from services.runtime.datagram.body import MOST_SAMPLE_BYTES, REPORT, SHORT_REPO
 from services.runtime.datagram.pacing import MOST_REPEATS, NETWORK_BYTES, Repeats, SendBudget, repeats_for
 from services.runtime.datagram.reception import FIRST_NS
 from services.runtime.datagram.replay_window import WINDOW, ReplayWindow
-from services.runtime.datagram.sealing import (
-    HEADER,
-    MOST_BYTES,
-    OVERHEAD_BYTES,
-    DirectionKeys,
-    KeyPair,
-    Opener,
-    RejectedError,
-    Sealer,
-)
+from services.runtime.datagram.sealing import HEADER, MOST_BYTES, OVERHEAD_BYTES, DirectionKeys, KeyPair, Opener, Sealer
 from services.runtime.datagram.touch import Touch
+from services.runtime.security.sealed import RejectedError
 
 KEYS = DirectionKeys(bytes(range(32)), b"abcd")
 

@@ -11,7 +11,7 @@ from stopped_devices import HAND, MS, TIP, World
 
 from proto import encode
 from proto.messages import SessionControl
-from services.runtime.loop.clock import process_start_ns
+from services.runtime.clock import process_start_ns
 from services.runtime.loop.commands import stop_of
 from services.runtime.loop.estop_latch import EstopLatch, begins_motion
 from services.runtime.loop.kept_stop import forget, keep, kept

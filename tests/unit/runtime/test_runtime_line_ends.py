@@ -31,8 +31,8 @@ from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS, Outgoi
 from services.runtime.datagram.rate import Mode
 from services.runtime.datagram.reception import MISSED_NS, SILENCE_NS
 from services.runtime.datagram.replay_window import ReplayWindow
-from services.runtime.datagram.sealing import RejectedError
 from services.runtime.loop.clock_offset import Exchange
+from services.runtime.security.sealed import RejectedError
 
 MS = 1_000_000
 REPORTED = REPORT.pack(1, 0, 0, 0, 0)

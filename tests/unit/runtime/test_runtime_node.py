@@ -23,8 +23,8 @@ from proto.messages import MAX_TEXT, InputHealth, NodeHealth, SessionControl, Se
 from proto.ranges import limited
 from proto.sequence import Arrival
 from services.runtime.bus.bus import ConnectionEvent, Received
+from services.runtime.clock import NEVER_NS
 from services.runtime.loop import journal
-from services.runtime.loop.clock import NEVER_NS
 from services.runtime.loop.deadlines import PeriodicDeadline
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeContext, resident_bytes

@@ -6,7 +6,7 @@ import pytest
 from proto.errors import ConfigError
 from proto.messages import AfmScanline, Array
 from recording.tables import json_fields
-from services.runtime.bus.observer import Observer, known_name
+from services.runtime.wiring.observer import Observer, known_name
 
 
 @pytest.mark.parametrize(

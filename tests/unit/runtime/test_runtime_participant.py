@@ -16,7 +16,7 @@ from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Received
 from services.runtime.bus.publisher import NullPublisher
 from services.runtime.loop.node import Node, NodeContext
-from services.runtime.loop.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
+from services.runtime.wiring.participant import OBSERVER, Participant, StopSignals, open_participant, run_loop
 from telenano.extend.testing import VirtualClock
 
 HAND, LINK = "haptic_node@master", "delay_node@master"

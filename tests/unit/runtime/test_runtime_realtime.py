@@ -18,7 +18,6 @@ from proto.errors import ConfigError
 from services.runtime.loop import realtime
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.realtime import (
-    RealtimeConfig,
     apply_realtime,
     freeze_garbage,
     lower_thread,
@@ -28,6 +27,7 @@ from services.runtime.loop.realtime import (
     processor_of,
     shallow_idle,
 )
+from services.runtime.settings.scenario import RealtimeConfig
 from services.signals.children import die_with_parent
 
 PR_GET_PDEATHSIG, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 2, 1, 29, 30

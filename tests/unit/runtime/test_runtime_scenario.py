@@ -6,8 +6,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto.errors import ConfigError
-from services.runtime.loop.realtime import RealtimeConfig
-from services.runtime.settings.scenario import Scenario, load_scenario
+from services.runtime.settings.scenario import RealtimeConfig, Scenario, load_scenario
 
 GOOD = """
 name: fig12

@@ -33,18 +33,18 @@ from network_bench import (
 
 from proto import WireError
 from proto.errors import ConfigError, EndpointError
-from services.runtime.bus import transport
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.bus.transport import Transport
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.accept_limiter import BURST, PER_S, AcceptLimiter
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
 from services.runtime.security.zap_authenticator import BoundEndpoint
+from services.runtime.wiring import transport
+from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
 
 OPERATOR = "controller@master"

@@ -29,7 +29,7 @@ NAMED = ("afm_node.driver=gwyscope", "afm_node.gwyscope={calibration: gwyscope.y
 IMPORTED = """
 import json, sys
 from proto.nodes import SERVICES
-from services.runtime.loop.main import node_kind
+from services.runtime.wiring.main import node_kind
 for name in SERVICES:
     node_kind(name).config()
 print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules if name.startswith("telenano_")})))

@@ -19,7 +19,7 @@ import telenano
 from analysis.statistics import share, statistic
 from proto.errors import ConfigError, RecordingError, RigError
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
+from services.runtime.clock import SystemClock
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import RigError
-from services.runtime.loop.main import node_kind, parse_arguments, run_node
+from services.runtime.wiring.main import node_kind, parse_arguments, run_node
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app

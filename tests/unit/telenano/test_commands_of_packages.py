@@ -210,7 +210,7 @@ def test_an_environment_older_than_the_settings_of_its_checkout_is_stale(tmp_pat
 IMPORTED = """
 import json, sys
 from proto.nodes import SERVICES
-from services.runtime.loop.main import node_kind
+from services.runtime.wiring.main import node_kind
 for name in SERVICES:
     node_kind(name)
 import telenano.cli.root, telenano.cli.commands.up

@@ -15,7 +15,7 @@ from services.console.command_client import parse_parameters
 from services.delay_node.config import LinkSettings, profile_changes
 from services.delay_node.profiles import PROFILES
 from services.launcher.plan import Plan, UpRequest, make_plan
-from services.runtime.bus.observer import known_name
+from services.runtime.wiring.observer import known_name
 from telenano.cli.lazy_commands import load
 from telenano.cli.model_options import validated
 from telenano.cli.root import app

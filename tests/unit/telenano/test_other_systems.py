@@ -12,7 +12,8 @@ import pytest
 from proto.errors import ConfigError
 from services.runtime.loop import realtime
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.realtime import RealtimeConfig, RealtimeStatus, apply_realtime
+from services.runtime.loop.realtime import RealtimeStatus, apply_realtime
+from services.runtime.settings.scenario import RealtimeConfig
 from services.signals import children
 
 ROOT = Path(__file__).parents[3]

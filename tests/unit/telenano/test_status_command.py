@@ -23,12 +23,11 @@ from services.launcher.rig_status import (
     stalled_inputs,
 )
 from services.launcher.rigs import RigFacts
-from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.bus.bus import ConnectionEvent, Received
-from services.runtime.bus.observer import ObservedMessage, Observer
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import SystemClock
-from services.runtime.loop.main import load_site
+from services.runtime.clock import SystemClock
+from services.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.cli.commands import status
 from telenano.cli.root import app
 from telenano.cli.tables import health_cells

@@ -17,11 +17,11 @@ from proto.errors import RigError, TelenanoError
 from proto.messages import Array
 from proto.nodes import TIP
 from services.console.command_client import send_control
-from services.runtime.bus.observer import Observer
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.loop.commands import Command
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import open_participant
+from services.runtime.wiring.observer import Observer
+from services.runtime.wiring.participant import open_participant
 from services.viz_node.access import Role
 from services.viz_node.commander import RigHand
 from services.viz_node.feed import Seen

@@ -226,7 +226,7 @@ def test_a_signal_ends_the_wait_of_the_node_that_serves_the_page() -> None:
 # A page whose commander hangs in a command, and whose emergency stop takes a while.
 HANGING = """
 import sys, threading, time
-from services.runtime.loop.participant import StopSignals
+from services.runtime.wiring.participant import StopSignals
 from services.viz_node.access import Access
 from services.viz_node.hub import Hub
 from services.viz_node.serve import PageServer, bind

@@ -24,9 +24,9 @@ from services.console.coupling import couple_anew
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changed, network_name
 from services.haptic_node.config import HapticConfig
-from services.runtime.bus.observer import Observer
+from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command, CommandName
-from services.runtime.loop.main import load_site
+from services.runtime.wiring.observer import Observer
 from telenano.extend.tasks import TrialData
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
 from telenano_experiments.apparatus.lockstep import empty

@@ -13,8 +13,8 @@ from proto.messages import HapticState, TeleopBackward
 from proto.nodes import HAND, LINK
 from services.controller.config import ControllerConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig
-from services.runtime.loop.main import load_site
-from services.runtime.loop.participant import OBSERVER, Participant, open_participant
+from services.runtime.bus.address_book import load_site
+from services.runtime.wiring.participant import OBSERVER, Participant, open_participant
 from services.viz_node.commander import RigHand
 from studies.loops.across import steering_force_n
 from studies.loops.push_hand import Hand, hand_moves

@@ -18,7 +18,7 @@ from proto.sequence import SequenceTracker
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received
 from services.runtime.bus.local_endpoint import local_endpoint
-from services.runtime.loop.participant import OBSERVER, open_participant
+from services.runtime.wiring.participant import OBSERVER, open_participant
 
 # Users see this hint when nothing is received.
 RIG_HINT = "is `telenano up` running with this site file?"

@@ -8,21 +8,20 @@ from pathlib import Path
 
 import zmq
 
-from proto.errors import EndpointError
+from proto.errors import ConfigError, EndpointError
 from proto.extras import how_to_install
 from proto.nodes import DEVICES, FAR_END, site_of
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.bus import Bus, Subscriber, ZmqBus
+from services.runtime.bus.bus import Bus, Reader, Subscriber, ZmqBus
 from services.runtime.bus.publisher import Publisher, ZmqPublisher
-from services.runtime.bus.reader import Reader
-from services.runtime.bus.transport import Transport, open_context
-from services.runtime.loop.clock import Clock, SystemClock
+from services.runtime.clock import Clock, SystemClock
 from services.runtime.loop.hang_guard import HangGuard
 from services.runtime.loop.log import RateLimitedLog, StructuredLog
 from services.runtime.loop.node import LOOP_PERIOD_S, Node, NodeBus, NodeContext
 from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop, install_stop_signals
 from services.runtime.loop.realtime import RealtimeStatus, freeze_garbage, ordinary_scheduling
 from services.runtime.security.keyring import Keyring, this_machine
+from services.runtime.wiring.transport import Transport, open_context
 
 SITES = ("master", "slave")
 # A participant that only listens has this name, which is in no site file.
@@ -107,14 +106,18 @@ class Participant:
             return []
         # The library that seals datagrams is loaded in these two processes only.
         try:
-            from services.runtime.datagram.wiring import open_end
+            from services.runtime.wiring.link_end import open_end
         except ImportError:
             self.log.warning(
                 "the link sends no datagrams, everything crosses over TCP: `cryptography` is not installed: "
                 + how_to_install("controller,delay")
             )
             return []
-        end = open_end(self, outgoing, reports, readers)
+        try:
+            end = open_end(self.key, self.network, outgoing, reports, readers)
+        except (OSError, ValueError, ConfigError) as error:
+            self.log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
+            return []
         return [] if end is None else [end]
 
     def estop_inlet(self) -> list[Subscriber]:

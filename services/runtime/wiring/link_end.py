@@ -3,7 +3,6 @@
 import ipaddress
 import socket
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from proto.errors import ConfigError
 from proto.nodes import FAR_END, LINK
@@ -15,46 +14,43 @@ from services.runtime.datagram.place import Outlets, Place
 from services.runtime.relay.path import RelayPath
 from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
 from services.runtime.security.access_control import AccessControl, relay_key
-
-if TYPE_CHECKING:
-    from services.runtime.loop.participant import Participant
+from services.runtime.wiring.transport import Transport
 
 NEAR_END = f"{LINK}@slave"
 
 
 def open_end(
-    participant: "Participant", outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]
+    key: str, network: Transport, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]
 ) -> DatagramEnd | None:
-    """Return the end of this process, attached to what it sends and receives with; None where there can be none.
+    """Return the end of the node `key`, attached to what it sends and receives with; None where there can be none.
 
-    A port that another process has, or a name without an address, is reported in the log: the link goes on over TCP.
+    Raises:
+        OSError: Another process has the port, or the name of the relay has no address.
+        ValueError: The name of the master cannot be resolved here.
+        ConfigError: A key that is needed is not listed here.
     """
-    book, network, log = participant.book, participant.network, participant.log
+    book = network.book
     if not {NEAR_END, FAR_END} <= set(book.nodes):
         return None
-    is_master = participant.key != FAR_END
+    is_master = key != FAR_END
     machine = book.machine_of(FAR_END if is_master else NEAR_END)
     reader = network.reader_of(machine, readers)
     if reader is None or machine == network.machine:
         return None
     access = network.access_control
-    try:
-        end = DatagramEnd(
-            participant.clock,
-            place_of(book, network.machine, is_master=is_master)
-            if book.relay is None
-            else relayed_place(book.relay, access, machine, direct=book.link.direct),
-            book.link,
-            reader,
-            Outlets(outgoing, reports),
-            machine=machine,
-            is_master=is_master,
-            is_allowed=lambda: not access.requires_keys or bool(access.roles(machine)),
-            is_connected=lambda: network.is_connected_to(machine),
-        )
-    except (OSError, ValueError, ConfigError) as error:
-        log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
-        return None
+    end = DatagramEnd(
+        network.clock,
+        place_of(book, network.machine, is_master=is_master)
+        if book.relay is None
+        else relayed_place(book.relay, access, machine, direct=book.link.direct),
+        book.link,
+        reader,
+        Outlets(outgoing, reports),
+        machine=machine,
+        is_master=is_master,
+        is_allowed=lambda: not access.requires_keys or bool(access.roles(machine)),
+        is_connected=lambda: network.is_connected_to(machine),
+    )
     outgoing.carry = end.carry
     # closed with the other handlers of the network
     network.look_after(end)

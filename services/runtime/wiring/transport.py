@@ -17,7 +17,7 @@ from services.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, S
 from services.runtime.bus.estop_inlet import EstopInlet
 from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.loop.clock import Clock
+from services.runtime.clock import Clock
 from services.runtime.loop.realtime import lower_thread
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import Keyring
@@ -93,8 +93,8 @@ class Transport:
         self.access_control = AccessControl(machine, keyring or Keyring(), requires_keys=book.requires_keys)
         self.has_pending = False
         self._context = context
-        self._clock = clock
-        self._book = book
+        self.clock = clock
+        self.book = book
         self._rejections = RejectionCounter()
         self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections, clock, book.addresses)
         self._peers: list[PeerConnections] = []
@@ -120,13 +120,13 @@ class Transport:
     def publisher(self, key: str, kind: int = zmq.PUB) -> ZmqPublisher:
         """Bind the endpoints of a node; EndpointError gives the reason if that fails."""
         try:
-            local, network = self._book.local_endpoint(key), self._book.bind_endpoint(key)
+            local, network = self.book.local_endpoint(key), self.book.bind_endpoint(key)
         except KeyError as error:
             raise EndpointError(str(error.args[0])) from error
-        if self._book.uses_runtime_directory:
+        if self.book.uses_runtime_directory:
             check_runtime_directory(make=True)
         if network is None:
-            return ZmqPublisher(self._context, self._clock, key, local or "", kind=kind)
+            return ZmqPublisher(self._context, self.clock, key, local or "", kind=kind)
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
@@ -137,10 +137,10 @@ class Transport:
 
         try:
             if local is None:
-                publisher = ZmqPublisher(self._context, self._clock, key, network, kind=kind, prepare=prepare)
+                publisher = ZmqPublisher(self._context, self.clock, key, network, kind=kind, prepare=prepare)
             else:
                 # A bound endpoint keeps the options that the socket had at that moment, so ipc stays plain.
-                publisher = ZmqPublisher(self._context, self._clock, key, local, kind=kind)
+                publisher = ZmqPublisher(self._context, self.clock, key, local, kind=kind)
                 prepare(publisher.socket)
                 publisher.also_bind(network)
         except EndpointError:
@@ -170,8 +170,8 @@ class Transport:
             return [self._reader(plan, _READER_SILENCE_MS, shared=shared) for plan in plans]
         groups: dict[str, dict[str, Sequence[str]]] = {"": {}}
         for node, topics in sources.items():
-            near = self._book.endpoint(node, self.machine).startswith("ipc://")
-            groups.setdefault("" if near else self._book.machine_of(node), {})[node] = topics
+            near = self.book.endpoint(node, self.machine).startswith("ipc://")
+            groups.setdefault("" if near else self.book.machine_of(node), {})[node] = topics
         return [self._reader(plan, _LOOP_SILENCE_MS, newest_only=newest_only) for plan in groups.values()]
 
     def reader_of(self, machine: str, readers: Sequence[Subscriber]) -> Subscriber | None:
@@ -191,8 +191,8 @@ class Transport:
 
     def estop_inlet(self, key: str) -> EstopInlet | None:
         """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
-        endpoint = self._book.estop_endpoint(key)
-        return None if endpoint is None else EstopInlet(self._context, self._clock, key, endpoint)
+        endpoint = self.book.estop_endpoint(key)
+        return None if endpoint is None else EstopInlet(self._context, self.clock, key, endpoint)
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process authentication requests and connection events, and reload the list of keys if it has changed."""
@@ -211,24 +211,24 @@ class Transport:
     def _reader(
         self, plan: Mapping[str, Sequence[str]], silence_ms: int, *, newest_only: bool = False, shared: bool = False
     ) -> Subscriber:
-        endpoints = {node: self._book.connect_endpoint(node, self.machine) for node in plan}
+        endpoints = {node: self.book.connect_endpoint(node, self.machine) for node in plan}
         if shared:
             further = {node: fan_out_endpoint(endpoint) for node, endpoint in endpoints.items()}
             endpoints |= {node: endpoint for node, endpoint in further.items() if is_bound(endpoint)}
         by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
-            return Subscriber(self._context, self._clock, by_endpoint, newest_only=newest_only)
-        subscriber = Subscriber(self._context, self._clock, by_endpoint, connect=False, newest_only=newest_only)
+            return Subscriber(self._context, self.clock, by_endpoint, newest_only=newest_only)
+        subscriber = Subscriber(self._context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
         subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
-        machine = self._book.machine_of(next(iter(plan)))
-        peers = PeerConnections(machine, endpoints, subscriber, self._clock, self.access_control, self._rejections)
+        machine = self.book.machine_of(next(iter(plan)))
+        peers = PeerConnections(machine, endpoints, subscriber, self.clock, self.access_control, self._rejections)
         self._peers.append(peers)
         self._handlers.append(peers)
         return subscriber
 
     def _check(self) -> list[ConnectionEvent]:
-        now = self._clock.monotonic_ns()
+        now = self.clock.monotonic_ns()
         if now < self._next_check_ns:
             return []
         self._next_check_ns = now + _CHECK_NS

@@ -16,13 +16,11 @@ from presets import DEFAULT_SITE_FILE, find_scenario, site_file_named
 from presets.plugins import fault_of_package
 from proto.errors import TelenanoError
 from proto.nodes import sites_of
-from services.runtime.bus.address_book import AddressBook
+from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.runtime.loop.log import StructuredLog, configure_logging
 from services.runtime.loop.node import Node, NodeBus, NodeContext
-from services.runtime.loop.participant import Participant, StopSignals, open_participant, run_loop
 from services.runtime.loop.realtime import (
-    RealtimeConfig,
     apply_realtime,
     behind_others,
     ordinary_scheduling,
@@ -30,8 +28,8 @@ from services.runtime.loop.realtime import (
     use_huge_pages,
 )
 from services.runtime.security.private_files import check_rig_name
-from services.runtime.settings.config import read_yaml, validate
-from services.runtime.settings.scenario import load_scenario
+from services.runtime.settings.scenario import RealtimeConfig, load_scenario
+from services.runtime.wiring.participant import Participant, StopSignals, open_participant, run_loop
 from services.signals.children import die_with_parent
 
 C = TypeVar("C", bound=BaseModel)
@@ -113,11 +111,6 @@ def parse_arguments(name: str, sites: Sequence[str], arguments: Sequence[str] | 
     parser.add_argument("--rig", metavar="NAME", help=about)
     parser.add_argument("--with-parent", action="store_true", help="stop when the process that started this one ends")
     return parser.parse_args(arguments, namespace=NodeArguments())
-
-
-def load_site(path: Path) -> AddressBook:
-    """Read a site file; ConfigError names file and key."""
-    return validate(AddressBook, read_yaml(path), str(path))
 
 
 def run_node(kind: NodeKind[C], arguments: Sequence[str] | None = None) -> int:
