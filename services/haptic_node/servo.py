@@ -9,8 +9,10 @@ waits. Between processes both cross in a `Slot` of shared memory each.
 import math
 import struct
 import zlib
-from functools import cache
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast, get_type_hints
+from operator import methodcaller
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import msgspec
 
 from services.haptic_node.coupling import (
     GATE_REST,
@@ -22,7 +24,7 @@ from services.haptic_node.coupling import (
     coupling_at_start,
     coupling_step,
 )
-from services.haptic_node.driver import UPRIGHT, Capabilities, Pair, Quaternion
+from services.haptic_node.driver import UPRIGHT, Capabilities, Quaternion
 
 # An error is a sentence of at most so many bytes.
 ERROR_BYTES = 240
@@ -170,38 +172,15 @@ class Servo:
             answered=0 if command is None else command.counter,
             late=self._late,
             worst_s=self._worst_s,
-            error=sample.error,
+            error=sample.error.encode()[:ERROR_BYTES].decode(errors="replace"),
         )
 
 
 T = TypeVar("T", bound=tuple[Any, ...])
-_CODES = {float: "d", int: "q", bool: "?", str: f"{ERROR_BYTES}s", Vector: "3d", Pair: "2d", Quaternion: "4d"}
-
-
-@cache
-def _fields(kind: Any) -> tuple[Any, ...]:
-    return tuple(get_type_hints(kind).values())
-
-
-def _format(kind: Any) -> str:
-    code = _CODES.get(kind)
-    return "".join(_format(field) for field in _fields(kind)) if code is None else code
-
-
-def _flat(value: Any) -> list[Any]:
-    if isinstance(value, tuple):
-        return [item for part in value for item in _flat(part)]
-    return [value.encode()[:ERROR_BYTES] if isinstance(value, str) else value]
-
-
-def _built(kind: Any, values: Any) -> Any:
-    if kind is str:
-        return next(values).rstrip(b"\0").decode(errors="replace")
-    if kind in (float, int, bool):
-        return next(values)
-    if kind in _CODES:
-        return tuple(next(values) for _ in range(int(_CODES[kind][0])))
-    return kind(*(_built(field, values) for field in _fields(kind)))
+# checksum and length of what follows
+_HEAD = struct.Struct("<II")
+# A device may give numbers of numpy.
+_encode = msgspec.msgpack.Encoder(enc_hook=methodcaller("item")).encode
 
 
 class Slot(Generic[T]):
@@ -211,23 +190,25 @@ class Slot(Generic[T]):
     stores otherwise, and also where the writer died in the middle.
     """
 
+    # Twice what a sample with the longest error takes [bytes].
+    size = 1024
+
     def __init__(self, kind: type[T]) -> None:
-        self._kind = kind
-        self._struct = struct.Struct("<" + _format(kind))
-        self.size = self._struct.size + 4
+        self._decode = msgspec.msgpack.Decoder(kind).decode
         self._last: T | None = None
 
     def write(self, memory: memoryview, value: T) -> None:
         """Write a value into the first `size` bytes of memory."""
-        packed = self._struct.pack(*_flat(value))
-        memory[: self.size] = packed + zlib.crc32(packed, 1).to_bytes(4, "little")
+        packed = _encode(value)
+        memory[: _HEAD.size + len(packed)] = _HEAD.pack(zlib.crc32(packed, 1), len(packed)) + packed
 
     def read(self, memory: memoryview) -> T | None:
         """Return the newest whole value; the one before while another is written; None before the first."""
         for _ in range(3):
             whole = bytes(memory[: self.size])
-            packed, check = whole[:-4], whole[-4:]
-            if zlib.crc32(packed, 1).to_bytes(4, "little") == check:
-                self._last = cast(T, _built(self._kind, iter(self._struct.unpack(packed))))
+            check, length = _HEAD.unpack_from(whole)
+            packed = whole[_HEAD.size : _HEAD.size + length]
+            if zlib.crc32(packed, 1) == check:
+                self._last = self._decode(packed)
                 break
         return self._last

@@ -46,12 +46,12 @@ _NOWHERE = (0.0, 0.0, 0.0)
 class SharedServo:
     """The memory of both processes: a command, a sample, and a byte of flags, over any writable buffer of `SIZE`."""
 
-    SIZE = Slot(ServoCommand).size + Slot(ServoSample).size + 1
+    SIZE = 2 * Slot.size + 1
 
     def __init__(self, buffer: Any) -> None:
         self._buffer, whole = buffer, memoryview(buffer)
         self._command, self._sample = Slot(ServoCommand), Slot(ServoSample)
-        self._places = whole[: self._command.size], whole[self._command.size : -1]
+        self._places = whole[: Slot.size], whole[Slot.size : -1]
         self._flags = whole[-1:]
         self._seen = b""
         self._newest: ServoCommand | None = None
