@@ -46,7 +46,7 @@ from services.afm_node.section_config import (
     SpringConfig,
     TipSampleConfig,
 )
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, filled
 from services.runtime.settings.device_drivers import Drivers
 
 if TYPE_CHECKING:
@@ -328,17 +328,14 @@ class _OwnSections(Settings):
             ValueError: The values admit no model; the message names value and unit.
         """
         t, c, s = self.tip_sample, self.cantilever, self.safety
-        properties = TipSampleProperties(
+        properties = filled(
+            TipSampleProperties,
+            t,
             radius_m=t.tip_radius_m,
-            hamaker_j=t.hamaker_j,
-            sigma_m=t.sigma_m,
-            work_of_adhesion_j_per_m2=t.work_of_adhesion_j_per_m2,
             reduced_modulus_pa=reduced_modulus_pa(
                 t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson
             ),
-            liquid_energy_j_per_m2=t.liquid_energy_j_per_m2,
             meniscus_radius_m=t.effective_meniscus_radius_m,
-            break_distance_m=t.break_distance_m,
             reading=AS_PRINTED if self.mode == "as_printed" else CONSISTENT,
             meniscus=self.meniscus,
         )

@@ -12,7 +12,7 @@ from services.controller.lateral import (
     LateralParams,
     MotionParams,
 )
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, filled
 
 MODES = ("direct", "rate", "position")
 Place = Annotated[float, Field(ge=-1e-3, le=1e-3)]
@@ -117,24 +117,10 @@ class LateralConfig(Settings):
             dead_zone_m=self.dead_zone_m if is_rate else 0.0,
             speed_m_per_s=self.speed_m_per_s if is_rate else self.position_speed_m_per_s,
         )
-        feel = FeelParams(
-            force_scale=self.force_scale,
-            max_force_n=self.max_force_n,
-            force_rate_n_per_s=self.force_rate_n_per_s,
-            centring_n_per_m=self.centring_n_per_m if is_rate else 0.0,
-            damping_n_s_per_m=self.damping_n_s_per_m,
-            pulse_n=self.pulse_n,
-            pulse_s=self.pulse_s,
-            contact_n=self.contact_n,
-            lost_way_m=self.lost_way_m,
-            granted_j=self.granted_j,
-            store_j=self.store_j,
-        )
-        guide, disc, depth = self.guide, self.disc, self.depth
         return LateralParams(
             motion,
-            feel,
-            GuideParams(**guide.model_dump()),
-            DiscParams(**disc.model_dump()),
-            DepthParams(**depth.model_dump()),
+            filled(FeelParams, self, centring_n_per_m=self.centring_n_per_m if is_rate else 0.0),
+            filled(GuideParams, self.guide),
+            filled(DiscParams, self.disc),
+            filled(DepthParams, self.depth),
         )

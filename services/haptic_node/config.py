@@ -18,7 +18,7 @@ from services.haptic_node.physics.disturbances import HandDisturbanceConfig
 from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.haptic_node.physics.motor import SUBSTEP_S, MotorParams, closed_loop_coefficients
 from services.haptic_node.safety import SafetyParams
-from services.runtime.settings.config import Settings, validate
+from services.runtime.settings.config import Settings, filled, validate
 from services.runtime.settings.device_drivers import Drivers
 
 # E1: the printed gain gives a bandwidth of 1.318 Hz, the printed bandwidth of 30 Hz needs the other gain.
@@ -96,19 +96,8 @@ class DeviceConfig(Settings):
         return self
 
     def to_params(self) -> MotorParams:
-        own_gain = self.servo_gain_v_per_m
-        return MotorParams(
-            speed_gain_rad_per_s_v=self.speed_gain_rad_per_s_v,
-            screw_m_per_rad=self.screw_m_per_rad,
-            time_constant_s=self.time_constant_s,
-            servo_gain_v_per_m=SERVO_GAINS_V_PER_M[self.preset] if own_gain is None else own_gain,
-            friction_torque_n_m=self.friction_torque_n_m,
-            armature_resistance_ohm=self.armature_resistance_ohm,
-            voltage_limit_v=self.voltage_limit_v,
-            torque_limit_n_m=self.torque_limit_n_m,
-            position_min_m=self.position_min_m,
-            position_max_m=self.position_max_m,
-        )
+        gain = self.servo_gain_v_per_m
+        return filled(MotorParams, self, servo_gain_v_per_m=SERVO_GAINS_V_PER_M[self.preset] if gain is None else gain)
 
 
 class LimitsConfig(Settings):
@@ -142,15 +131,7 @@ class LimitsConfig(Settings):
         return self
 
     def to_params(self, *, has_position_mode: bool, has_force_mode: bool) -> SafetyParams:
-        return SafetyParams(
-            command_deadline_s=self.command_deadline_s,
-            position_min_m=self.position_min_m,
-            position_max_m=self.position_max_m,
-            max_speed_m_per_s=self.max_speed_m_per_s,
-            max_force_n=self.max_force_n,
-            has_position_mode=has_position_mode,
-            has_force_mode=has_force_mode,
-        )
+        return filled(SafetyParams, self, has_position_mode=has_position_mode, has_force_mode=has_force_mode)
 
 
 class SerialConfig(Settings):

@@ -17,7 +17,7 @@ from services.haptic_node.physics.lateral_hand import LateralPoint
 from services.haptic_node.physics.operator import OperatorParams
 from services.haptic_node.physics.reacting import ReactingParams
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, filled
 
 # From no force to the greatest one takes so long at least [s].
 _FULL_FORCE_S = 0.01
@@ -124,21 +124,15 @@ class CouplingConfig(Settings):
         side = self.lateral_damping_n_s_per_m
         side = 0.1 * damping if side is None else side
         most = device.max_force_n if self.max_force_n is None else min(self.max_force_n, device.max_force_n)
-        return CouplingSettings(
+        return filled(
+            CouplingSettings,
+            self,
             stiffness_n_per_m=(self.lateral_stiffness_n_per_m, self.lateral_stiffness_n_per_m, stiffness),
             damping_n_s_per_m=(side, side, damping),
             max_force_n=most,
             max_slew_n_per_s=most / _FULL_FORCE_S if self.max_slew_n_per_s is None else self.max_slew_n_per_s,
-            velocity_filter_hz=self.velocity_filter_hz,
             needs_deadman=bool(device.deadman) if self.needs_deadman is None else self.needs_deadman,
-            silence_s=self.silence_s,
-            deadman_age_s=self.deadman_age_s,
-            rest_s=self.rest_s,
-            rest_m=self.rest_m,
-            jump_m=self.jump_m,
-            frozen_s=self.frozen_s,
             frozen_force_n=min(_FROZEN_N, 0.1 * most) if self.frozen_force_n is None else self.frozen_force_n,
-            runaway_m_per_s=self.runaway_m_per_s,
         )
 
     def bounds(self, device: Capabilities) -> Bounds:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
 from services.haptic_node.physics.reacting import ReactingParams
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, filled
 
 
 class ForcePoint(Settings):
@@ -132,16 +132,15 @@ class ImpedanceConfig(Settings):
     def to_params(self) -> OperatorParams:
         arm = ARMS[self.arm]
         k, b, m = self.stiffness_n_per_m, self.damping_n_s_per_m, self.mass_kg
-        return OperatorParams(
+        return filled(
+            OperatorParams,
+            self,
             kind=IMPEDANCE,
             times_s=np.array([point.time_s for point in self.path]),
             values=np.array([point.position_m for point in self.path]),
             stiffness_n_per_m=arm.stiffness_n_per_m if k is None else k,
             damping_n_s_per_m=arm.damping_n_s_per_m if b is None else b,
             mass_kg=arm.mass_kg if m is None else m,
-            pad_stiffness_n_per_m=self.pad_stiffness_n_per_m,
-            pad_damping_n_s_per_m=self.pad_damping_n_s_per_m,
-            max_force_n=self.max_force_n,
         )
 
 
@@ -193,18 +192,12 @@ class ReactingConfig(Settings):
 
     def to_params(self) -> ReactingParams:
         draw = Random(self.seed)
-        return ReactingParams(
+        return filled(
+            ReactingParams,
+            self,
             times_s=np.array([point.time_s for point in self.points]),
             values=np.array([point.force_n for point in self.points]),
-            reaction_time_s=self.reaction_time_s,
-            answer_s=self.answer_s,
-            still_m_per_s=self.still_m_per_s,
-            gain=self.gain,
-            noise=self.noise,
             errors=np.array([draw.gauss(0.0, 1.0) for _ in range(_DRAWS)]),
-            tolerance_n=self.tolerance_n,
-            rate_n_per_s=self.rate_n_per_s,
-            max_force_n=self.max_force_n,
         )
 
 

@@ -41,7 +41,9 @@ from services.controller.law import (
     law_of,
     port_signal,
 )
-from services.controller.laws.shared.pass_through import measured
+from services.controller.laws.shared.pass_through import SlaveState
+from services.controller.laws.shared.pass_through import slave_send as slave_send
+from services.controller.laws.shared.pass_through import slave_start as slave_start
 from services.controller.laws.shared.surface import (
     KAPPA_UNIT,
     NANO,
@@ -161,12 +163,6 @@ class MasterState(NamedTuple):
     store_j: float
     injected_j: float
     dissipated_j: float
-
-
-class SlaveState(NamedTuple):
-    """The base reference [m]."""
-
-    position_m: float
 
 
 @compiled
@@ -309,12 +305,6 @@ def master_receive(
 
 
 @compiled
-def slave_start(params: ModelMediatedParams, tip: TipMeasurement) -> SlaveState:
-    """Start at the position of the base."""
-    return SlaveState(tip.base_position_m)
-
-
-@compiled
 def slave_receive(
     params: ModelMediatedParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, SlaveReference]:
@@ -332,14 +322,6 @@ def slave_receive(
     start = followed(p, state.position_m, tip)
     base = start + min(signal.position_m - start, p.position_scale * reach)
     return SlaveState(base), SlaveReference(base, True)
-
-
-@compiled
-def slave_send(
-    params: ModelMediatedParams, state: SlaveState, tip: TipMeasurement, dt: float
-) -> tuple[SlaveState, PortSignal]:
-    """Send the measured state of the tip: the sample that the model is fitted to."""
-    return state, measured(tip)
 
 
 @compiled

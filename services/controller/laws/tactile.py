@@ -28,9 +28,12 @@ from services.controller.law import (
     law_of,
     port_signal,
 )
+from services.controller.laws.shared.pass_through import SlaveState
+from services.controller.laws.shared.pass_through import slave_start as slave_start
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, ScaledConfig, bounded
 from services.controller.ranges import DampingOrNoneNSPerM, MassKg, PositionScale, StiffnessNPerM
 from services.numerics.compiled import compiled
+from services.runtime.settings.config import filled
 
 # The wire can carry so much [N].
 _MOST_N = 1e6
@@ -89,10 +92,9 @@ class TactileConfig(ScaledConfig):
             self.cantilever_damping_n_s_per_m,
             self.cantilever_stiffness_n_per_m,
         )
-        return TactileParams(
-            position_scale=self.position_scale,
-            force_scale=self.force_scale,
-            silence_limit_s=self.silence_limit_s,
+        return filled(
+            TactileParams,
+            self,
             period_s=period_s,
             stiffness_n_per_m=self.cantilever_stiffness_n_per_m,
             by_impedance=self.scaling == "impedance",
@@ -111,12 +113,6 @@ class MasterState(NamedTuple):
     zeta_m: float
     speed_m_per_s: float
     force_n: float
-
-
-class SlaveState(NamedTuple):
-    """Where the base was when the law began [m]: it stays there unless a program moves it."""
-
-    position_m: float
 
 
 @compiled
@@ -171,12 +167,6 @@ def master_receive(
     reference = bounded(state.hand_m + (signal.position_m - tip) / params.position_scale, FARTHEST_M)
     state = MasterState(hand_m=state.hand_m, tip_m=tip, touched=True, zeta_m=zeta, speed_m_per_s=speed, force_n=shown)
     return state, MasterReference(reference, 0.0, shown, True)
-
-
-@compiled
-def slave_start(params: TactileParams, tip: TipMeasurement) -> SlaveState:
-    """Start with the base where it is."""
-    return SlaveState(tip.base_position_m)
 
 
 @compiled

@@ -23,6 +23,7 @@ from services.controller.laws.shared.virtual_mass import (
 )
 from services.controller.ranges import DampingOrNoneNSPerM, Gain, MassKg, StiffnessOrNoneNPerM
 from services.numerics.compiled import compiled
+from services.runtime.settings.config import filled
 
 
 class VirtualImpedanceParams(NamedTuple):
@@ -46,14 +47,8 @@ class ImpedanceConfig(ScaledConfig):
 
     def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
         """Return the constants of the impedance for a period [s] of the hand."""
-        return VirtualImpedanceParams(
-            force_gain=self.force_gain,
-            position_scale=self.position_scale,
-            force_scale=self.force_scale,
-            silence_limit_s=self.silence_limit_s,
-            period_s=period_s,
-            impedance=exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s),
-        )
+        step = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
+        return filled(VirtualImpedanceParams, self, period_s=period_s, impedance=step)
 
 
 class VirtualImpedanceConfig(ImpedanceConfig):

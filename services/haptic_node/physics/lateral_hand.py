@@ -32,7 +32,7 @@ from pydantic import Field, model_validator
 
 from services.haptic_node.physics.operator import interpolate
 from services.numerics.compiled import compiled
-from services.runtime.settings.config import Settings
+from services.runtime.settings.config import Settings, filled
 
 Array = NDArray[np.float64]
 Across = Annotated[float, Field(ge=-0.5, le=0.5)]
@@ -86,17 +86,7 @@ class LateralHandConfig(Settings):
         """Return the constants of the step."""
         columns = np.array([(point.time_s, point.x_m, point.y_m) for point in self.path], np.float64).reshape(-1, 3)
         times, x, y = (np.ascontiguousarray(column) for column in columns.T)
-        return LateralHandParams(
-            self.mass_kg,
-            self.damping_n_s_per_m,
-            self.free_damping_n_s_per_m,
-            self.reach_m,
-            self.max_force_n,
-            self.stiffness_n_per_m,
-            times,
-            x,
-            y,
-        )
+        return filled(LateralHandParams, self, times_s=times, path_x_m=x, path_y_m=y)
 
 
 class LateralHandParams(NamedTuple):

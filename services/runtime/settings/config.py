@@ -5,7 +5,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin
+from typing import Any, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
@@ -15,6 +15,7 @@ from proto.errors import ConfigError, RefusedError, known_names, probably_meant
 from services.runtime.untrusted.yaml_text import LARGEST_BYTES, YamlError, yaml_value
 
 M = TypeVar("M", bound=BaseModel)
+T = TypeVar("T", bound=tuple[Any, ...])
 
 ENVIRONMENT_PREFIX = "TELENANO__"
 # Set to anything, it lets a scenario name code: a function of a sample, a library of a device.
@@ -34,6 +35,13 @@ class Settings(BaseModel):
     """The base of settings: frozen and strict, without unknown keys and without infinite numbers."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+def filled(kind: type[T], settings: BaseModel, /, **others: Any) -> T:
+    """Return constants of a NamedTuple: `others`, and of the settings what they have by the same name."""
+    fields: tuple[str, ...] = cast(Any, kind)._fields
+    own = {name: getattr(settings, name) for name in fields if name in type(settings).model_fields}
+    return kind(**{**own, **others})
 
 
 def refused_code(setting: str, named: str) -> str:

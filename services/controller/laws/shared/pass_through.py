@@ -13,19 +13,6 @@ class SlaveState(NamedTuple):
 
 
 @compiled
-def measured(tip: TipMeasurement) -> PortSignal:
-    """Return the signal that carries the measured state of the tip."""
-    return port_signal(
-        position_m=tip.base_position_m,
-        force_n=tip.force_n,
-        separation_m=tip.separation_m,
-        separation_valid=tip.separation_valid,
-        in_contact=tip.in_contact,
-        active=tip.following,
-    )
-
-
-@compiled
 def slave_start(params: object, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     return SlaveState(tip.base_position_m)
@@ -41,5 +28,12 @@ def slave_receive(
 
 @compiled
 def slave_send(params: object, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
-    """Send the measured force back."""
-    return state, measured(tip)
+    """Send the measured state of the tip back."""
+    return state, port_signal(
+        position_m=tip.base_position_m,
+        force_n=tip.force_n,
+        separation_m=tip.separation_m,
+        separation_valid=tip.separation_valid,
+        in_contact=tip.in_contact,
+        active=tip.following,
+    )

@@ -12,13 +12,14 @@ exact energy.
 
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from proto.topics import deadline_of
 from services.controller.discretisation import exact_discretisation
 from services.controller.law import HandSample, PortSignal, TipMeasurement
 from services.controller.ranges import DampingNSPerM, ForceScale, MassKg, PositionScale, TimeS
 from services.numerics.compiled import compiled
+from services.runtime.settings.config import Settings, filled
 
 # No hand and no tip comes so far; in an unstable loop a reference stays finite here.
 FARTHEST_M, FASTEST_M_PER_S = 1e6, 1e9
@@ -52,10 +53,8 @@ class Mass(NamedTuple):
     coupled: bool
 
 
-class ScaledConfig(BaseModel):
+class ScaledConfig(Settings):
     """The parameters that every law has."""
-
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
     position_scale: PositionScale = Field(
         default=1.5e-6, description="alpha_p, metres at the tip per metre at the hand"
@@ -77,10 +76,9 @@ class MassConfig(ScaledConfig):
         """Return the constants for a period [s]; line_n_s_per_m: a damper [N s/m] of the law that acts on the mass."""
         damping = self.damping_n_s_per_m + line_n_s_per_m
         step = exact_discretisation(self.mass_kg, damping, 0.0, period_s)
-        return MassParams(
-            position_scale=self.position_scale,
-            force_scale=self.force_scale,
-            silence_limit_s=self.silence_limit_s,
+        return filled(
+            MassParams,
+            self,
             period_s=period_s,
             phi_xv_s=step.phi_xv,
             phi_vv=step.phi_vv,
