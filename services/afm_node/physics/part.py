@@ -41,6 +41,21 @@ def inputs_at(base_m: float, x_m: float, y_m: float) -> PlantInputs:
     return PlantInputs(base_m, x_m, y_m, 0.0, 0.0, 0.0, 0.0, 0)
 
 
+@compiled
+def inputs_over(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInputs:
+    """Return inputs over a surface that is higher by raised_m [m], with the base further away by away_m [m]."""
+    return PlantInputs(
+        base_m=inputs.base_m - away_m,
+        x_m=inputs.x_m,
+        y_m=inputs.y_m,
+        height_m=inputs.height_m + raised_m,
+        voltage_v=inputs.voltage_v,
+        amplitude_m=inputs.amplitude_m,
+        temperature_k=inputs.temperature_k,
+        seed=inputs.seed,
+    )
+
+
 class AfmSample(NamedTuple):
     """What the device reports for one base position.
 
@@ -131,6 +146,28 @@ def motion_of(params: Any) -> Motion | None:
     """Return the motion that the part with these parameters has between two steps, None where it has none."""
     motion = part_of(params).motion
     return None if motion is None else motion(params)
+
+
+def motion_around(
+    params: Any, within: str, inputs_of: Callable[[Any, Any, PlantInputs], PlantInputs] | None = None
+) -> Motion | None:
+    """Return the motion of a part that has another one within; None where that has none.
+
+    Args:
+        params: The parameters of the part.
+        within: The field of its parameters, and of its state, that has the part within.
+        inputs_of: Returns what acts on the part within, by parameters, state and inputs; None: the inputs themselves.
+    """
+    inner = motion_of(getattr(params, within))
+    if inner is None:
+        return None
+
+    def settle(params: Any, state: Any, inputs: PlantInputs) -> tuple[Any, bool]:
+        given = inputs if inputs_of is None else inputs_of(params, state, inputs)
+        after, goes_on = inner.settle(getattr(params, within), getattr(state, within), given)
+        return state._replace(**{within: after}), goes_on
+
+    return Motion(settle, lambda state: inner.oscillation(getattr(state, within)))
 
 
 # The parameters choose the step of their part, in plain Python and in compiled code.

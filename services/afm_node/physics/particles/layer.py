@@ -15,18 +15,18 @@ from services.afm_node.physics.cantilever import Plant
 from services.afm_node.physics.part import (
     AfmSample,
     Motion,
-    Oscillation,
     Part,
     Particles,
     PlantInputs,
-    motion_of,
+    inputs_over,
+    motion_around,
     part_start,
     part_step,
     register,
 )
 from services.afm_node.physics.particles.push import RADIUS, RESTED, X, Y, height_m, packed, tick
 from services.afm_node.physics.particles.tip_shape import Spring, TipShape
-from services.afm_node.physics.sample.surface import Surface, height_at
+from services.afm_node.physics.sample.surface import PLANE, Surface, height_over_middle
 from services.numerics.compiled import compiled
 
 Array = npt.NDArray[np.float64]
@@ -51,9 +51,6 @@ class ParticleLayerParams(NamedTuple):
     volts_per_m: float
 
 
-_PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
-
-
 class ParticleLayerState(NamedTuple):
     """Of the part within; the particles; place at the last step [m]; raised_m and lift_n: what they do to the tip."""
 
@@ -69,35 +66,14 @@ def particle_layer(
     within: Any, surface: Surface | None, tip: TipShape, spring: Spring, fixed: Array, start: Array, plant: Plant
 ) -> ParticleLayerParams:
     """Return the parameters of particles around a part over a surface, None for a plane; plant is its cantilever."""
-    seen = _PLANE if surface is None or not surface.height_m.any() else surface
+    seen = PLANE if surface is None or not surface.height_m.any() else surface
     model, rest_m = packed(tip, spring), plant.rest_distance_m
-    return ParticleLayerParams(
-        within, seen, seen is _PLANE, model, tip, spring, fixed, start, rest_m, plant.volts_per_m
-    )
+    return ParticleLayerParams(within, seen, seen is PLANE, model, tip, spring, fixed, start, rest_m, plant.volts_per_m)
 
 
 @compiled
 def _ground(params: ParticleLayerParams, x_m: float, y_m: float) -> float:
-    if params.is_plane:
-        return 0.0
-    surface = params.surface
-    rows, columns = surface.height_m.shape
-    x, y = x_m + 0.5 * (surface.step_x_m * columns), y_m + 0.5 * (surface.step_y_m * rows)
-    return float(height_at(surface.height_m, surface.step_x_m, surface.step_y_m, x, y)[0])
-
-
-@compiled
-def _within(inputs: PlantInputs, raised_m: float, away_m: float) -> PlantInputs:
-    return PlantInputs(
-        base_m=inputs.base_m - away_m,
-        x_m=inputs.x_m,
-        y_m=inputs.y_m,
-        height_m=inputs.height_m + raised_m,
-        voltage_v=inputs.voltage_v,
-        amplitude_m=inputs.amplitude_m,
-        temperature_k=inputs.temperature_k,
-        seed=inputs.seed,
-    )
+    return 0.0 if params.is_plane else height_over_middle(params.surface, x_m, y_m)[0]
 
 
 @compiled
@@ -127,7 +103,7 @@ def _step(
     raised = max(apex - ground, 0.0)
     # A tip that particles hold up has their force from the surface that is raised under it.
     lift = 0.0 if raised > 0.0 else contact.lift_n
-    within, sample = part_step(params.within, state.within, _within(inputs, raised, lift / k), dt)
+    within, sample = part_step(params.within, state.within, inputs_over(inputs, raised, lift / k), dt)
     after = ParticleLayerState(within, moving, inputs.x_m, inputs.y_m, raised, lift)
     return after, AfmSample(
         base_m=inputs.base_m,
@@ -147,26 +123,16 @@ def _start(params: ParticleLayerParams, inputs: PlantInputs) -> ParticleLayerSta
     ground = _ground(params, inputs.x_m, inputs.y_m)
     apex = height_m(params.tip, params.fixed, params.start, inputs.x_m, inputs.y_m)
     raised = max(apex - ground, 0.0)
-    within = part_start(params.within, _within(inputs, raised, 0.0))
+    within = part_start(params.within, inputs_over(inputs, raised, 0.0))
     return ParticleLayerState(within, params.start, inputs.x_m, inputs.y_m, raised, 0.0)
 
 
+def _inputs_of(params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs) -> PlantInputs:
+    return inputs_over(inputs, state.raised_m, state.lift_n / params.spring.normal_n_per_m)
+
+
 def _motion(params: ParticleLayerParams) -> Motion | None:
-    inner = motion_of(params.within)
-    if inner is None:
-        return None
-
-    def settle(
-        params: ParticleLayerParams, state: ParticleLayerState, inputs: PlantInputs
-    ) -> tuple[ParticleLayerState, bool]:
-        away_m = state.lift_n / params.spring.normal_n_per_m
-        within, goes_on = inner.settle(params.within, state.within, _within(inputs, state.raised_m, away_m))
-        return state._replace(within=within), goes_on
-
-    def oscillation(state: ParticleLayerState) -> Oscillation:
-        return inner.oscillation(state.within)
-
-    return Motion(settle, oscillation)
+    return motion_around(params, "within", _inputs_of)
 
 
 def _particles(params: ParticleLayerParams, state: ParticleLayerState) -> Particles:

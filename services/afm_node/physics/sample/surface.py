@@ -43,6 +43,10 @@ class Surface(NamedTuple):
         return self.step_y_m * int(self.height_m.shape[0])
 
 
+# a plane at height 0
+PLANE = Surface(np.zeros((2, 2)), 1.0, 1.0)
+
+
 @compiled
 def height_at(
     height_m: Heights, step_x_m: float, step_y_m: float, x_m: float, y_m: float
@@ -66,6 +70,15 @@ def height_at(
     slope_x = ((b - a) * (1.0 - v) + (d - c) * v) / step_x_m
     slope_y = ((c - a) * (1.0 - u) + (d - b) * u) / step_y_m
     return height, slope_x, slope_y
+
+
+@compiled
+def height_over_middle(surface: Surface, x_m: float, y_m: float) -> tuple[float, float, float]:
+    """Return height [m] and slopes at a place [m] whose 0, 0 is the middle of the map."""
+    rows, columns = surface.height_m.shape
+    x, y = x_m + 0.5 * (surface.step_x_m * columns), y_m + 0.5 * (surface.step_y_m * rows)
+    height, slope_x, slope_y = height_at(surface.height_m, surface.step_x_m, surface.step_y_m, x, y)
+    return float(height), float(slope_x), float(slope_y)
 
 
 def checked(height_m: npt.NDArray[np.generic], width_m: float, depth_m: float, *, may_lack: bool = False) -> Surface:
