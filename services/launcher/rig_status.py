@@ -167,6 +167,7 @@ def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dic
     return {
         **facts,
         **_facts(health, (*_HEALTH_FACTS, "replay")),
+        "period_s": health.period_s,
         "lateness_p99_s": health.lateness_p99_s if health.period_s else None,
         "oldest_input_s": oldest_input_s(health),
         "received": sum(row.received for row in health.inputs),

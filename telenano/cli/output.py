@@ -30,6 +30,8 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_IN
 from telenano.cli.tables import rows_table, summary_tables
 
 _PIPE_COLUMNS = 140
+# what to do where a rig does not reach its rate
+NO_ROOM = "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
@@ -164,6 +166,9 @@ def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, a
             typer.echo(line)
     if text := clock_warning(summary):
         typer.echo(f"telenano: warning: {text}", err=True)
+    missed, rate_hz = summary.get("overruns", 0), summary.get("rate_hz", {}).get("haptic/state", float("inf"))
+    if missed > 0.05 * rate_hz * summary.get("duration_s", 0.0):
+        typer.echo(f"telenano: warning: {missed} deadlines were missed at {rate_hz:.0f} Hz: {NO_ROOM}", err=True)
     for text in summary["recording"].get("odd", ()):
         typer.echo(f"telenano: warning: {text}", err=True)
     if missing := summary["recording"]["missing"]:
@@ -196,11 +201,7 @@ def own_command() -> str:
 
 
 def clock_warning(summary: Mapping[str, Any]) -> str:
-    """Return in words that the sites of a session have different clocks, or may have; empty if there is nothing to say.
-
-    Args:
-        summary: The summary of `analysis.report`.
-    """
+    """Return in words that the sites of a session have different clocks, or may have; empty where they agree."""
     clocks = summary.get("clocks")
     if clocks is None:
         return ""

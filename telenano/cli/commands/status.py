@@ -4,7 +4,7 @@ import contextlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.console import Group
@@ -19,24 +19,17 @@ from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.runtime.wiring.observer import Observer
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
-from telenano.cli.output import console, fail, print_json, report_errors
+from telenano.cli.output import NO_ROOM, console, fail, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
 
 _DEFAULT_S = 1.5
-_COLUMNS: dict[str, Literal["left", "right"]] = {
-    "node": "left",
-    "state": "left",
-    "up": "right",
-    "rate Hz": "right",
-    "late p99 ms": "right",
-    "overruns": "right",
-    "input age ms": "right",
-    "lost": "right",
-    "refused": "left",
-    "CPU %": "right",
-    "MB": "right",
-    "granted": "left",
-}
+_COLUMNS = (
+    "node", "state", "up", "rate Hz", "late p99 ms", "overruns", "input age ms", "lost", "refused", "CPU %", "MB",
+    "granted",
+)  # fmt: skip
+_LEFT = ("node", "state", "refused", "granted")
+# A node that takes less than this share of its steps is on a machine that has no room for them.
+_LEAST_SHARE = 0.95
 _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at a limit"}
 
 
@@ -107,12 +100,12 @@ def print_status(
 def status_tables(document: Mapping[str, Any]) -> Group:
     """Draw the state of a rig: the nodes, then a line for each of link, law, device, recorder and event."""
     table = Table()
-    for name, justify in _COLUMNS.items():
+    for name in _COLUMNS:
         # headings may wrap in a narrow terminal, names may not
-        table.add_column(name, justify=justify, no_wrap=name == "node")
+        table.add_column(name, justify="left" if name in _LEFT else "right", no_wrap=name == "node")
     for facts in document["nodes"]:
         cells = health_cells(facts) if facts["heard"] else {"state": Text("no report", "red")}
-        table.add_row(facts["node"], *(cells.get(name, Text("")) for name in list(_COLUMNS)[1:]))
+        table.add_row(facts["node"], *(cells.get(name, Text("")) for name in _COLUMNS[1:]))
     lines = Table.grid(padding=(0, 2))
     for facts in document["nodes"]:
         if facts["problem"]:
@@ -130,6 +123,11 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
             yield "clocks", Text(f"the slave's clock is {ahead_ms:.3f} ms ahead, ± {uncertainty_ms:.3f} ms")
     if about := document.get("rig"):
         yield "processors", Text(processors_text(about), "yellow" if about.get("behind") else "")
+    heard = [facts for facts in document["nodes"] if facts["heard"]]
+    slow = [facts for facts in heard if 0.0 < facts["rate_hz"] * facts["period_s"] < _LEAST_SHARE]
+    if slow:
+        reached = (f"{facts['node']} {facts['rate_hz']:.0f} of {1.0 / facts['period_s']:.0f} Hz" for facts in slow)
+        yield "machine", Text(f"{', '.join(reached)}: {NO_ROOM}", "yellow")
     for law in document["laws"]:
         yield f"law {law['src']}", _law_text(law)
     for hand in document["hand"]:

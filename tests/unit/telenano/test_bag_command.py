@@ -204,6 +204,20 @@ def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_
     ]
 
 
+@pytest.mark.parametrize(("overruns", "is_told"), [(350, False), (351, True)])
+def test_the_end_of_a_session_on_a_machine_without_room_names_the_key_that_helps(
+    capsys: pytest.CaptureFixture[str], overruns: int, is_told: bool
+) -> None:
+    # a twentieth of the steps that the hand took
+    spent = {"overruns": overruns, "rate_hz": {"haptic/state": 700.0, "afm/state": 690.0}, "duration_s": 10.0}
+    print_summary({**SUMMARY, **spent}, "s", brief=True, as_json=False)
+    told = (
+        f"telenano: warning: {overruns} deadlines were missed at 700 Hz: the machine is too busy for this "
+        "rate: end what else runs there, or give a lower realtime.rate_hz\n"
+    )
+    assert capsys.readouterr().err == (told if is_told else "")
+
+
 def test_what_is_missing_is_red() -> None:
     lost = {**SUMMARY["recording"], "complete": False, "missing": MISSING, "lost": 7}
     console = Console(width=100, force_terminal=True, color_system="standard", file=io.StringIO())

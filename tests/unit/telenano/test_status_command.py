@@ -240,8 +240,8 @@ def test_the_facts_of_a_node() -> None:
     assert facts == {
         "node": "afm_node@slave", "heard": True, "problem": None, "state": "running", "uptime_s": 3725.0,
         "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
-        "memory_locked": True, "replay": False, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002, "received": 20,
-        "lost": 4, "refused": {"topic": 2},
+        "memory_locked": True, "replay": False, "period_s": 0.001, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002,
+        "received": 20, "lost": 4, "refused": {"topic": 2},
     }  # fmt: skip
 
 
@@ -292,6 +292,21 @@ def test_a_rig_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
         "slave is not reached", "recording to x.mcap", "every node reports and none waits for anything",
     ):  # fmt: skip
         assert words in out, words
+
+
+@pytest.mark.parametrize(("rate_hz", "is_told"), [(474.0, True), (476.0, False), (0.0, False)])
+def test_a_machine_without_room_is_told_with_the_key_that_helps(
+    monkeypatch: pytest.MonkeyPatch, rate_hz: float, is_told: bool
+) -> None:
+    slow = [health(node, rate_hz=rate_hz, period_s=0.002) for node in ("haptic_node@master", "afm_node@slave")]
+    code, out, err = run(monkeypatch, *well(), *(each.model_copy(update={"t_ns": 2 * 10**9}) for each in slow))
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 140
+    told = (
+        "machine haptic_node@master 474 of 500 Hz, afm_node@slave 474 of 500 Hz: "
+        "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
+    )
+    assert (told in " ".join(out.split())) is is_told
 
 
 def test_a_rig_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
