@@ -91,11 +91,14 @@ def _installed() -> dict[str, dict[str, Plugin]]:
 
 def _other_version(package: Distribution) -> str:
     """Return that a package is for another version of telenano than this one, by what it requires; empty if not."""
+    own = version("telenano")
     for text in package.requires or ():
-        if text.startswith("telenano") and any(sign in text for sign in "<>=~!"):
+        # What `telenano new` writes is read without the library, whose import takes longer than all the other work.
+        usual = re.fullmatch(r"telenano(?:\[.*\])?==([\d.]+\.)\*", text)
+        if re.match(r"telenano[^-\w.]", text) and not (usual and own.startswith(usual[1])):
             from packaging.requirements import Requirement
 
-            needed, own = Requirement(text), version("telenano")
+            needed = Requirement(text)
             if needed.name == "telenano" and not needed.specifier.contains(own, prereleases=True):
                 return f"it needs telenano {needed.specifier}, and this is {own}: install its release for {own}"
     return ""
