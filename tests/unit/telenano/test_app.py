@@ -12,8 +12,11 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
+from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import RigError
 from services.runtime.wiring.main import node_kind, parse_arguments, run_node
+from telenano.cli.lazy_commands import GROUPS as HEADINGS
+from telenano.cli.lazy_commands import LAZY_COMMANDS, load
 from telenano.cli.root import app
 from telenano.cli.tables import rows_table
 
@@ -34,11 +37,22 @@ def run(*arguments: str) -> tuple[int, str, str]:
 
 
 COMMANDS = command_page.commands()
+GROUPS = command_page.groups(COMMANDS)
+# the commands of the project's packages that stand in no group
+OF_PACKAGES = [words for words in KNOWN_PACKAGES if " " not in words]
 
 
 def test_the_page_of_commands_is_that_of_their_options() -> None:
     text = command_page.PAGE.read_text(encoding="utf-8")
     assert command_page.with_page(text) == text, "renew it: make schemas"
+
+
+@pytest.mark.parametrize("path", sorted(GROUPS))
+def test_a_group_lists_its_commands_with_whole_sentences(path: str) -> None:
+    code, out, _ = run(*path.split()[1:], "--help")
+    assert code == 0
+    listed = out.partition("Commands:")[2]
+    assert "..." not in listed
 
 
 def test_results_go_below_out_where_no_folder_is_given() -> None:
@@ -50,6 +64,12 @@ def test_results_go_below_out_where_no_folder_is_given() -> None:
     }
     assert {path: place for path, place in places.items() if Path(place).parts[:1] != ("out",)} == {}
     assert {"telenano link probe", "telenano study advise"} <= set(places)
+
+
+def test_arguments_and_bounded_numbers_are_named_by_their_metavars() -> None:
+    assert "{FILE}..." in run("bag", "merge", "--help")[1]
+    assert "<x>=0>" not in run("up", "--help")[1]
+    assert "--port N " in run("view", "--help")[1]
 
 
 @pytest.mark.parametrize("path", sorted(COMMANDS))
@@ -68,8 +88,25 @@ def test_every_flag_has_a_help_text_and_a_unit_where_it_is_a_number(path: str) -
             assert re.search(r"\[m?s\]", text), f"{path} {parameter.name} has no unit"
 
 
+def test_help_lists_every_command_once() -> None:
+    assert sorted(name for names in HEADINGS.values() for name in names) == sorted([*LAZY_COMMANDS, *OF_PACKAGES])
+
+
 def test_version() -> None:
     assert run("--version")[:2] == (0, version("telenano") + "\n")
+
+
+def test_an_unknown_scenario_lists_the_known(tmp_path: Path) -> None:
+    code, out, err = run("up", "--scenario", "fig13", "--out", str(tmp_path))
+    assert (code, out) == (2, "")
+    assert "unknown scenario 'fig13': known are assembly, fig10, fig12" in err
+
+
+def test_a_missing_site_file_is_named(tmp_path: Path) -> None:
+    missing = str(tmp_path / "nowhere.yaml")
+    code, _, err = run("up", "--scenario", "fig12", "--site-file", missing)
+    assert code == 2
+    assert f"{missing}: cannot be read" in err
 
 
 def test_a_site_file_without_a_node_is_named(tmp_path: Path) -> None:
@@ -136,6 +173,13 @@ def test_a_senseless_duration_is_refused(tmp_path: Path, duration: str) -> None:
     code, _, err = run("up", "--scenario", "fig12", "--out", str(tmp_path / "out"), "--duration", duration)
     assert code == 2
     assert "duration" in err
+
+
+@pytest.mark.parametrize("delay", ["-1", "nan", "inf", "4e6"])
+def test_a_senseless_delay_is_refused(tmp_path: Path, delay: str) -> None:
+    code, _, err = run("up", "--scenario", "fig12", "--out", str(tmp_path / "out"), "--delay-ms", delay)
+    assert code == 2
+    assert "delay" in err
 
 
 @pytest.mark.parametrize("name", ["session.mcap", "session_2.mcap"])
@@ -251,6 +295,12 @@ def test_attaching_to_nobody_ends_at_its_limit(tmp_path: Path) -> None:
     )
 
 
+def test_an_unknown_node_lists_the_known() -> None:
+    code, _, err = run("node", "hand_node")
+    assert code == 2
+    assert "haptic_node" in err
+
+
 def test_a_node_gets_the_arguments_that_follow_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     result = subprocess.run(
         [sys.executable, "-c", "from telenano.cli.app import main; main()", "node", "recorder", "--help"],
@@ -284,3 +334,15 @@ def test_a_site_file_of_the_project_has_a_name(tmp_path: Path, monkeypatch: pyte
         assert site_file_named(path) == path
     (tmp_path / "two_sites").write_text("nodes: {}")
     assert site_file_named(Path("two_sites")) == Path("two_sites")
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_the_import_of_a_command_leaves_the_garbage_collector_as_it_was(
+    collects: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    states: list[bool] = []
+    monkeypatch.setattr("gc.isenabled", lambda: collects)
+    monkeypatch.setattr("gc.disable", lambda: states.append(False))
+    monkeypatch.setattr("gc.enable", lambda: states.append(True))
+    load("doctor")
+    assert states == ([False, True] if collects else [False])

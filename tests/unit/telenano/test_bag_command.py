@@ -1,5 +1,6 @@
 """The commands on recordings, as a person types them."""
 
+import io
 import json
 import re
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from typing import Any
 
 import pytest
 import typer
+from rich.console import Console
 from typer.testing import CliRunner
 
 from analysis.plot import Trace, draw
@@ -17,6 +19,7 @@ from telenano.cli.commands.bag import app
 from telenano.cli.commands.record import record
 from telenano.cli.commands.replay import parse_remap, replay
 from telenano.cli.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
+from telenano.cli.tables import summary_tables
 
 MakeFile = Callable[..., Path]
 commands = typer.Typer()
@@ -213,6 +216,16 @@ def test_the_end_of_a_session_on_a_machine_without_room_names_the_key_that_helps
         "rate: end what else runs there, or give a lower realtime.rate_hz\n"
     )
     assert capsys.readouterr().err == (told if is_told else "")
+
+
+def test_what_is_missing_is_red() -> None:
+    lost = {**SUMMARY["recording"], "complete": False, "missing": MISSING, "lost": 7}
+    console = Console(width=100, force_terminal=True, color_system="standard", file=io.StringIO())
+    console.print(summary_tables({"recording": lost}, "s"))
+    drawn = console.file.getvalue()
+    for text in ("no", *MISSING, "7"):
+        assert f"\x1b[31m{text}" in drawn
+    assert "\x1b[31m9" not in drawn
 
 
 def test_a_report_that_cannot_be_written_shows_its_summary_all_the_same(capsys: pytest.CaptureFixture[str]) -> None:

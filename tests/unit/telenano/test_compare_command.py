@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from analysis.compare import names_of, recordings_of
+from analysis.compare import names_of, recordings_of, sessions_in
 from proto.errors import ConfigError, RigError
 from telenano.cli import sweep
 from telenano.cli.root import app
@@ -61,6 +61,14 @@ def test_one_session_and_a_folder_without_one_are_refused(tmp_path: Path) -> Non
     assert RUNNER.invoke(app, ["compare", "a.mcap"]).exit_code == 2
     with pytest.raises(ConfigError, match=r"has no session\.mcap in it"):
         recordings_of(tmp_path)
+
+
+def test_the_results_of_a_sweep_beside_its_sessions_are_no_sessions(tmp_path: Path) -> None:
+    """`compare out/delay/*` gives the figure and the tables of the sweep with its folders."""
+    (tmp_path / "round_trip_ms=0").mkdir()
+    for name in ("compare.csv", "compare.json", "compare.png", "session.mcap"):
+        (tmp_path / name).touch()
+    assert [path.name for path in sessions_in(sorted(tmp_path.glob("*")))] == ["round_trip_ms=0", "session.mcap"]
 
 
 @pytest.mark.parametrize(

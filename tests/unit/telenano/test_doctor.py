@@ -76,6 +76,14 @@ def test_a_wrong_version_is_a_problem_also_in_an_extra(version: str) -> None:
     judged(packages(pymodbus=version)["pymodbus"], "problem", version, 'pip install "pymodbus<4,>=3.16.1"')
 
 
+def test_a_development_version_counts() -> None:
+    assert "msgpack" not in packages(msgpack="1.3.0rc1")
+
+
+def test_a_package_that_every_process_needs_must_be_there() -> None:
+    judged(packages(msgpack=None)["msgpack"], "problem", "not installed", "pip install msgpack")
+
+
 def test_extras_that_are_not_installed_are_information() -> None:
     found = packages(numba=None, h5py=None)
     assert set(found) == {"packages", "extras"}
@@ -151,6 +159,10 @@ def test_quota_of_the_control_group(
     assert checks.cpu_quota(groups, tmp_path / "membership") == quota
 
 
+def test_no_control_groups_are_no_quota(tmp_path: Path) -> None:
+    assert checks.cpu_quota(tmp_path, tmp_path / "missing") is None
+
+
 def test_fifo() -> None:
     judged(checks.check_fifo("", 0, "950000", container=False), "ok", "RLIMIT_RTPRIO 0", "950000")
     judged(checks.check_fifo("", -1, None, container=False), "ok", "unlimited", "unknown")
@@ -219,6 +231,10 @@ def test_clock_source(tmp_path: Path, current: str, available: str, level: str, 
     judged(checks.check_clock_source(folder), level, current, words)
 
 
+def test_a_clock_source_that_is_not_seen(tmp_path: Path) -> None:
+    judged(checks.check_clock_source(tmp_path), "ok", "not visible")
+
+
 def test_synchronised_clock() -> None:
     judged(checks.check_synchronised(None), "ok", "does not report")
     judged(checks.check_synchronised(KernelClock(True, 0.0123)), "ok", "12.3 ms")
@@ -267,6 +283,13 @@ def test_lateness_is_against_absolute_deadlines() -> None:
     late = checks.measure_lateness_s(4, 1.0, lambda: now_s, sleep)
     assert late == [0.25] * 4
     assert slept == [1.0, 0.75, 0.75, 0.75]
+
+
+def test_a_missed_deadline_is_not_slept_for() -> None:
+    times = iter([0.0, 5.0, 5.0])
+    slept: list[float] = []
+    assert checks.measure_lateness_s(1, 1.0, lambda: next(times), slept.append) == [4.0]
+    assert slept == [0.0]
 
 
 def test_timers() -> None:
@@ -402,6 +425,11 @@ def test_a_port_is_in_use_or_free(port: int) -> None:
     assert checks.probe_endpoint(f"tcp://127.0.0.1:{free}") == Endpoint("free")
 
 
+def test_an_address_of_another_machine() -> None:
+    # from the range that is reserved for documentation: no machine has it
+    assert checks.probe_endpoint("tcp://192.0.2.7:5555").state == "unusable"
+
+
 def test_an_address_that_cannot_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(*arguments: Any, **keywords: Any) -> Any:
         raise socket.gaierror(-2, "Name or service not known")
@@ -516,6 +544,13 @@ def test_a_project_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(doctor, "requires", unknown)
     [finding] = doctor.packages()
     judged(finding, "problem", "pip install -e .")
+
+
+def test_the_folder_of_compiled_code_is_the_one_in_use(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    finding = next(finding for finding in doctor.rig(DEFAULT_SITE_FILE) if finding.name == "compiled code")
+    judged(finding, "problem", str(tmp_path / "file" / "cache"))
 
 
 def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -95,6 +95,13 @@ def check_settings(target: str, words: list[str], folder: Path) -> None:
     make_plan(UpRequest(scenario="fig12", out=folder, settings=tuple(settings)), folder)
 
 
+def test_the_pages_have_commands_of_every_kind() -> None:
+    assert len(COMMANDS) > 50
+    assert {"up", "session", "link", "study", "bag", "replay", "report", "keys", "topic", "status", "doctor"} <= {
+        arguments[0] for _, arguments in COMMANDS
+    }
+
+
 @pytest.mark.parametrize(("page", "arguments"), COMMANDS, ids=[f"{p}: {' '.join(a)}" for p, a in COMMANDS])
 def test_a_documented_command_is_one_that_there_is(page: str, arguments: list[str], tmp_path: Path) -> None:
     context = context_of(arguments)

@@ -52,6 +52,21 @@ def in_the_way(tmp_path: Path) -> Path:
     return tmp_path / "file"
 
 
+def test_a_report_that_cannot_be_written_names_its_folder_and_shows_the_summary(
+    in_the_way: Path, recording_of: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = recording_of("fig12_wave")
+    cases = [(in_the_way, "File exists"), (in_the_way / "report", "Not a directory")]
+    for out, reason in cases:
+        code, table, err = run("report", session, "--out", out)
+        assert (code, err) == (1, f"telenano: {out}: cannot be written: {reason}\n")
+        assert "scenario" in table
+    monkeypatch.setattr("analysis.report.write_files", no_space)
+    code, table, err = run("report", session, "--out", in_the_way.with_name("out"))
+    assert code == 1 and "cannot be written: No space left on device" in err and "scenario" in table
+    assert in_the_way.read_text() == "kept"
+
+
 @pytest.mark.parametrize("kind", ["csv", "parquet", "hdf5", "mcap-json"])
 def test_an_export_that_cannot_be_written_names_its_target(make_file: MakeFile, in_the_way: Path, kind: str) -> None:
     for target in (in_the_way / "target", in_the_way / "deeper" / "target"):
@@ -65,6 +80,13 @@ def test_an_export_to_a_full_disk_says_so(make_file: MakeFile, tmp_path: Path, m
     for attempt in ("a", "b"):
         code, _, err = run("bag", "export", make_file(), "--to", "csv", "--out", tmp_path / attempt)
         assert (code, err) == (1, f"telenano: {tmp_path / attempt}: cannot be written: No space left on device\n")
+
+
+@pytest.mark.parametrize("command", ["filter", "recover", "merge"])
+def test_a_copy_below_a_file_is_not_called_one_that_exists(make_file: MakeFile, in_the_way: Path, command: str) -> None:
+    assert refused("bag", command, make_file(), "--out", in_the_way / "copy").startswith(
+        f"{in_the_way / 'copy'}: cannot be created: "
+    )
 
 
 # --- standard output ---

@@ -1,5 +1,6 @@
 """Single keys and a status line: on a terminal, and where there is none."""
 
+import io
 import os
 import select
 import sys
@@ -8,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from telenano.cli.keyboard import RawKeyboard
+from telenano.cli.keyboard import RawKeyboard, split_keys
 
 COLUMNS = 30
 
@@ -84,3 +85,17 @@ def test_a_status_line_replaces_the_one_before_whole(terminal: Callable[[], int]
         keys.show("second")
         # both lines of the first are erased
         assert shown(person, "second").count("\x1b[2K") == 2
+
+
+def test_without_a_terminal_there_is_no_key_and_no_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    stderr = io.StringIO()
+    monkeypatch.setattr(sys, "stdin", io.StringIO("q"))
+    monkeypatch.setattr(sys, "stderr", stderr)
+    with RawKeyboard() as keys:
+        keys.show("recording")
+        assert keys.pressed() == []
+    assert stderr.getvalue() == ""
+
+
+def test_keys_that_are_not_named_are_their_character() -> None:
+    assert split_keys(b"a\x1b[A\x1b[B+") == ["a", "up", "down", "+"]

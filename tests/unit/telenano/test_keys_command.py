@@ -87,6 +87,16 @@ def test_a_table_shows_whole_keys_and_how_they_stand(folder: Path) -> None:
         assert any({name, key, *here.split()} <= set(row) for row in rows), (name, rows)
 
 
+def test_a_role_is_needed_and_one_of_three(folder: Path) -> None:
+    code, _, err = run("allow", "slave", KEY)
+    assert code == 2
+    assert "--role" in err
+    code, _, err = run("allow", "slave", KEY, "--role", "admin")
+    assert code == 2
+    assert "admin" in err
+    assert not folder.exists()
+
+
 @pytest.mark.parametrize("by", ["slave", KEY])
 def test_a_key_is_revoked_for_ever_by_name_or_by_itself(folder: Path, by: str) -> None:
     run("allow", "slave", KEY, "--role", "data")

@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 from proto.errors import ConfigError
 from services.afm_node.programs.curve import CurveSettings
 from services.afm_node.programs.scan import ScanSettings
-from telenano.cli.model_options import validated, with_options
+from services.afm_node.programs.table import OWN_PROGRAMS
+from telenano.cli.model_options import GIVEN, options_of, validated, with_options
 
 RUNNER = CliRunner()
 
@@ -48,8 +49,25 @@ def test_what_is_given_arrives_in_si_units_and_what_is_not_is_left_to_the_model(
     assert calls[1] == {"last": 3}
 
 
+def test_the_help_has_unit_bounds_and_both_defaults() -> None:
+    app, _ = app_of(ScanSettings, ("x_m",))
+    text = " ".join(RUNNER.invoke(app, ["--help"], env={"COLUMNS": "300", "TERM": "dumb"}).output.split())
+    assert "Time on each pixel, each way [ms]; above 0 to 10000; default: 1; with --live 4." in text
+    assert "default: 5000 in tapping, 12500 in contact; with --live 400." in text
+    assert "Force that is held in contact mode [nN]; above -1e+06 to 1e+06; default: 5." in text
+    assert "--x " not in text
+    assert GIVEN not in text
+
+
 def test_a_value_that_the_model_refuses_is_named_by_its_option_and_unit() -> None:
     with pytest.raises(ConfigError, match=r"^--speed = -5 must be above 0 to 1e\+06 \[nm/s\]$"):
         validated(CurveSettings, {"speed_m_per_s": -5e-9})
     with pytest.raises(ConfigError, match=r"^--setpoint = 2 must be 0.05 to below 1$"):
         validated(ScanSettings, {"setpoint_share": 2.0}, {"setpoint_share": "--setpoint"})
+
+
+@pytest.mark.parametrize("name", OWN_PROGRAMS)
+def test_every_setting_of_every_program_can_be_an_option(name: str) -> None:
+    options = options_of(OWN_PROGRAMS[name].settings)
+    assert [option.field for option in options if option.kind is None] == []
+    assert app_of(OWN_PROGRAMS[name].settings)[0] is not None

@@ -1,5 +1,6 @@
 """Packages made by `telenano new` are laws, devices, operators and samples of the rig once they are installed."""
 
+import ast
 import json
 import os
 import re
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from proto.errors import ConfigError
+from services.afm_node.physics.part import AfmSample
 from telenano.cli.new_package import KINDS, new_package
 
 ROOT = Path(__file__).parents[3]
@@ -170,6 +172,10 @@ def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str
     assert found["state_survives"]
 
 
+def test_a_driver_is_imported_when_a_section_names_it(found: dict[str, Any]) -> None:
+    assert found["imported"] == [[], ["telenano_stub_handle"]]
+
+
 def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found: dict[str, Any]) -> None:
     assert found["forces"] == pytest.approx([0.5, 1.5], rel=1e-3)
     # 2 N/m over the layer of 1 nm, then 20 N/m
@@ -205,6 +211,20 @@ def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, An
     assert "sample_age_p50_s" not in found["monitor"][0]
 
 
+def test_a_driver_is_no_name_of_the_other_node(found: dict[str, Any]) -> None:
+    assert found["sections"] == {"core": 4 * [[]], "all": 2 * [["stub_handle"]] + 2 * [["stub_afm"]]}
+    section, driver, misspelt, soft = found["messages"]
+    assert section.startswith("file: afm_node.stub_handle: unknown key, known are ")
+    assert driver.startswith("file: afm_node.driver: Input should be 'simulated', 'modbus'")
+    assert driver.endswith(" or 'stub_afm', got 'stub_handle'")
+    assert misspelt.endswith(" or 'stub_afm', got 'stub_amf'; did you mean stub_afm?")
+    assert soft.startswith("file: afm_node.stub_afm.stiffness_n_per_m: Input should be a valid number")
+
+
+def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:
+    assert found["refused"] == ["filtered.filter_s", "layered.k"]
+
+
 @pytest.mark.parametrize(
     "compiled", [False, pytest.param(True, marks=[pytest.mark.endurance, pytest.mark.timeout(900)])]
 )
@@ -221,6 +241,14 @@ def test_every_package_passes_the_test_that_it_comes_with_as_it_is(compiled: boo
     done = subprocess.run(command, cwd=tmp_path, env={**os.environ, **paths}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"\b([8-9]|1[0-9]) passed", done.stdout), done.stdout
+
+
+def test_a_new_sample_gives_every_field_because_the_compiler_fills_in_none(tmp_path: Path) -> None:
+    new_package("sample", "layered", tmp_path / "p")
+    text = (tmp_path / "p" / "telenano_layered" / "__init__.py").read_text()
+    made = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    given = [len(call.args) for call in made if getattr(call.func, "id", "") == "AfmSample"]
+    assert given == [len(AfmSample._fields)]
 
 
 @pytest.mark.endurance

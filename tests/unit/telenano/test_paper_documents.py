@@ -1,11 +1,19 @@
 """The map of the paper and its errata: complete, and every function and command in it exists."""
 
+import importlib
 import re
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from proto.nodes import name_of
+from telenano.cli.rig_graph import edges
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
+SVG = "{http://www.w3.org/2000/svg}"
 SOURCES = [
     path for folder in ("services", "studies", "analysis", "recording") for path in (ROOT / folder).rglob("*.py")
 ]
@@ -31,6 +39,17 @@ def test_every_equation_that_the_code_cites_is_in_the_map() -> None:
     assert len(cited) > 10
     # the paper has 17 equations
     assert cited <= listed == set(range(1, 18))
+
+
+FUNCTIONS = sorted(
+    {name for row in rows("paper.md") for name in re.findall(r"`((?:services|studies)\.[a-zA-Z0-9_.]+)`", row[3])}
+)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_function_of_the_map_exists(name: str) -> None:
+    module, _, attribute = name.rpartition(".")
+    assert hasattr(importlib.import_module(module), attribute)
 
 
 def test_every_link_between_the_pages_leads_somewhere() -> None:
@@ -60,6 +79,22 @@ def anchors(page: Path) -> set[str]:
     return set(found)
 
 
+def test_the_diagram_of_the_architecture_is_the_graph_of_the_tables() -> None:
+    drawn = ElementTree.parse(DOCS / "architecture.svg").getroot()
+    arrows = {}
+    for group in drawn.iterfind(f"{SVG}g[@id]"):
+        assert group.find(f"{SVG}path") is not None
+        arrows[group.attrib["id"]] = " ".join(str(words.text) for words in group.iter(f"{SVG}tspan"))
+    topics: dict[str, list[str]] = {}
+    for edge in edges():
+        rate = f" {edge.rate_hz:g} Hz" if edge.rate_hz is not None else ""
+        topics.setdefault(f"{edge.source}-{edge.reader}", []).append(f"{edge.topic}{rate}")
+    assert arrows == {arrow: " ".join(words) for arrow, words in topics.items()}
+    boxes = {words.text for words in drawn.iter(f"{SVG}text")}
+    assert {name_of(node) for arrow in arrows for node in arrow.split("-")} <= boxes
+    assert "](architecture.svg)" in (DOCS / "architecture.md").read_text(encoding="utf-8")
+
+
 def test_the_site_has_every_page() -> None:
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     named = set(re.findall(r"\b([a-z0-9_-]+\.md)\b", text))
@@ -82,3 +117,10 @@ def test_a_decision_that_the_code_or_a_page_names_is_there_and_there_are_few() -
     assert len(named) > 20
     assert named <= listed
     assert len(listed) <= 28
+
+
+def test_the_list_of_decisions_has_each_with_its_title() -> None:
+    text = (DOCS / "decisions" / "README.md").read_text(encoding="utf-8")
+    titles = [page.read_text(encoding="utf-8").partition("\n")[0].split(" ", 2)[2] for page in DECISIONS]
+    rows = [f"| [{page.name[:4]}]({page.name}) | {title} |" for page, title in zip(DECISIONS, titles, strict=True)]
+    assert re.findall(r"^\| \[.*$", text, re.MULTILINE) == rows

@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -103,6 +104,13 @@ def test_the_tip_goes_round_at_a_constant_force_and_retracts(found: dict[str, An
     assert found["turned"] == pytest.approx(3.14, abs=0.05)
 
 
+def test_it_is_one_program_among_the_others(found: dict[str, Any]) -> None:
+    assert found["second"] == "program: a circle is running; abort it first"
+    assert found["pause"] == "program: a circle cannot pause, it can be aborted"
+    assert found["words"] == ["scan", "curve", "tactile", "push", "circle", "pause", "resume", "abort"]
+    assert found["begin"] == ["circle", 2]
+
+
 def test_a_node_with_a_running_program_of_a_package_is_restored_and_goes_on(found: dict[str, Any]) -> None:
     assert found["restored"]
 
@@ -116,3 +124,18 @@ def test_what_cannot_be_done_is_refused_by_its_key(found: dict[str, Any]) -> Non
     assert broken == (
         "program: broken of the package telenano-broken 0.1.0 cannot be used: TypeError: is a int, must be a Program"
     )
+
+
+def test_the_form_of_the_page_has_its_settings(found: dict[str, Any]) -> None:
+    title, keys = found["form"]
+    assert title == "Circle"
+    assert keys == ["approach_m_per_s", "gain_per_s", "radius_m", "setpoint_n", "speed_m_per_s", "turns", "x_m", "y_m"]
+
+
+def test_the_package_passes_the_test_that_it_comes_with(tmp_path: Path) -> None:
+    new_package("program", "my_round", tmp_path / "my_round")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path / "my_round"), str(ROOT)))}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"]
+    done = subprocess.run(command, cwd=tmp_path / "my_round", env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout

@@ -58,6 +58,13 @@ def test_the_page_of_all_keys_is_that_of_the_models() -> None:
     assert page == scenario_page.page(), "renew it: make schemas"
 
 
+def test_every_reference_of_a_schema_leads_somewhere() -> None:
+    schema = scenario_schema()
+    text = json.dumps(schema)
+    for name in (part.split('"')[0] for part in text.split('"$ref": "#/$defs/')[1:]):
+        assert name in schema["$defs"], name
+
+
 def test_a_key_has_default_range_and_unit() -> None:
     found = {key.name: key for key in all_keys()}["controller.virtual_impedance.force_gain"]
     assert (found.default, found.least, found.most) == (20.0, 0.0, 1e9)
@@ -151,6 +158,15 @@ def test_the_shell_completes_keys_of_a_scenario_and_their_values() -> None:
     assert completion.scenario_keys("no_such.key") == []
 
 
+def test_names_of_laws_are_completed_without_importing_one() -> None:
+    code = (
+        "import sys; from telenano.cli.completion import law_names; law_names('');"
+        "print([m for m in ('numpy', 'numba', 'pydantic', 'services.controller.law') if m in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"
+
+
 def test_what_a_topic_is_needs_no_rig() -> None:
     code, out, _ = run("topic", "info", "afm/state", "--json")
     facts = json.loads(out)
@@ -176,6 +192,28 @@ def test_the_nodes_are_listed_with_what_they_publish() -> None:
     rows = {row["node"]: row for row in json.loads(out)["nodes"]}
     assert code == 0
     assert rows["afm_node@slave"]["publishes"].startswith("afm/state")
+
+
+@pytest.mark.parametrize("arguments", [("-h",), ("up", "-h"), ("study", "stability", "-h"), ("bag", "-h")])
+def test_h_is_help(arguments: tuple[str, ...]) -> None:
+    code, out, _ = run(*arguments)
+    assert code == 0
+    assert "Usage:" in out
+    if arguments == ("-h",):
+        assert [line for line in out.splitlines() if line in ("Run:", "Look:", "Study:", "Set up:")]
+
+
+@pytest.mark.parametrize(
+    ("command", "usage"),
+    [
+        ("report", "[OPTIONS] {FILE}..."),
+        ("session", "[OPTIONS] {COMMAND} [KEY=VALUE]..."),
+        ("topic echo", "[OPTIONS] {TOPIC}"),
+        ("param list", "[OPTIONS] [PREFIX]"),
+    ],
+)
+def test_the_usage_names_arguments_by_their_metavars(command: str, usage: str) -> None:
+    assert run(*command.split(), "--help")[1].splitlines()[0].endswith(f"{command} {usage}")
 
 
 @pytest.mark.endurance

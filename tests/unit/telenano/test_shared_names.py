@@ -36,6 +36,13 @@ def test_the_command_says_whose_package_is_in_the_way(overwritten: dict[str, str
     assert done.stderr.count("\n") == 1
 
 
+def test_the_library_says_so_too(overwritten: dict[str, str]) -> None:
+    program = "import telenano; telenano.open('a.mcap')"
+    done = subprocess.run([sys.executable, "-c", program], env=overwritten, capture_output=True, text=True, timeout=60)
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: the package proto of proto-plus has taken the place of telenano's own")
+
+
 @pytest.mark.parametrize(
     ("module", "extra"),
     [

@@ -148,6 +148,10 @@ def test_the_newest_counts_and_a_copy_out_of_the_link_is_no_second_event() -> No
     assert len(received.events) == 1
 
 
+def test_a_rig_in_which_all_is_well() -> None:
+    assert problems_of(status_of(*map(health, RIG)), RIG) == {}
+
+
 @pytest.mark.parametrize(
     ("newest", "words"),
     [
@@ -160,6 +164,11 @@ def test_the_newest_counts_and_a_copy_out_of_the_link_is_no_second_event() -> No
 def test_what_is_wrong_with_a_node(newest: NodeHealth | None, words: str) -> None:
     received = [health(node) for node in RIG if node != "afm_node@slave"] + ([newest] if newest else [])
     assert problems_of(status_of(*received), RIG) == {"afm_node@slave": words}
+
+
+@pytest.mark.parametrize("state", ["safe", "ready"])
+def test_a_device_that_waits_for_its_operator_is_no_problem(state: str) -> None:
+    assert problems_of(status_of(health("afm_node@slave", state=state)), ["afm_node@slave"]) == {}
 
 
 def test_a_recorder_that_does_not_record_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,6 +233,18 @@ def test_a_node_that_was_restarted_meanwhile_counts_anew() -> None:
     assert stalled_inputs(first, health("afm_node@slave", row("afm/command"), pid=4, t_s=2.0)) == []
 
 
+def test_the_facts_of_a_node() -> None:
+    inputs = (row("afm/command", age_s=0.002, lost=3), row("node/health", age_s=0.4, lost=1))
+    node = health("afm_node@slave", *inputs, rejected={"topic": 2}, overruns=7)
+    [facts] = document_of(status_of(node), ["afm_node@slave"])["nodes"]
+    assert facts == {
+        "node": "afm_node@slave", "heard": True, "problem": None, "state": "running", "uptime_s": 3725.0,
+        "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
+        "memory_locked": True, "replay": False, "period_s": 0.001, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002,
+        "received": 20, "lost": 4, "refused": {"topic": 2},
+    }  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("rejected", "style"),
     [({}, ""), ({"superseded": 12}, ""), ({"superseded": 12, "stale": 1}, "red"), ({"topic": 2}, "red")],
@@ -232,6 +253,16 @@ def test_what_was_superseded_alarms_nobody(rejected: dict[str, int], style: str)
     [facts] = document_of(status_of(health("afm_node@slave", rejected=rejected)), ["afm_node@slave"])["nodes"]
     cell = health_cells(facts)["refused"]
     assert (cell.style, cell.plain) == (style, ", ".join(f"{name} {count}" for name, count in rejected.items()) or "0")
+
+
+def test_a_node_that_acts_on_messages_only_has_no_lateness() -> None:
+    [facts] = document_of(status_of(health("controller@master", period_s=0.0)), ["controller@master"])["nodes"]
+    assert (facts["lateness_p99_s"], facts["oldest_input_s"]) == (None, None)
+
+
+def test_a_site_of_its_own_is_ok() -> None:
+    document = document_of(status_of(health("haptic_node@master")), ["haptic_node@master"])
+    assert (document["ok"], document["problems"], document["link"], document["laws"]) == (True, [], None, [])
 
 
 def well() -> list[Message]:
@@ -321,6 +352,15 @@ def test_a_rig_in_trouble_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
     ):  # fmt: skip
         assert words in out, words
     assert "clocks" not in out
+
+
+def test_a_rig_in_trouble_as_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, err = run(monkeypatch, *map(health, RIG[1:]), arguments=("--json",))
+    document = json.loads(out)
+    assert (code, document["ok"], out.count("\n")) == (1, False, 1)
+    assert document["problems"] == ["haptic_node@master has not reported yet"]
+    assert err == f"telenano: {document['error']}\n"
+    assert document["nodes"][0] == {"node": "haptic_node@master", "heard": False, "problem": "has not reported yet"}
 
 
 def test_a_silent_rig_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -23,6 +24,12 @@ from telenano.cli.root import app as root
 
 RUN = CliRunner()
 STABILITY = ["stability", "--law", "virtual_impedance", "--environment", "spring"]
+
+
+def test_numbers_are_lists_and_ranges() -> None:
+    assert option_values.numbers("--delay", "0:20:5", 0.0, 100.0, "ms") == (0.0, 5.0, 10.0, 15.0, 20.0)
+    assert option_values.numbers("--delay", "40,0:0.3:0.1,7", 0.0, 100.0, "ms") == (0.0, 0.1, 0.2, 0.3, 7.0, 40.0)
+    assert option_values.numbers("--delay", "3:3:1", 0.0, 100.0, "ms") == (3.0,)
 
 
 @pytest.mark.parametrize(
@@ -120,6 +127,13 @@ def test_a_cluster_without_dask_names_what_adds_it(tmp_path: Path, monkeypatch: 
     assert "dask is not installed: pip install" in result.stderr
 
 
+def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = RUN.invoke(app, [*STABILITY, "--out", str(tmp_path / "file" / "out")])
+    assert result.exit_code == 1
+    assert "cannot be made" in result.stderr
+
+
 def test_stability_prints_one_object(tmp_path: Path) -> None:
     options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path), "--json"]
     result = RUN.invoke(app, [*STABILITY, *options])
@@ -128,6 +142,23 @@ def test_stability_prints_one_object(tmp_path: Path) -> None:
     assert summary["critical_delay_ms"]["38"] == pytest.approx(22.44, rel=2e-3, abs=0.0)
     assert summary == json.loads((tmp_path / "stability.json").read_text())
     assert {p.name for p in tmp_path.iterdir()} >= {"stability.html", "stability.png", "stability.parquet"}
+
+
+def test_loop_that_no_delay_upsets_ends_in_a_page(tmp_path: Path) -> None:
+    options = ["--delay", "0,20", "--stiffness", "5", "--hand", "stiff", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, [*STABILITY, *options, "--json"])
+    assert result.exit_code == 0, result.output
+    (line,) = json.loads(result.stdout)["lines"]
+    assert (line["hand"], line["theory_unlimited"], line["theory_delay_ms"]) == ("stiff", True, None)
+    assert "any" in (tmp_path / "stability.html").read_text()
+
+
+def test_stability_prints_a_table(tmp_path: Path) -> None:
+    options = ["--delay", "0,60", "--stiffness", "38", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, [*STABILITY, *options])
+    assert result.exit_code == 0, result.output
+    assert "22.45" in result.stdout or "22.44" in result.stdout
+    assert "stability.html" in result.stdout
 
 
 def test_transparency_prints_one_object(tmp_path: Path) -> None:
@@ -164,6 +195,16 @@ def test_compare_puts_laws_on_one_page(tmp_path: Path, monkeypatch: pytest.Monke
     assert 50.0 < law["critical_delay_contact_ms"] < 53.0
     assert law["contact"]["60"]["verdict"] == "limit_cycle"
     assert (tmp_path / "compare.html").exists()
+
+
+def test_help_is_there_at_once() -> None:
+    code = "import sys; import telenano.cli.commands.study; "
+    code += "bad = {'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
+    code += "print(sorted(bad & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    for command in ("stability", "transparency", "compare", "validate"):
+        assert RUN.invoke(app, [command, "--help"]).exit_code == 0
 
 
 def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,11 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import damaged_files as files
 import pytest
 from rich.console import Console
 
 from services.runtime.untrusted.printable import printable
-from telenano.cli import terminal
+from telenano.cli import output, terminal
+from telenano.cli.tables import rows_table
 
 ROOT = Path(__file__).parents[3]
 # sets the title of the window, clears the screen, overwrites the line, as 8-bit control, turns the direction
@@ -23,6 +25,12 @@ def telenano(*arguments: str, **environment: str) -> subprocess.CompletedProcess
         [sys.executable, "-m", "telenano", *arguments], cwd=ROOT, env={**os.environ, **environment},
         stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8", timeout=120, check=False,
     )  # fmt: skip
+
+
+def test_numbers_in_a_list_have_as_many_digits_as_others() -> None:
+    drawn = Console(file=io.StringIO(), width=100)
+    drawn.print(rows_table([{"target_m": (-1.0000000000000002e-06, -0.0, 3, "z"), "error_m": 1.0376432e-08}]))
+    assert "-1e-06, 0, 3, z" in drawn.file.getvalue()  # type: ignore[attr-defined]
 
 
 def test_only_what_a_terminal_obeys_is_written_out() -> None:
@@ -40,6 +48,16 @@ def test_a_stream_is_made_printable_and_rich_draws_through_it(monkeypatch: pytes
     sys.stdout.writelines([HOSTILE, "\n"])
     assert behind.getvalue() == SHOWN + "\n"
     assert Console().file is behind
+
+
+def test_a_cell_of_a_table_is_text_and_the_table_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = output.PrintableConsole(file=io.StringIO(), force_terminal=True, width=200, color_system="truecolor")
+    drawn.print(rows_table([{"name": HOSTILE, "kept": True}], title=HOSTILE))
+    shown = drawn.file.getvalue()
+    assert SHOWN in shown
+    assert "\x1b]0;" not in shown and "\x1b[2J" not in shown and "\x9b" not in shown
+    # the colours of the project's own
+    assert "\x1b[32m" in shown
 
 
 def package(folder: Path, source: str) -> Path:
@@ -60,6 +78,16 @@ def test_texts_of_a_package_are_shown_as_text(tmp_path: Path) -> None:
         "telenano: hostile of the package hostile 0.1 cannot be used: ValueError: \\x1b]0;mine"
     )
     assert not set(done.stderr) & set("\x1b\x07\r\x9b\u202e")
+
+
+def test_titles_of_a_file_are_shown_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    channel = files.mcap_channel(1, "\x1b[2Ja\x07")
+    path.write_bytes(files.mcap(channel, files.mcap_record(5, bytes([1, 0]) + bytes(20)), summary=channel))
+    done = telenano("bag", "info", str(path))
+    assert done.returncode == 0
+    assert r"\x1b[2Ja\x07" in done.stdout
+    assert not set(done.stdout) & set("\x1b\x07\r\x9b\u202e")
 
 
 def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path) -> None:

@@ -1,0 +1,50 @@
+"""What the guide to recordings names, exists."""
+
+import re
+from pathlib import Path
+
+import typer
+from typer.main import get_command
+
+from services.player.node import SETTERS
+from services.recorder.node import ACTIONS
+from telenano.cli.commands.bag import app
+from telenano.cli.commands.record import record
+from telenano.cli.commands.replay import replay
+
+ROOT = Path(__file__).resolve().parents[3]
+GUIDE = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+# of `telenano up` and `telenano session`, which have a guide of their own
+ELSEWHERE = {"--set", "--without", "--target", "--scenario", "--help"}
+
+
+def options() -> set[str]:
+    commands = typer.Typer()
+    commands.command()(replay)
+    commands.command()(record)
+    commands.add_typer(app, name="bag")
+    root = get_command(commands)
+    found = set(ELSEWHERE)
+    for command in (*root.commands.values(), *root.commands["bag"].commands.values()):
+        found |= {name for parameter in command.params for name in parameter.opts}
+    return found
+
+
+def test_every_option_in_the_guide_exists() -> None:
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", GUIDE))
+    assert named - options() == set()
+    assert {"--nodes", "--split-size", "--snapshot-on", "--to"} <= named
+
+
+def test_every_command_on_recordings_is_in_the_guide() -> None:
+    commands = get_command(app).commands
+    assert {name for name in commands if name not in GUIDE} == set()
+
+
+def test_every_parameter_is_in_the_guide_and_none_is_made_up() -> None:
+    assert set(re.findall(r"player\.[a-z_]+(?==|`)", GUIDE)) - {"player.md"} == set(SETTERS)
+    assert set(re.findall(r"record\.(?:split|snapshot|status)", GUIDE)) == set(ACTIONS)
+
+
+def test_the_table_has_all_twenty_one_points() -> None:
+    assert [int(number) for number in re.findall(r"^\| ([0-9]+) \|", GUIDE, flags=re.MULTILINE)] == list(range(1, 22))
