@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from proto.errors import ConfigError, RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
+from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
 from services.runtime.loop.node_state import pack, restore
@@ -33,14 +34,16 @@ QUICK = {
 class Imager:
     """An AFM over a grating on a bench."""
 
-    def __init__(self, bench: Any, section: dict[str, Any] = SOFT) -> None:
+    def __init__(self, bench: Any, section: dict[str, Any] = SOFT, **instrument: Any) -> None:
         self.bench = bench
         self.config = AfmConfig.model_validate(section)
         spring = self.config.environment == "spring"
         self.driver: Any = (
             SimulatedInstrument(self.config.to_spring_params())
             if spring
-            else simulated_afm(self.config.to_params(), self.config.to_surface(), self.config.to_friction_params())
+            else simulated_afm(
+                self.config.to_params(), self.config.to_surface(), self.config.to_friction_params(), **instrument
+            )
         )
         self.node = AfmNode(bench.context, self.config, self.driver)
 
@@ -80,6 +83,34 @@ def afm(bench_of: Any) -> Imager:
 
 def parameters(**changes: Any) -> dict[str, Any]:
     return {**QUICK, **{key.replace("__", "."): value for key, value in changes.items()}}
+
+
+# Parts of a command that are carried out where they stand alone, and parts that are refused.
+CARRIED_OUT = ({"lateral.x_m": 3e-9}, {"disturbances.thermal.enabled": True}, QUICK)
+REFUSED = (
+    {"lateral.y_m": 1.0},
+    {"disturbances.drift.speed": 1.0},
+    {"spring.stiffness_n_per_m": 2.0},
+    {"sample.restore": False},
+    {"program": "pause"},
+    {"program": "no_program"},
+    {"curve.approach_m_per_s": 1e-6},
+)
+
+
+@pytest.mark.parametrize("refused", REFUSED, ids=str)
+@pytest.mark.parametrize("carried_out", CARRIED_OUT, ids=lambda part: next(iter(part)))
+def test_a_command_of_which_a_part_is_refused_changes_nothing(
+    bench_of: Any, carried_out: dict[str, Any], refused: dict[str, Any]
+) -> None:
+    found = Imager(bench_of("afm_node@slave"), disturbances=DisturbanceConfig())
+    before = pack(found.node)
+    for command in ({**carried_out, **refused}, {**refused, **carried_out, **refused}):
+        with pytest.raises(RefusedError):
+            found.set(**command)
+        assert pack(found.node) == before
+    found.set(**carried_out)
+    assert pack(found.node) != before
 
 
 def test_an_image_is_published_line_by_line_and_is_what_the_tip_sees(afm: Imager) -> None:
