@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import secrets
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,7 +74,8 @@ class Relay:
         self._access, self._log = access, log
         self._bytes_per_s = mbit_per_s * 125e3
         self._budgets: dict[tuple[str, str], Budget] = {}
-        self._strangers: Counter[str] = Counter()
+        # Connections that have shown no listed key yet, the oldest first, and the address of each.
+        self._strangers: dict[asyncio.StreamWriter, str] = {}
         self._arrivals: dict[str, Budget] = {}
         # Connections that wait for the other site to dial: the key of that site, and what is handed over.
         self._waiting: dict[str, tuple[str, asyncio.Future[Channel]]] = {}
@@ -137,13 +137,9 @@ class Relay:
         tend(writer)
         channel = None
         try:
-            self._strangers[address] += 1
-            try:
-                async with asyncio.timeout(HELLO_S):
-                    key, name, channel, request = await self._identify(reader, writer, address)
-            finally:
-                self._strangers[address] -= 1
-                self._strangers += Counter()
+            self._strangers[writer] = address
+            async with asyncio.timeout(HELLO_S):
+                key, name, channel, request = await self._identify(reader, writer, address)
             self._open[channel] = key
             await self._answer(Site(name, key, channel, frozenset()), request)
         except RejectedError as error:
@@ -151,18 +147,24 @@ class Relay:
         except Gone:
             self.refused["handshake"] += channel is None
         finally:
+            self._strangers.pop(writer, None)
             if channel is not None:
                 self._open.pop(channel, None)
             abort(writer)
 
     def _admit(self, address: str) -> bool:
-        """Return whether one more connection of an address is looked at."""
+        """Return whether one more connection of an address is looked at; the oldest stranger gives way to it."""
         now_s = asyncio.get_running_loop().time()
         if len(self._arrivals) >= _MOST_ADDRESSES:
             self._arrivals.clear()
-        arrivals = self._arrivals.setdefault(address, Budget(_PER_S, _BURST, now_s))
-        few = self._strangers[address] < _MOST_FROM_ADDRESS and self._strangers.total() < _MOST_STRANGERS
-        return few and arrivals.take(1.0, now_s)
+        admitted = self._arrivals.setdefault(address, Budget(_PER_S, _BURST, now_s)).take(1.0, now_s)
+        crowd = [writer for writer, found in self._strangers.items() if found == address]
+        if len(crowd) < _MOST_FROM_ADDRESS:
+            crowd = list(self._strangers) if len(self._strangers) >= _MOST_STRANGERS else []
+        for oldest in crowd[:1] if admitted else ():
+            del self._strangers[oldest]
+            abort(oldest)
+        return admitted
 
     def _tell(self, reason: str, who: str, text: str) -> None:
         """Log a refusal, with how many there were for that reason so far, unless it was logged lately."""
@@ -185,6 +187,7 @@ class Relay:
             await channel.send(refused=reason, text=_REFUSALS[reason])
             raise RejectedError(reason)
         # A key that is listed gives its place among the strangers of its address back.
+        self._strangers.pop(writer, None)
         if (arrivals := self._arrivals.get(address)) is not None:
             arrivals.take(-1.0, asyncio.get_running_loop().time())
         return public.hex(), name, channel, request
@@ -203,15 +206,10 @@ class Relay:
     # --- what a site wants ---
 
     async def _answer(self, site: Site, request: dict[str, Any]) -> None:
-        wants: dict[str, Callable[[Site, dict[str, Any]], Any]] = {
-            "site": self._be_site,
-            "open": self._open_stream,
-            "accept": self._accept_stream,
-            "look": self._look,
-        }
+        wants = {"site": self._be_site, "open": self._open_stream, "accept": self._accept_stream, "look": self._look}
         try:
             await wants[request["want"]](site, request)
-        except (KeyError, TypeError):
+        except (KeyError, TypeError, OverflowError):
             raise RejectedError("malformed") from None
 
     async def _look(self, site: Site, request: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 from collections.abc import AsyncIterator, Callable
 from datetime import date
 from pathlib import Path
@@ -410,9 +411,43 @@ def test_a_second_process_with_the_key_of_a_site_takes_its_place_and_the_first_i
     asyncio.run(run())
 
 
-def test_strangers_are_few_and_are_let_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("most", ["_MOST_FROM_ADDRESS", "_MOST_STRANGERS"])
+def test_strangers_are_few_and_the_oldest_gives_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: str) -> None:
+    # Nobody is let go for his silence here.
+    monkeypatch.setattr(server, "HELLO_S", 10 * PATIENCE_S)
+    monkeypatch.setattr(server, most, 4)
+
+    async def run() -> None:
+        async with bench(tmp_path) as rig:
+            relay = await rig.start_relay()
+            opened = []
+            for _ in range(10):
+                opened.append(await asyncio.open_connection(HOST, rig.port))
+                # Each is greeted, and so waits for its turn to give way.
+                assert len(await opened[-1][0].readexactly(24)) == 24
+            await until(lambda: relay.refused["handshake"] == 6)
+            assert await asyncio.gather(*(_all_of(reader) for reader, _ in opened[:6])) == [b""] * 6
+            assert not any(reader.at_eof() for reader, _ in opened[6:])
+            # A site comes in at its first try though strangers hold every place, and those who are in stay.
+            kept = await rig.dial("slave", want="site", meets=[])
+            assert (await kept.receive())["ok"]
+            for _ in range(8):
+                opened.append(await asyncio.open_connection(HOST, rig.port))
+                assert (await rig.said_to("master", want="look"))["ok"]
+            assert list(relay.sites) == [rig.hex("slave")]
+            kept.close()
+            for _, writer in opened:
+                writer.close()
+
+    asyncio.run(run())
+
+
+def test_who_is_silent_is_let_go_and_connections_that_come_too_fast_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(server, "HELLO_S", 0.5)
-    monkeypatch.setattr(server, "_MOST_FROM_ADDRESS", 4)
+    monkeypatch.setattr(server, "_BURST", 4.0)
+    monkeypatch.setattr(server, "_PER_S", 1e-3)
 
     async def run() -> None:
         async with bench(tmp_path) as rig:
@@ -425,7 +460,6 @@ def test_strangers_are_few_and_are_let_go(tmp_path: Path, monkeypatch: pytest.Mo
             for _, writer in opened:
                 writer.close()
             await until(lambda: relay.refused["handshake"] == 4)
-            assert (await rig.said_to("master", want="look"))["ok"]
 
     asyncio.run(run())
 
@@ -438,17 +472,22 @@ async def _all_of(reader: asyncio.StreamReader) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "request_", [{}, {"want": "nothing"}, {"want": "site"}, {"want": "open", "to": 1}, {"want": []}]
-)
+    "request_",
+    [
+        {}, {"want": "nothing"}, {"want": "site"}, {"want": "open", "to": 1}, {"want": []},
+        {"want": "open", "to": "x", "port": math.inf},
+    ],
+)  # fmt: skip
 def test_a_request_that_is_none_ends_its_connection_alone(tmp_path: Path, request_: dict[str, Any]) -> None:
     async def run() -> None:
         async with bench(tmp_path) as rig:
-            await rig.start_relay()
+            relay = await rig.start_relay()
             found = await rig.dial("master", **request_)
             with pytest.raises(Gone):
                 while (await found.receive()) != {}:
                     pass
             found.close()
+            await until(lambda: relay.refused["malformed"] == 1)
             assert (await rig.said_to("master", want="look"))["ok"]
 
     asyncio.run(run())
