@@ -7,7 +7,6 @@ command as one mapping of fields to values; what was not is the model's.
 
 import inspect
 from collections.abc import Callable, Collection, Mapping
-from enum import StrEnum
 from functools import wraps
 from pathlib import Path
 from types import MappingProxyType
@@ -148,29 +147,26 @@ def validated(model: type[M], given: Mapping[str, Any], flags: Mapping[str, str]
 
 def _option(name: str, field: FieldInfo, units: Mapping[str, Unit]) -> ModelOption:
     own = next((rule for rule in field.metadata if isinstance(rule, Option)), None)
+    kind = _kind_of(field.annotation)
     if own is not None:
-        kind = _kind_of(name, field.annotation)
         if own.read is not None and kind is not Path:
             kind = list[str] if own.many else str
         return ModelOption(name, own.flags, kind, _NO_UNIT, field, own)
     end = next((end for end in units if name.endswith(end)), "")
-    kind = _kind_of(name, field.annotation)
     # texts, and whole numbers but those of bytes, have no unit, whatever they are called
     unit = units[end] if end and (kind is float or end == "_bytes") else _NO_UNIT
     bare = name.removesuffix(end) if unit is not _NO_UNIT else name
     return ModelOption(name, ("--" + bare.replace("_", "-"),), kind, unit, field)
 
 
-def _kind_of(name: str, annotation: Any) -> Any:
+def _kind_of(annotation: Any) -> Any:
     """Return the type that a command line has for a field: int, float, bool, str, or a choice of words."""
-    if get_origin(annotation) is Literal:
-        return StrEnum(name, {word.upper(): word for word in get_args(annotation)})
-    if annotation in _PLAIN:
+    if get_origin(annotation) is Literal or annotation in _PLAIN:
         return annotation
     if get_origin(annotation) is tuple:
         return list[str]
     for part in get_args(annotation):
-        if part is not type(None) and (found := _kind_of(name, part)) is not None:
+        if part is not type(None) and (found := _kind_of(part)) is not None:
             return found
     return None
 
@@ -184,7 +180,11 @@ def _words(annotation: Any) -> tuple[str, ...]:
 
 def _parameter(option: ModelOption) -> inspect.Parameter:
     unit = option.unit.name.upper()
-    plain = {int: unit or "N", float: unit or "X", list[str]: "|".join(_words(option.about.annotation)) or "TEXT"}
+    plain = {
+        int: unit or "N",
+        float: unit or "X",
+        list[str]: "|".join(_words(option.about.annotation)) or "TEXT",
+    }
     flags, metavar = option.flags, plain.get(option.kind)
     if option.own is not None:
         metavar = option.own.metavar or metavar
@@ -200,8 +200,6 @@ def _parameter(option: ModelOption) -> inspect.Parameter:
 
 
 def _si(option: ModelOption, value: Any) -> Any:
-    if isinstance(value, StrEnum):
-        return value.value
     return value * option.unit.scale if isinstance(value, float) else value
 
 

@@ -6,12 +6,15 @@ from importlib.resources import files
 from keyword import iskeyword
 from pathlib import Path
 from string import Template
+from typing import Literal
 
 from presets.plugins import NAME
 from proto.errors import ConfigError
 from recording.whole_files import whole_folder
 
-_TRY_IT = {
+# What a package can bring.
+Kind = Literal["law", "device", "instrument", "operator", "sample", "program", "task", "command", "check"]
+_TRY_IT: dict[Kind, str] = {
     "law": "telenano law check $name\ntelenano up --scenario fig12 --set controller.law=$name",
     "operator": "telenano up --scenario fig12 --set 'haptic_node.operator={kind: $name}'",
     "sample": "telenano up --scenario fig12 --set afm_node.environment=$name",
@@ -24,12 +27,11 @@ _TRY_IT = {
 }
 # An instrument is a device of the AFM's node.
 _GROUPS = {"instrument": "devices"}
-KINDS = tuple(_TRY_IT)
 # A command is listed by a module of its own, which imports nothing.
 _MORE_FILES = {"command": {"command_body.py.txt": "command.py"}}
 
 
-def _taken(kind: str) -> Collection[str]:
+def _taken(kind: Kind) -> Collection[str]:
     # The import is here because no other command of this module needs the models.
     if kind == "law":
         from services.controller.config import TAKEN as TAKEN_LAWS
@@ -55,14 +57,12 @@ def _taken(kind: str) -> Collection[str]:
     return TAKEN_HAPTIC | TAKEN_AFM if kind in ("device", "instrument") else OWN_OPERATORS
 
 
-def new_package(kind: str, name: str, folder: Path) -> list[Path]:
+def new_package(kind: Kind, name: str, folder: Path) -> list[Path]:
     """Write a package with one of the kinds, such as a law or a device, and a test of it; return its files.
 
     Raises:
         ConfigError: The name cannot be that of a package, or the folder exists.
     """
-    if kind not in KINDS:
-        raise ConfigError(f"{kind}: is nothing that can be made; these are {', '.join(KINDS)}")
     if not NAME.fullmatch(name) or iskeyword(name):
         raise ConfigError(f"{name}: a name has lower-case letters, digits and _, begins with a letter, at most 32")
     if name in _taken(kind):

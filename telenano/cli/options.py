@@ -1,24 +1,17 @@
 """Options and arguments that several commands share, and the way to make a group of commands."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from presets import site_file_named
+from proto.nodes import Site
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
 
 # ros2 and docker have the same names.
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
-
-
-class Site(StrEnum):
-    """The two sites of a rig."""
-
-    MASTER = "master"
-    SLAVE = "slave"
 
 
 SiteFileOption = Annotated[

@@ -143,6 +143,16 @@ class PrintableConsole(Console):
             yield part if part.control else part._replace(text=printable(part.text))
 
 
+def print_answer(document: Any, shown: str | Sequence[Mapping[str, Any]], *, as_json: bool) -> None:
+    """Print a result as JSON, or else what a person reads of it: a sentence, or rows that have the same keys."""
+    if as_json:
+        print_json(document)
+    elif isinstance(shown, str):
+        typer.echo(shown)
+    else:
+        print_rows(shown)
+
+
 def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> None:
     """Print a result as JSON or as tables."""
     if as_json:

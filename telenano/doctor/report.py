@@ -24,7 +24,7 @@ from proto.errors import ConfigError, EndpointError
 from proto.extras import extra_of, how_to_install
 from services.launcher.processors import held, shared_folder
 from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import console, fail, print_json, report_errors
+from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.datagrams import check_datagrams
@@ -126,10 +126,8 @@ def print_findings(findings: Sequence[Finding], *, as_json: bool) -> None:
         console().print(findings_table(findings))
     if problems:
         fail(f"a rig cannot run here as it is: {', '.join(problems)}", as_json=as_json, **document)
-    if as_json:
-        print_json(document)
-    else:
-        typer.echo(f"a rig can run here, {len(warnings)} warning(s){': ' if warnings else ''}{', '.join(warnings)}")
+    text = f"a rig can run here, {len(warnings)} warning(s){': ' if warnings else ''}{', '.join(warnings)}"
+    print_answer(document, text, as_json=as_json)
 
 
 def findings_table(findings: Sequence[Finding]) -> Table:

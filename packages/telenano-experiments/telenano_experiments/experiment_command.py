@@ -2,9 +2,8 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 import yaml
@@ -13,7 +12,7 @@ from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
 from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import fail, print_document, print_json, print_rows, report_errors
+from telenano.cli.output import fail, print_answer, print_document, print_json, print_rows, report_errors
 from telenano_experiments.analyse_command import analyse
 from telenano_experiments.plans import find_experiment
 
@@ -28,6 +27,8 @@ app.command()(analyse)
 app.add_typer(people, name="people", help="Note what is known of participants: consent, handedness, exclusion.")
 
 _FILE = "experiment.yaml"
+ApparatusName = Literal["live", "lockstep"]
+Handedness = Literal["left", "right", "both", "unknown"]
 FileArgument = Annotated[str, typer.Argument(metavar="NAME|FILE", help="The experiment: a known name or a YAML file.")]
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of the experiment.")]
 PseudonymArgument = Annotated[str, typer.Argument(metavar="ID", help="The pseudonym, such as P03; never a name.")]
@@ -35,22 +36,6 @@ ParticipantOption = Annotated[
     list[str] | None,
     typer.Option("--participant", metavar="ID", help="Only this participant (repeatable); default: all, in turn."),
 ]
-
-
-class ApparatusName(StrEnum):
-    """What trials can run on."""
-
-    LIVE = "live"
-    LOCKSTEP = "lockstep"
-
-
-class Handedness(StrEnum):
-    """The hand that a participant uses."""
-
-    LEFT = "left"
-    RIGHT = "right"
-    BOTH = "both"
-    UNKNOWN = "unknown"
 
 
 @app.command()
@@ -73,10 +58,7 @@ def new(
         with whole_file(path, replace=False) as part:
             part.write_text(text, encoding="utf-8")
             _load(part)
-    if as_json:
-        print_json({"file": str(path)})
-    else:
-        typer.echo(f"{path}; next: telenano experiment check {path}")
+    print_answer({"file": str(path)}, f"{path}; next: telenano experiment check {path}", as_json=as_json)
 
 
 @app.command()
@@ -206,7 +188,7 @@ def erase(
 def add(
     folder: FolderArgument,
     pseudonym: PseudonymArgument,
-    handedness: Annotated[Handedness, typer.Option("--handedness", help="The hand used.")] = Handedness.UNKNOWN,
+    handedness: Annotated[Handedness, typer.Option("--handedness", help="The hand used.")] = "unknown",
     consent: Annotated[bool, typer.Option("--consent", help="The participant has consented in writing.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -214,7 +196,7 @@ def add(
     with report_errors(as_json):
         from telenano_experiments.people import People
 
-        known: dict[str, Any] = {"handedness": handedness.value} if handedness is not Handedness.UNKNOWN else {}
+        known: dict[str, Any] = {"handedness": handedness} if handedness != "unknown" else {}
         person = People(folder).change(pseudonym, **known, **({"consent": True} if consent else {}))
     print_document({"participant": pseudonym, **person.model_dump()}, str(folder), as_json=as_json)
 
@@ -244,10 +226,7 @@ def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
         from telenano_experiments.people import People, shown
 
         rows = shown(People(folder).known)
-    if as_json:
-        print_json({"participants": rows})
-    else:
-        print_rows(rows)
+    print_answer({"participants": rows}, rows, as_json=as_json)
 
 
 def _balance_rows(plan: "Plan") -> list[dict[str, Any]]:
@@ -284,7 +263,7 @@ def _load(path: Path) -> "Plan":
 def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | None) -> None:
     """Copy the file of an experiment, and a scenario of its own, to its folder: what was run stays what it was."""
     document = read_yaml(source)
-    changed: dict[str, Any] = {} if apparatus is None else {"apparatus": apparatus.value}
+    changed: dict[str, Any] = {} if apparatus is None else {"apparatus": apparatus}
     folder.mkdir(parents=True, exist_ok=True)
     if (source.parent / plan.experiment.scenario).is_file() or plan.experiment.scenario.endswith((".yaml", ".yml")):
         changed["scenario"] = "scenario.yaml"
@@ -315,10 +294,8 @@ def _run(folder: Path, participants: list[str] | None, *, as_json: bool) -> None
             runner.begin()
             stopped = runner.run(wanted)
         found = state_of(plan, journal.records)
-    if as_json:
-        print_json(found)
-    else:
-        typer.echo(f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}")
+    text = f"{found['trials_done']} trials done, {found['trials_left']} left: {folder}"
+    print_answer(found, text, as_json=as_json)
     if stopped.reason:
         fail(f"stopped: {stopped.reason}; `telenano experiment resume {folder}` goes on", as_json=False)
 

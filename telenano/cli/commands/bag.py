@@ -25,7 +25,7 @@ from telenano.cli.options import (
     TopicsOption,
     command_group,
 )
-from telenano.cli.output import console, print_document, print_json, print_rows, report_errors
+from telenano.cli.output import console, print_answer, print_document, print_json, print_rows, report_errors
 
 if TYPE_CHECKING:
     from recording.info import RecordingInfo
@@ -97,12 +97,7 @@ def list_files(
         if not folder.is_dir():
             raise RecordingError(f"{folder}: is not a folder")
         rows = [_row(path) for path in sorted(folder.rglob("*.mcap"))]
-    if as_json:
-        print_json({"folder": str(folder), "recordings": rows})
-    elif rows:
-        print_rows(rows)
-    else:
-        typer.echo(f"{folder}: no recordings")
+    print_answer({"folder": str(folder), "recordings": rows}, rows or f"{folder}: no recordings", as_json=as_json)
 
 
 @app.command()
@@ -259,10 +254,8 @@ def split(
         parts = [
             part.model_dump(mode="json") for part in split_recording(file, out, interval_s=interval, size_bytes=size)
         ]
-    if as_json:
-        print_json({"parts": parts})
-    else:
-        print_rows([{"path": part["path"], "messages": part["messages"]} for part in parts])
+    shown = [{"path": part["path"], "messages": part["messages"]} for part in parts]
+    print_answer({"parts": parts}, shown, as_json=as_json)
 
 
 @app.command()
@@ -379,11 +372,8 @@ def rerun(
 
         recording, allowed = Recording(file), Tolerances.parse(tolerance or ())
         results = [run_again(recording, key, allowed, settings or ()) for key in node]
-    if as_json:
-        print_json({"nodes": [result.model_dump(mode="json") for result in results]})
-    else:
-        for result in results:
-            typer.echo(f"{result.node}: {result.verdict()}")
+    verdicts = "\n".join(f"{result.node}: {result.verdict()}" for result in results)
+    print_answer({"nodes": [result.model_dump(mode="json") for result in results]}, verdicts, as_json=as_json)
     if not all(result.identical for result in results):
         raise typer.Exit(EXIT_FAILED)
 

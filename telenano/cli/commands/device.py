@@ -8,9 +8,8 @@ import select
 import signal
 import sys
 from datetime import UTC, datetime
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 import yaml
@@ -26,6 +25,7 @@ from telenano.cli.commands.device_monitor import (
     instrument_of,
     monitor,
     package_rows,
+    print_facts,
     probe_driver,
 )
 from telenano.cli.options import JsonOption, command_group
@@ -50,13 +50,6 @@ WriteOption = Annotated[
     Path | None,
     typer.Option("--calibration", metavar="FILE", help="Write a calibration file that fits the emulated device."),
 ]
-
-
-class BoardName(StrEnum):
-    """What an emulated handle runs."""
-
-    POSIX = "posix"
-    AVR328P = "avr328p"
 
 
 @app.command("list")
@@ -119,10 +112,7 @@ def probe(
             facts = probe_driver(kind, settings or [])
         else:
             facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
-    if as_json:
-        print_json(facts)
-    else:
-        print_rows([{"": name, "found": value} for name, value in facts.items()])
+    print_facts(facts, as_json=as_json)
 
 
 def _probe_handle(port: str, baud: int) -> dict[str, Any]:
@@ -260,8 +250,9 @@ def simulate_handle(
         typer.Option("--scenario", metavar="NAME|FILE", help="Scenario whose device and hand are emulated."),
     ] = None,
     board: Annotated[
-        BoardName, typer.Option("--board", help="posix: the core of the firmware; avr328p: its image, in simavr.")
-    ] = BoardName.POSIX,
+        Literal["posix", "avr328p"],
+        typer.Option("--board", help="posix: the core of the firmware; avr328p: its image, in simavr."),
+    ] = "posix",
     calibration: WriteOption = None,
 ) -> None:
     """Run an emulated handle: the firmware, the motor and the hand, on a port of its own. Ctrl-C ends it.
@@ -276,7 +267,7 @@ def simulate_handle(
 
         config = section_of(scenario, "haptic_node", HapticConfig)
         handle: EmulatedBoard
-        if board is BoardName.AVR328P:
+        if board == "avr328p":
             handle, fitting = avr_board.AvrHandle(config), avr_board.calibration_of(config)
         else:
             handle, fitting = emulated_handle.EmulatedHandle(config, _boot()), emulated_handle.calibration_of(config)

@@ -1,7 +1,7 @@
 """`telenano device monitor`, and how a device is read undriven: of this project, or of an installed package."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from presets.plugins import fault_of_package, installed
 from proto.errors import ConfigError, TelenanoError, known_names
 from telenano.cli.commands.device_impedance import SIMULATED, SetOption, probe_impedance
 from telenano.cli.options import JsonOption
-from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, report_errors
 
 _PERIOD_S = 1e-3
 
@@ -50,10 +50,12 @@ def monitor(
             facts = _watch(*_opened_handle(port, baud, calibration or Path()), duration)
         else:
             facts = _watch(*_opened_instrument(calibration or Path()), duration)
-    if as_json:
-        print_json(facts)
-    else:
-        print_rows([{"": name, "found": value} for name, value in facts.items()])
+    print_facts(facts, as_json=as_json)
+
+
+def print_facts(facts: Mapping[str, Any], *, as_json: bool) -> None:
+    """Print what was found of a device."""
+    print_answer(facts, [{"": name, "found": value} for name, value in facts.items()], as_json=as_json)
 
 
 def instrument_of(calibration: Path) -> Any:

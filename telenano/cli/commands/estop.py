@@ -13,5 +13,5 @@ def estop(
     as_json: JsonOption = False,
 ) -> None:
     """Stop the devices at once, whoever else sends commands; exit code 1 if one does not answer."""
-    request = EstopRequest(target, "" if site is None else site.value, site_file, as_json)
+    request = EstopRequest(target, site or "", site_file, as_json)
     raise typer.Exit(run_estop(request))

@@ -1,7 +1,6 @@
 """`telenano graph`: the nodes of a rig and the topics between them."""
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,18 +10,11 @@ from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_json, print_rows, report_errors
 
 
-class GraphFormat(StrEnum):
-    """How the graph is written."""
-
-    TABLE = "table"
-    MERMAID = "mermaid"
-    DOT = "dot"
-
-
 def graph(
-    form: Annotated[GraphFormat, typer.Option("--format", help="table; mermaid for Markdown; dot for Graphviz.")] = (
-        GraphFormat.TABLE
-    ),
+    form: Annotated[
+        Literal["table", "mermaid", "dot"],
+        typer.Option("--format", help="table; mermaid for Markdown; dot for Graphviz."),
+    ] = "table",
     live: Annotated[
         float | None,
         typer.Option("--live", min=0.1, metavar="S", help="Measure the rates of a running rig for so long [s]."),
@@ -46,9 +38,9 @@ def graph(
         found = edges(measured)
     if as_json:
         print_json({"edges": [edge._asdict() for edge in found]})
-    elif form is GraphFormat.TABLE:
+    elif form == "table":
         print_rows(
             [{"from": edge.source, "to": edge.reader, "topic": edge.topic, "Hz": edge.rate_hz} for edge in found]
         )
     else:
-        typer.echo(mermaid(found) if form is GraphFormat.MERMAID else dot(found))
+        typer.echo(mermaid(found) if form == "mermaid" else dot(found))

@@ -3,15 +3,15 @@
 from datetime import date, timedelta
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from proto.errors import ConfigError
-from services.runtime.security.keyring import AllowedKey, Keyring, Role, expiry_in, keys_directory, keys_in, utc_today
+from services.runtime.security.keyring import AllowedKey, Keyring, expiry_in, keys_directory, keys_in, utc_today
 from services.runtime.security.private_files import read_regular
 from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, print_json, print_rows, report_errors
 
 app = command_group()
 
@@ -75,7 +75,7 @@ def show(folder: DirOption = None, as_json: JsonOption = False) -> None:
             {
                 "folder": str(ring.folder),
                 "own": own,
-                "allowed": [key.model_dump(mode="json", exclude_none=True) for key in allowed],
+                "allowed": [_entry(key) for key in allowed],
                 **({"warnings": warnings} if warnings else {}),
             }
         )
@@ -113,10 +113,9 @@ def allow(
 ) -> None:
     """Allow a machine to connect, or change its roles; running nodes apply it within a second."""
     with report_errors(as_json):
-        roles: list[Role] = [entry.value for entry in role]
         public, until = _public_key(key)
-        entry = _ring(folder).allow(name, public, roles, _last_day(expires) or until)
-    _print_entry(entry, f"{name} is allowed: {_roles_text(entry)}", as_json=as_json)
+        entry = _ring(folder).allow(name, public, [entry.value for entry in role], _last_day(expires) or until)
+    print_answer(_entry(entry), f"{name} is allowed: {_roles_text(entry)}", as_json=as_json)
 
 
 @app.command()
@@ -128,7 +127,7 @@ def revoke(
     """Revoke a key for ever; running nodes close its connections within a second."""
     with report_errors(as_json):
         entry = _ring(folder).revoke(name)
-    _print_entry(entry, f"the key {entry.public_key} of {entry.name} is revoked", as_json=as_json)
+    print_answer(_entry(entry), f"the key {entry.public_key} of {entry.name} is revoked", as_json=as_json)
 
 
 def _ring(folder: Path | None) -> Keyring:
@@ -168,8 +167,5 @@ def _roles_text(key: AllowedKey) -> str:
     return "revoked" if key.revoked else ", ".join(key.roles) + until
 
 
-def _print_entry(entry: AllowedKey, text: str, *, as_json: bool) -> None:
-    if as_json:
-        print_json(entry.model_dump(mode="json", exclude_none=True))
-    else:
-        typer.echo(text)
+def _entry(key: AllowedKey) -> dict[str, Any]:
+    return key.model_dump(mode="json", exclude_none=True)

@@ -8,7 +8,7 @@ import typer
 from telenano.cli.completion import law_name
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption, command_group
-from telenano.cli.output import print_document, print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
 
 app = command_group()
 _OWN = "telenano"
@@ -111,11 +111,9 @@ def margins(
         from studies.loops.margins import margins as rows_of
 
         rows = [as_dict(row) for row in rows_of(law, delay, stiffness, latency)]
-    if as_json:
-        facts = {"law": law, "round_trip_ms": delay, "stiffness_n_per_m": stiffness, "device_latency_ms": latency}
-        print_json({**facts, "margins": rows})
-    else:
-        print_rows([{"changed": row.pop("changed") or "as it comes", **row} for row in rows])
+    facts = {"law": law, "round_trip_ms": delay, "stiffness_n_per_m": stiffness, "device_latency_ms": latency}
+    shown = [{**row, "changed": row["changed"] or "as it comes"} for row in rows]
+    print_answer({**facts, "margins": rows}, shown, as_json=as_json)
 
 
 def _origin(name: str) -> dict[str, str]:

@@ -15,10 +15,10 @@ from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import flatten
 from services.runtime.wiring.observer import RIG_HINT, Observer, messages_of
 from telenano.cli.commands.link_probe import probe
-from telenano.cli.commands.session import SessionCommand, send_command
+from telenano.cli.commands.session import send_command
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption, command_group
-from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, report_errors
 from telenano.cli.tables import counts_text
 
 _PATIENCE_S = 3.0
@@ -46,10 +46,8 @@ def show(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = Fa
         if load_site(site_file).spans_machines:
             with open_observer(site_file, "link/network") as observer:
                 network = current_network(observer)
-    if as_json:
-        print_json({**status, "network": network} if network else status)
-    else:
-        print_rows([*status_rows(status), *network_rows(network)])
+    document = {**status, "network": network} if network else status
+    print_answer(document, [*status_rows(status), *network_rows(network)], as_json=as_json)
 
 
 @app.command("set")
@@ -88,10 +86,7 @@ def profile(
         else:
             rows = [{"profile": known, "what": row.about} for known, row in PROFILES.items()]
             found = {"profiles": rows}
-        if as_json:
-            print_json(found)
-        else:
-            print_rows(rows)
+        print_answer(found, rows, as_json=as_json)
 
 
 def profile_rows(found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -114,7 +109,7 @@ app.command()(probe)
 
 
 def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:
-    send_command(SessionCommand.SET, settings, LINK, site_file, as_json=as_json)
+    send_command("set", settings, LINK, site_file, as_json=as_json)
 
 
 def current_status(observer: Observer) -> dict[str, Any]:

@@ -1,33 +1,18 @@
 """`telenano new`: a package that extends telenano, ready to install."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
 from proto.errors import ConfigError
-from telenano.cli.new_package import new_package
+from telenano.cli.new_package import Kind, new_package
 from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors
 
 
-class Kind(StrEnum):
-    """What a package can bring."""
-
-    LAW = "law"
-    DEVICE = "device"
-    INSTRUMENT = "instrument"
-    OPERATOR = "operator"
-    SAMPLE = "sample"
-    PROGRAM = "program"
-    TASK = "task"
-    COMMAND = "command"
-    CHECK = "check"
-
-
 def new(
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(get_args(Kind))}.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in a scenario, such as my_law.")],
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder to make; default: telenano-NAME.")
@@ -41,10 +26,10 @@ def new(
     with report_errors(as_json):
         if node not in ("haptic_node", "afm_node"):
             raise ConfigError(f"--node {node}: devices are those of haptic_node and of afm_node")
-        if kind is Kind.DEVICE and node == "afm_node":
-            kind = Kind.INSTRUMENT
+        if kind == "device" and node == "afm_node":
+            kind = "instrument"
         folder = out or Path(f"telenano-{name.replace('_', '-')}")
-        written = new_package(kind.value, name, folder)
+        written = new_package(kind, name, folder)
     if as_json:
         print_json({"folder": str(folder), "files": [str(path) for path in written]})
         return

@@ -11,7 +11,7 @@ from proto.nodes import NODES, SERVICES, name_of
 from services.signals import children
 from telenano.cli.completion import service_names
 from telenano.cli.options import command_group
-from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, report_errors
 
 app = command_group()
 
@@ -44,10 +44,7 @@ def _list(*, as_json: bool) -> None:
         {"node": row.key, "part": row.part, "required": row.required, "publishes": ", ".join(_topics_of(row.key))}
         for row in NODES
     ]
-    if as_json:
-        print_json({"nodes": rows})
-    else:
-        print_rows(rows)
+    print_answer({"nodes": rows}, rows, as_json=as_json)
 
 
 def _topics_of(node: str) -> list[str]:

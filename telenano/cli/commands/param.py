@@ -9,7 +9,7 @@ from presets import find_scenario
 from proto.errors import ConfigError, probably_meant
 from telenano.cli.completion import scenario_names, scenario_sections
 from telenano.cli.options import CoreOption, JsonOption, SettingsOption, command_group
-from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, report_errors
 
 app = command_group()
 
@@ -52,10 +52,8 @@ def list_all(
         }
         for key in keys
     ]
-    if as_json:
-        print_json({"keys": rows})
-    else:
-        print_rows([{key: value for key, value in row.items() if key != "type"} for row in rows])
+    shown = [{key: value for key, value in row.items() if key != "type"} for row in rows]
+    print_answer({"keys": rows}, shown, as_json=as_json)
 
 
 @app.command()
@@ -68,10 +66,7 @@ def get(
     """Print the value of a key in a scenario, its default where the scenario does not name it."""
     with report_errors(as_json):
         value = _value(scenario, settings, key)
-    if as_json:
-        print_json({"key": key, "value": value})
-    else:
-        typer.echo(_yaml(value))
+    print_answer({"key": key, "value": value}, _yaml(value), as_json=as_json)
 
 
 @app.command()
@@ -79,10 +74,7 @@ def dump(scenario: ScenarioOption = "fig12", settings: SettingsOption = None, as
     """Print a scenario with every default in it, as a YAML file that can be run."""
     with report_errors(as_json):
         document = _value(scenario, settings, None)
-    if as_json:
-        print_json(document)
-    else:
-        typer.echo(_yaml(document))
+    print_answer(document, _yaml(document), as_json=as_json)
 
 
 def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:

@@ -17,7 +17,7 @@ from services.runtime.wiring.observer import RIG_HINT, nobody_runs
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.cli.output import fail, fail_incomplete, print_json, report_errors
+from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
 
 _KEYS_TEXT = "s new file · t snapshot · q end"
 
@@ -87,10 +87,8 @@ def record(
             fail(f"{nobody}: {RIG_HINT} The recording is empty: {done.path}", as_json=as_json, **done.model_dump())
         if done.fault:
             fail(done.fault, as_json=as_json, **done.model_dump())
-        if as_json:
-            print_json(done.model_dump())
-        else:
-            typer.echo(f"recorded {done.messages} messages, {done.lost} lost, {done.files} file(s), newest {done.path}")
+        text = f"recorded {done.messages} messages, {done.lost} lost, {done.files} file(s), newest {done.path}"
+        print_answer(done.model_dump(), text, as_json=as_json)
         missing = [f"{done.missing} messages are missing"] if done.missing else []
         if missing or done.notes:
             fail_incomplete([*missing, *done.notes])

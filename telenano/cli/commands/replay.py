@@ -13,7 +13,7 @@ from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
-from telenano.cli.output import print_json, report_errors
+from telenano.cli.output import print_answer, report_errors
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = (
@@ -125,11 +125,9 @@ def replay(
         )
         with RawKeyboard() as keys:
             done = run_replay(request, PlayerKeyBindings(keys, step_topic), _warn)
-        if as_json:
-            document = {"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s}
-            print_json({**document, "warnings": done.warnings})
-        else:
-            typer.echo(f"played {done.sent} messages of {', '.join(done.nodes)} up to {done.time_s:.3f} s")
+        document = {"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s, "warnings": done.warnings}
+        text = f"played {done.sent} messages of {', '.join(done.nodes)} up to {done.time_s:.3f} s"
+        print_answer(document, text, as_json=as_json)
 
 
 def _warn(text: str) -> None:

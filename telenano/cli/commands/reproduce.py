@@ -1,8 +1,7 @@
 """`telenano reproduce`: figures and equations of the paper, made again, on one page."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -11,23 +10,13 @@ from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors, results_folder
 from telenano.cli.progress import progress
 
-
-class PaperFigure(StrEnum):
-    """What can be made again; for Fig. 10 and 12 a rig is run."""
-
-    ALL = "all"
-    EQUATIONS = "equations"
-    FIG5 = "fig5"
-    FIG6 = "fig6"
-    MODELS = "models"
-    FIG8 = "fig8"
-    FIG10 = "fig10"
-    FIG12 = "fig12"
+# For Fig. 10 and 12 a rig is run.
+PaperFigure = Literal["all", "equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12"]
 
 
 def reproduce(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for reproduce.html.")],
-    what: Annotated[PaperFigure, typer.Argument(help="A figure, the equations, or all of them.")] = PaperFigure.ALL,
+    what: Annotated[PaperFigure, typer.Argument(help="A figure, the equations, or all of them.")] = "all",
     pixels: Annotated[
         int, typer.Option("--pixels", min=8, max=1024, metavar="N", help="Pixels and lines of fig8.")
     ] = 128,
@@ -39,7 +28,7 @@ def reproduce(
         from studies.pages.reproduce import FIGURES
         from studies.pages.reproduce import reproduce as make
 
-        chosen = FIGURES if what is PaperFigure.ALL else (what.value,)
+        chosen = FIGURES if what == "all" else (what,)
         with results_folder(out), progress("reproduce", shown=not as_json) as show:
             summary = make(chosen, out, pixels, lambda name, n, of: show(n, of, name))
     failed: Any = summary.get("failed", {})

@@ -13,7 +13,7 @@ from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
 from telenano.cli.completion import scenario_names
 from telenano.cli.options import CoreOption, JsonOption, SettingsOption, command_group
-from telenano.cli.output import print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, report_errors
 
 app = command_group()
 
@@ -32,10 +32,7 @@ def list_all(as_json: JsonOption = False) -> None:
             rows.append(
                 {"scenario": name, "duration_s": document.get("duration_s"), "about": document.get("description")}
             )
-    if as_json:
-        print_json({"scenarios": rows})
-    else:
-        print_rows(rows)
+    print_answer({"scenarios": rows}, rows, as_json=as_json)
 
 
 @app.command()
@@ -44,11 +41,8 @@ def show(name: NameArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         path = find_scenario(name)
         document = read_yaml(path)
-        text = path.read_text(encoding="utf-8")
-    if as_json:
-        print_json(document)
-    else:
-        typer.echo(f"# {path}\n{text}", nl=False)
+        text = path.read_text(encoding="utf-8").removesuffix("\n")
+    print_answer(document, f"# {path}\n{text}", as_json=as_json)
 
 
 @app.command()
@@ -61,10 +55,8 @@ def validate(name: NameArgument, settings: SettingsOption = None, as_json: JsonO
 
         loaded = load_scenario(find_scenario(name), settings or ())
         check_sections(loaded)
-    if as_json:
-        print_json({"scenario": loaded.scenario.name, "valid": True, "origin": loaded.origin})
-    else:
-        typer.echo(f"{loaded.origin}: valid, {loaded.scenario.duration_s:g} s")
+    document = {"scenario": loaded.scenario.name, "valid": True, "origin": loaded.origin}
+    print_answer(document, f"{loaded.origin}: valid, {loaded.scenario.duration_s:g} s", as_json=as_json)
 
 
 @app.command()
@@ -94,10 +86,8 @@ def new(
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         with whole_file(path, replace=False) as file:
             file.write_text(head + text, encoding="utf-8")
-    if as_json:
-        print_json({"file": str(path)})
-    else:
-        typer.echo(f"{path}; next: telenano scenario validate {path} && telenano up --scenario {path}")
+    text = f"{path}; next: telenano scenario validate {path} && telenano up --scenario {path}"
+    print_answer({"file": str(path)}, text, as_json=as_json)
 
 
 @app.command()

@@ -1,35 +1,25 @@
 """`telenano session`: send a command to the nodes of a running rig."""
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal
 
 import typer
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
 from proto.messages import SessionEvent
+from proto.nodes import Site
 from services.console.command_client import parse_parameters, send_control
 from services.console.coupling import couple_anew
 from services.runtime.clock import process_start_ns
 from services.runtime.loop.commands import Command, CommandName
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import JsonOption, RigFileOption, Site, SiteOption, TargetOption
-from telenano.cli.output import print_json, report_errors
+from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
+from telenano.cli.output import print_answer, print_json, report_errors
 
-
-class SessionCommand(StrEnum):
-    """The commands of a session."""
-
-    ARM = "arm"
-    START = "start"
-    STOP = "stop"
-    ESTOP = "estop"
-    SET = "set"
-    MARK = "mark"
-    COUPLE = "couple"
+SessionCommand = Literal["arm", "start", "stop", "estop", "set", "mark", "couple"]
 
 
 def session(
@@ -43,11 +33,11 @@ def session(
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
-    if command is SessionCommand.COUPLE:
+    if command == "couple":
         _couple(parameters or (), target, site, site_file, as_json=as_json)
         return
-    if command is SessionCommand.ESTOP:
-        raise typer.Exit(run_estop(EstopRequest(target, "" if site is None else site.value, site_file, as_json)))
+    if command == "estop":
+        raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))
     send_command(command, parameters or (), target, site_file, site, as_json=as_json)
 
 
@@ -56,18 +46,15 @@ def _couple(
 ) -> None:
     """Couple hand and tip anew; exit code 1 with the reason where that is refused or not completed."""
     with report_errors(as_json):
-        if parameters or target != "*" or (site is not None and site.value != "master"):
+        if parameters or target != "*" or site == "slave":
             raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         text = couple_anew(book_file, issued_ns=process_start_ns())
-    if as_json:
-        print_json({"command": SessionCommand.COUPLE.value, "text": text})
-    else:
-        typer.echo(text)
+    print_answer({"command": "couple", "text": text}, text, as_json=as_json)
 
 
 def send_command(
-    command: SessionCommand,
+    command: CommandName,
     parameters: Sequence[str],
     target: str,
     site_file: Path | None,
@@ -78,17 +65,15 @@ def send_command(
     """Send a command, print the answers, and exit with 1 if a node refuses or does not answer."""
     with report_errors(as_json):
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
-        at: Literal["master", "slave"] = "master" if site is None else site.value
-        wanted = Command(cast(CommandName, command.value), target, parameters=parse_parameters(parameters))
-        answers = send_control(
-            wanted, book_file, at, lambda event: None if as_json else _print_answer(event), issued_ns=process_start_ns()
-        )
+        wanted = Command(command, target, parameters=parse_parameters(parameters))
+        show = (lambda event: None) if as_json else _print_event
+        answers = send_control(wanted, book_file, site or "master", show, issued_ns=process_start_ns())
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
-        print_json({"command": command.value, "target": target, "answers": rows})
+        print_json({"command": command, "target": target, "answers": rows})
     if any(event.kind == "refused" for event in answers.values()):
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_answer(event: SessionEvent) -> None:
+def _print_event(event: SessionEvent) -> None:
     typer.echo(f"{event.src} {event.kind}: {event.text}")

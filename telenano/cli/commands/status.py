@@ -19,7 +19,7 @@ from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.runtime.wiring.observer import Observer
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
-from telenano.cli.output import NO_ROOM, console, fail, print_json, report_errors
+from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
 
 _DEFAULT_S = 1.5
@@ -91,10 +91,7 @@ def print_status(
     if document["problems"]:
         nodes = ", ".join(facts["node"] for facts in document["nodes"] if facts["problem"])
         fail(f"nodes with a problem: {nodes}", as_json=as_json, **document)
-    if as_json:
-        print_json(document)
-    else:
-        typer.echo("every node reports and none waits for anything")
+    print_answer(document, "every node reports and none waits for anything", as_json=as_json)
 
 
 def status_tables(document: Mapping[str, Any]) -> Group:

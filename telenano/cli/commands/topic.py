@@ -37,7 +37,7 @@ from telenano.cli.options import (
     TopicArgument,
     command_group,
 )
-from telenano.cli.output import print_document, print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, print_document, print_json, print_rows, report_errors
 
 _LIST_S = 1.5
 _SILENCE_S = 4.0
@@ -54,10 +54,7 @@ def list_all(
         rows = list_topics(observer, duration)
         if not any(row["heard"] for row in rows):
             raise RigError(f"nothing was received within {duration:g} s: {RIG_HINT}")
-    if as_json:
-        print_json({"duration_s": duration, "topics": rows})
-    else:
-        print_rows(rows)
+    print_answer({"duration_s": duration, "topics": rows}, rows, as_json=as_json)
 
 
 @app.command()
@@ -150,10 +147,8 @@ def pub(
         from services.launcher.publish import publish
 
         sent = publish(load_site(site_file), src, known_name(topic)[0], fields, rate, count)
-    if as_json:
-        print_json({"topic": topic, "src": src, "sent": sent})
-    else:
-        typer.echo(f"published {sent} messages on {topic} as {src}")
+    text = f"published {sent} messages on {topic} as {src}"
+    print_answer({"topic": topic, "src": src, "sent": sent}, text, as_json=as_json)
 
 
 def _measuring(
@@ -170,10 +165,7 @@ def _measuring(
     ) -> None:
         with report_errors(as_json), open_observer(site_file, topic) as observer:
             rows = measure(observer, topic, duration, count)
-        if as_json:
-            print_json({"topic": topic, "sources": rows})
-        else:
-            print_rows(rows)
+        print_answer({"topic": topic, "sources": rows}, rows, as_json=as_json)
 
     return command
 

@@ -31,8 +31,8 @@ from telenano.cli.output import (
     fail,
     fail_incomplete,
     fail_with_summary,
+    print_answer,
     print_document,
-    print_json,
     print_summary,
     report_errors,
 )
@@ -192,11 +192,10 @@ def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan,
     elif not (outcome.ran and plan.attach):
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
         fail("; ".join([reason, *outcome.missing, f"see {plan.out / 'logs'}"]), as_json=as_json)
-    elif as_json:
-        # The recording is elsewhere, or there was no recorder.
-        print_json({"scenario": plan.scenario.name, "recording": None, "note": outcome.note})
     else:
-        typer.echo(f"the session ran; {outcome.note}")
+        # The recording is elsewhere, or there was no recorder.
+        document = {"scenario": plan.scenario.name, "recording": None, "note": outcome.note}
+        print_answer(document, f"the session ran; {outcome.note}", as_json=as_json)
 
 
 def _print_slave(outcome: Outcome, plan: Plan, *, as_json: bool) -> None:

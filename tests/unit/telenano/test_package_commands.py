@@ -9,13 +9,13 @@ import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from proto.errors import ConfigError
 from services.afm_node.physics.part import AfmSample
-from telenano.cli.new_package import KINDS, new_package
+from telenano.cli.new_package import Kind, new_package
 
 ROOT = Path(__file__).parents[3]
 NAMES = {
@@ -268,7 +268,7 @@ def test_a_law_of_a_package_enters_the_benchmark_by_one_command(tmp_path: Path) 
     assert held == {"filtered": 4, "position_force": 4}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", get_args(Kind))
 def test_a_new_package_compiles_and_names_its_entry(kind: str, tmp_path: Path) -> None:
     written = new_package(kind, "my_thing", tmp_path / "p")
     assert [path for path in written if not path.is_file()] == []
