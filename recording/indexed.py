@@ -8,7 +8,6 @@ by `Recording`, which reads the whole file: damage between the chunks.
 import mmap
 import struct
 from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import numpy.typing as npt
 from mcap.opcode import Opcode
 
 from recording.info import RecordingInfo
+from recording.mcap_messages import HEADS
 from recording.mcap_scan import (
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -32,10 +32,6 @@ from recording.multi_file import MultiFileRecording, RecordingSource
 from recording.reader import END_OF_TIME, DamageCallback, Recording, each_block
 from recording.summary import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
-# The head of a record and that of the message in it, of 9 and 22 bytes.
-_HEAD = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("seq", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
-)
 # The checksum of a chunk was right, and that of its index is not known.
 _UNSOUND = (struct.error, ValueError, OverflowError)
 
@@ -105,7 +101,7 @@ class IndexedRecording(Recording):
         if block.offset not in self._indexes:
             return super()._content(data, block)
         found = chunk_at(data, block.offset, block.data_end)
-        if found is None or replace(found, crc=0) != block:
+        if found is None or found._replace(crc=0) != block:
             raise DamagedBlockError("the chunk is not what the index says")
         return unpack(data, found)
 
@@ -125,23 +121,23 @@ class IndexedRecording(Recording):
 def _heads_of(
     data: mmap.mmap, content: bytes, indexes: bytes, selected: Container[int]
 ) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return head (_HEAD), start and end of each message of the selected channels, in the order of the chunk.
+    """Return head (HEADS), start and end of each message of the selected channels, in the order of the chunk.
 
     Raises:
         ValueError: The index is wrong.
     """
     found = {number: place for number, place in channels_in(indexes).items() if number in selected}
-    most = len(content) // _HEAD.itemsize
+    most = len(content) // HEADS.itemsize
     each = [message_places(data, number, place, most).astype(np.int64) for number, place in found.items()]
     places = np.concatenate([np.empty(0, dtype=np.int64), *each])
     order = np.argsort(places, kind="stable")
     numbers = np.repeat(np.array(list(found), dtype=np.int64), [len(part) for part in each])[order]
     starts = places[order] + RECORD_HEAD.size
-    last = len(content) - _HEAD.itemsize
+    last = len(content) - HEADS.itemsize
     if places.size and not 0 <= places.min() <= places.max() <= last:
         raise ValueError("the index has places beyond the chunk")
     # A head may begin at any byte, and so each lies over the one before.
-    heads = np.ndarray((max(0, last + 1),), _HEAD, content, strides=(1,))[places[order]]
+    heads = np.ndarray((max(0, last + 1),), HEADS, content, strides=(1,))[places[order]]
     if np.any(heads["opcode"] != Opcode.MESSAGE) or np.any(heads["channel"] != numbers):
         raise ValueError("the index names what is no message of its channel")
     if np.any(heads["length"] < MESSAGE_HEAD.size) or np.any(

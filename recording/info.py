@@ -4,6 +4,7 @@ from array import array
 from collections.abc import Iterable, Mapping
 from typing import Literal
 
+from mcap.records import Attachment
 from pydantic import BaseModel, ConfigDict
 
 from proto.ends import END_TOPIC, read_end
@@ -55,6 +56,14 @@ class AttachmentInfo(_Info):
     name: str
     media_type: str
     size_bytes: int
+
+
+def attachments_of(records: Mapping[str, Attachment]) -> tuple[AttachmentInfo, ...]:
+    """Return what a summary says of attachments."""
+    return tuple(
+        AttachmentInfo(name=name, media_type=found.media_type, size_bytes=len(found.data))
+        for name, found in records.items()
+    )
 
 
 class LagInfo(_Info):

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 _MESSAGE = struct.Struct("<BQHIQQ")
 _pack_message = _MESSAGE.pack
 # the same of many messages
-_HEADS = np.dtype(
+HEADS = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("seq", "<u4"), ("log_ns", "<u8"), ("publish_ns", "<u8")]
 )
 # a number is packed in less time than a member of an enumeration
@@ -152,7 +152,7 @@ class MessageWriter(Writer):
         if not self._parts:
             return
         chunk, counts = self._chunk, self._counts
-        heads = np.frombuffer(b"".join(self._parts[::2]), dtype=_HEADS)
+        heads = np.frombuffer(b"".join(self._parts[::2]), dtype=HEADS)
         ends = chunk.record_writer.count + np.cumsum(heads["length"] + np.uint64(_HEAD_BYTES))
         entries = np.column_stack((heads["log_ns"], ends - heads["length"] - np.uint64(_HEAD_BYTES))).astype("<u8")
         chunk.record_writer.write(b"".join(self._parts))

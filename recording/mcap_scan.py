@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
+from typing import NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -53,8 +54,7 @@ class Damage:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
+class Block(NamedTuple):
     """Schemas, channels and messages in a row: a chunk, or such records outside of any chunk.
 
     `first_ns` and `last_ns` bound the log times of its messages, so that a search can skip it.

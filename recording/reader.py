@@ -15,7 +15,7 @@ from mcap.records import Attachment, Channel, Schema
 from presets.regular_files import open_regular
 from proto.errors import NoRecordingError, RecordingError
 from proto.nodes import site_of
-from recording.info import END_NAME, AttachmentInfo, PartInfo, RecordingInfo, RecordingStatistics, notes_of
+from recording.info import END_NAME, PartInfo, RecordingInfo, RecordingStatistics, attachments_of, notes_of
 from recording.mcap_index import index_faults
 from recording.mcap_scan import (
     MAGIC,
@@ -392,10 +392,7 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
         ),
         parts=tuple(parts) if len(parts) > 1 else (),
         channels=tuple(channel.info() for channel in statistics.channels.values()),
-        attachments=tuple(
-            AttachmentInfo(name=name, media_type=found.media_type, size_bytes=len(found.data))
-            for name, found in attachments.items()
-        ),
+        attachments=attachments_of(attachments),
         metadata=first.metadata,
     )
 

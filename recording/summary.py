@@ -18,14 +18,14 @@ from typing import Any, NamedTuple
 import msgpack
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, Channel, Metadata, MetadataIndex, Statistics
+from mcap.records import Statistics
 
 from presets.regular_files import open_regular
-from recording.info import AttachmentInfo, ChannelInfo, RecordingInfo, notes_of
+from proto.errors import RecordingError
+from recording.info import ChannelInfo, RecordingInfo, attachments_of, notes_of
 from recording.mcap_scan import (
     MAGIC,
     MESSAGE_HEAD,
-    MOST_DEFINITIONS,
     RECORD_HEAD,
     UNREADABLE,
     Block,
@@ -37,7 +37,7 @@ from recording.mcap_scan import (
     records_of,
     unpack,
 )
-from recording.messages import RecordedChannel, recorded_channel
+from recording.messages import recorded_channel
 from recording.odd_times import LONGEST_PAUSE_NS, Dates
 from recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 
@@ -67,16 +67,6 @@ class _Stamp(NamedTuple):
     seq: int
 
 
-class _Chunk(NamedTuple):
-    """A chunk: its times [ns], its place, and those of the message indexes of its channels, as the file has them."""
-
-    first_ns: int
-    last_ns: int
-    offset: int
-    length: int
-    indexes: bytes
-
-
 def quick_info(path: Path) -> RecordingInfo | None:
     """Return the summary of a closed file by its index; None where all of its messages have to be read for it.
 
@@ -84,44 +74,29 @@ def quick_info(path: Path) -> RecordingInfo | None:
     Raises OSError when the file cannot be read.
     """
     with open_regular(path) as file:
-        size = path.stat().st_size
-        if size < 2 * len(MAGIC) + _FOOTER.size:
+        try:
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                return _Summary(data, path).info()
+        except (_DisagreementError, DamagedBlockError, RecordingError, *UNREADABLE, ValueError, KeyError, IndexError):
             return None
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            try:
-                return _Summary(data).info(path)
-            except (_DisagreementError, DamagedBlockError, *UNREADABLE, ValueError, KeyError, IndexError):
-                return None
 
 
 class _Summary:
-    """The summary section of a file, and what it points to."""
+    """The structure of a file by its index, and what its summary says of the messages."""
 
-    def __init__(self, data: mmap.mmap) -> None:
-        self._data = data
-        self._statistics: Statistics | None = None
-        self._channels: dict[int, RecordedChannel] = {}
-        self._chunks: list[_Chunk] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: dict[str, dict[str, str]] = {}
+    def __init__(self, data: mmap.mmap, path: Path) -> None:
+        self._data, self._path = data, path
+        self._layout, self._indexes, self._statistics = _layout_by_index(data, str(path))
+        self._channels = {number: recorded_channel(found) for number, found in self._layout.summary_channels.items()}
         # The chunks that were unpacked lately are kept by their places.
         self._unpacked: dict[int, bytes] = {}
-        metadata: list[MetadataIndex] = []
-        for opcode, body in _summary_records(data):
-            self._add(opcode, body, metadata)
-        places = [(chunk.offset, chunk.length) for chunk in self._chunks]
-        _demand_apart([*places, *((index.offset, index.length) for index in metadata)])
-        for index in metadata:
-            self._add_metadata(index)
 
-    def info(self, path: Path) -> RecordingInfo:
+    def info(self) -> RecordingInfo:
         """Return what `Recording.info` returns; _DisagreementError where it may be more."""
-        statistics = self._statistics
-        _demand(statistics is not None and statistics.chunk_count == len(self._chunks))
-        assert statistics is not None
+        statistics, layout = self._statistics, self._layout
         counts = {number: statistics.channel_message_counts.get(number, 0) for number in self._channels}
         numbers = [number for number, count in counts.items() if count > 0]
-        first, last = self._ends(numbers, self._chunks, 0), self._ends(numbers, reversed(self._chunks), -1)
+        first, last = self._ends(numbers, layout.blocks, 0), self._ends(numbers, reversed(layout.blocks), -1)
         gaps = self._gaps()
         found = [self._row(number, counts[number], first[number], last[number], gaps) for number in numbers]
         _demand(sum(row.messages for row in found) == statistics.message_count)
@@ -131,10 +106,10 @@ class _Summary:
         ]
         # a sentence for each of many is for the other way
         _demand(len(missing) <= 5)
-        missing += notes_of([self._metadata])
-        start_ns, end_ns = self._span(statistics)
+        missing += notes_of([layout.metadata])
+        start_ns, end_ns = self._span()
         return RecordingInfo(
-            path=str(path),
+            path=str(self._path),
             size_bytes=len(self._data),
             start_ns=start_ns,
             end_ns=end_ns,
@@ -151,14 +126,14 @@ class _Summary:
             odd=(),
             parts=(),
             channels=tuple(found),
-            attachments=tuple(map(_attachment, self._attachments)),
-            metadata=self._metadata,
+            attachments=attachments_of(layout.attachments),
+            metadata=layout.metadata,
         )
 
-    def _span(self, statistics: Statistics) -> tuple[int, int]:
+    def _span(self) -> tuple[int, int]:
         """Return the times of the first and the last message [ns]; _DisagreementError where some are odd."""
-        dates, span = Dates(), (statistics.message_start_time, statistics.message_end_time)
-        for chunk in self._chunks:
+        dates, span = Dates(), (self._statistics.message_start_time, self._statistics.message_end_time)
+        for chunk in self._layout.blocks:
             # a chunk without messages has no times
             if chunk.last_ns:
                 _demand(chunk.last_ns - chunk.first_ns <= LONGEST_PAUSE_NS)
@@ -166,32 +141,7 @@ class _Summary:
         _demand(len(dates.groups()) == 1 and dates.most() == span)
         return span
 
-    def _add(self, opcode: int, body: bytes, metadata: list[MetadataIndex]) -> None:
-        stream = ReadDataStream(BytesIO(body))
-        if opcode == Opcode.CHUNK_INDEX:
-            first_ns, last_ns, offset, length, size = _CHUNK_INDEX.unpack_from(body)
-            self._chunks.append(
-                _Chunk(first_ns, last_ns, offset, length, body[_CHUNK_INDEX.size : _CHUNK_INDEX.size + size])
-            )
-        elif opcode == Opcode.CHANNEL:
-            found = Channel.read(stream)
-            self._channels[found.id] = recorded_channel(found)
-            _demand(len(self._channels) <= MOST_DEFINITIONS)
-        elif opcode == Opcode.STATISTICS:
-            self._statistics = Statistics.read(stream)
-        elif opcode == Opcode.ATTACHMENT_INDEX:
-            self._attachments.append(AttachmentIndex.read(stream))
-        elif opcode == Opcode.METADATA_INDEX:
-            metadata.append(MetadataIndex.read(stream))
-
-    def _add_metadata(self, index: MetadataIndex) -> None:
-        start = index.offset + RECORD_HEAD.size
-        opcode, length = RECORD_HEAD.unpack_from(self._data, index.offset)
-        _demand(opcode == Opcode.METADATA and RECORD_HEAD.size + length == index.length)
-        found = Metadata.read(ReadDataStream(BytesIO(self._data[start : start + length])))
-        self._metadata[found.name] = found.metadata
-
-    def _ends(self, numbers: Collection[int], chunks: Iterable[_Chunk], place: int) -> dict[int, _Stamp]:
+    def _ends(self, numbers: Collection[int], chunks: Iterable[Block], place: int) -> dict[int, _Stamp]:
         """Return the stamps of the first (place 0) or last (-1) message of channels.
 
         The chunks come in the order in which they are searched, and each is unpacked once.
@@ -200,7 +150,7 @@ class _Summary:
         for chunk in chunks:
             if not missing:
                 break
-            for number in missing.intersection(_numbers_in(chunk.indexes)):
+            for number in missing.intersection(self._numbers_in(chunk)):
                 found[number] = self._message(chunk, number, place)
                 missing.remove(number)
         _demand(not missing)
@@ -210,8 +160,8 @@ class _Summary:
         """Return the first number and how many there are of each gap that was recorded, by channel name and source."""
         gaps: _Gaps = {}
         numbers = {number for number, channel in self._channels.items() if channel.topic == GAP_TOPIC}
-        for chunk in self._chunks if numbers else ():
-            for number in numbers.intersection(_numbers_in(chunk.indexes)):
+        for chunk in self._layout.blocks if numbers else ():
+            for number in numbers.intersection(self._numbers_in(chunk)):
                 content = self._content(chunk)
                 for _, offset in self._entries(chunk, number):
                     fields = msgpack.unpackb(self._payload(content, offset), use_list=False)
@@ -250,7 +200,7 @@ class _Summary:
 
         Chunks are unpacked only where the numbers grow by something else than the messages between them.
         """
-        chunks = [chunk for chunk in self._chunks if number in _numbers_in(chunk.indexes)]
+        chunks = [chunk for chunk in self._layout.blocks if number in self._numbers_in(chunk)]
         counts = [0, *accumulate(self._index(chunk, number)[1] // _ENTRY.size for chunk in chunks)]
         _demand(counts[-1] == count)
 
@@ -279,43 +229,47 @@ class _Summary:
         _demand(not left)
         return found
 
-    def _message(self, chunk: _Chunk, number: int, place: int) -> _Stamp:
+    def _message(self, chunk: Block, number: int, place: int) -> _Stamp:
         """Return the stamps of the first or last message of a channel in a chunk."""
         start, size = self._index(chunk, number)
         start += place % max(1, size // _ENTRY.size) * _ENTRY.size
         return self._stamp(chunk, number, *_ENTRY.unpack_from(self._data, start))
 
-    def _messages(self, chunk: _Chunk, number: int) -> Iterator[_Stamp]:
+    def _messages(self, chunk: Block, number: int) -> Iterator[_Stamp]:
         return (self._stamp(chunk, number, *entry) for entry in self._entries(chunk, number))
 
-    def _stamp(self, chunk: _Chunk, number: int, log_ns: int, offset: int) -> _Stamp:
+    def _stamp(self, chunk: Block, number: int, log_ns: int, offset: int) -> _Stamp:
         """Return the stamps of a message by its entry in the index."""
         channel, seq, stated_ns, publish_ns = MESSAGE_HEAD.unpack_from(self._content(chunk), offset + RECORD_HEAD.size)
         _demand((channel, stated_ns) == (number, log_ns))
         return _Stamp(log_ns, publish_ns, seq)
 
-    def _index(self, chunk: _Chunk, number: int) -> tuple[int, int]:
+    def _index(self, chunk: Block, number: int) -> tuple[int, int]:
         """Return place and size [bytes] of the entries of a channel in the index of a chunk."""
-        start = channels_in(chunk.indexes)[number]
+        start = channels_in(self._indexes[chunk.offset])[number]
         opcode, length = RECORD_HEAD.unpack_from(self._data, start)
         channel, size = INDEX_HEAD.unpack_from(self._data, start + RECORD_HEAD.size)
         _demand((opcode, channel) == (Opcode.MESSAGE_INDEX, number) and size == length - INDEX_HEAD.size)
         return start + RECORD_HEAD.size + INDEX_HEAD.size, size
 
-    def _entries(self, chunk: _Chunk, number: int) -> Iterator[tuple[int, int]]:
+    def _entries(self, chunk: Block, number: int) -> Iterator[tuple[int, int]]:
         start, size = self._index(chunk, number)
         found: Any = _ENTRY.iter_unpack(self._data[start : start + size])
         yield from found
 
-    def _content(self, chunk: _Chunk) -> bytes:
+    def _content(self, chunk: Block) -> bytes:
         if chunk.offset not in self._unpacked:
-            block = chunk_at(self._data, chunk.offset, chunk.offset + chunk.length)
+            block = chunk_at(self._data, chunk.offset, chunk.data_end)
             _demand(block is not None)
             assert block is not None
             if sum(map(len, self._unpacked.values())) > _MOST_KEPT:
                 self._unpacked.clear()
             self._unpacked[chunk.offset] = unpack(self._data, block)
         return self._unpacked[chunk.offset]
+
+    def _numbers_in(self, chunk: Block) -> Iterable[int]:
+        """Return the numbers of the channels that a chunk has."""
+        return chain.from_iterable(_NUMBER.iter_unpack(self._indexes[chunk.offset]))
 
     @staticmethod
     def _payload(content: bytes, offset: int) -> bytes:
@@ -337,12 +291,12 @@ def layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes]
     checksum of a chunk is in its head.
     """
     try:
-        return _layout_by_index(data, path)
+        return _layout_by_index(data, path)[:2]
     except (_DisagreementError, *UNREADABLE, ValueError, KeyError, IndexError):
         return None
 
 
-def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes]:
+def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes, Statistics]:
     layout, indexes, counts = Layout(path=path, finished=True), ChannelIndexes(), None
     others: list[tuple[int, int, int]] = []
     _demand(len(data) >= 2 * len(MAGIC) + _FOOTER.size)
@@ -377,17 +331,12 @@ def _layout_by_index(data: mmap.mmap, path: str) -> tuple[Layout, ChannelIndexes
     assert counts is not None
     _demand(sum(counts.channel_message_counts.values()) == counts.message_count)
     layout.blocks.sort(key=lambda block: block.offset)
-    return layout, indexes
+    return layout, indexes, counts
 
 
 def channels_in(indexes: bytes) -> dict[int, int]:
     """Return by its number each channel that a chunk has, and the place of its message index in the file."""
     return dict(_OFFSET.iter_unpack(indexes))
-
-
-def _numbers_in(indexes: bytes) -> Iterable[int]:
-    """Return the numbers of the channels that a chunk has."""
-    return chain.from_iterable(_NUMBER.iter_unpack(indexes))
 
 
 def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
@@ -399,10 +348,6 @@ def _summary_records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
     section = data[start:footer]
     for opcode, first, last in records_of(section):
         yield opcode, section[first:last]
-
-
-def _attachment(index: AttachmentIndex) -> AttachmentInfo:
-    return AttachmentInfo(name=index.name, media_type=index.media_type, size_bytes=index.data_size)
 
 
 def _grown(begin: _Stamp, end: _Stamp) -> int:
