@@ -34,59 +34,42 @@ class LazyCommand(NamedTuple):
     about: str
 
 
-LAZY_COMMANDS = {
-    "up": LazyCommand(
-        "telenano.cli.commands.up", "up", "Run a scenario on a rig, record it, write figure and summary."
-    ),
-    "session": LazyCommand("telenano.cli.commands.session", "session", "Send a command to a running rig."),
-    "estop": LazyCommand(
-        "telenano.cli.commands.estop", "estop", "Stop the devices at once, whoever else sends commands."
-    ),
-    "status": LazyCommand("telenano.cli.commands.status", "status", "Show the state of a running rig."),
-    "view": LazyCommand("telenano.cli.commands.view", "view", "Open the operator's page of a rig or of a recording."),
-    "bridge": LazyCommand("telenano.cli.commands.bridge", "app", "Hand a running rig to the viewers of others."),
-    "topic": LazyCommand("telenano.cli.commands.topic", "app", "Inspect the messages of a running rig."),
-    "link": LazyCommand("telenano.cli.commands.link", "app", "Show and change the link of a running rig."),
-    "node": LazyCommand("telenano.cli.commands.node", "app", "Run one node alone."),
-    "record": LazyCommand("telenano.cli.commands.record", "record", "Attach to a running rig and record it."),
-    "replay": LazyCommand(
-        "telenano.cli.commands.replay", "replay", "Play a recording in the place of nodes that do not run."
-    ),
-    "report": LazyCommand("telenano.cli.commands.report", "report", "Write figure and summary of a recording again."),
-    "compare": LazyCommand(
-        "telenano.cli.commands.compare", "compare", "Draw sessions over one another, with one table."
-    ),
-    "bag": LazyCommand("telenano.cli.commands.bag", "app", "Inspect a recording, and make others from it."),
-    "study": LazyCommand(
-        "telenano.cli.commands.study",
-        "app",
-        "Study each law in lockstep: stability, transparency.",
-    ),
-    "scenario": LazyCommand("telenano.cli.commands.scenario", "app", "List, show, check and make scenarios."),
-    "param": LazyCommand("telenano.cli.commands.param", "app", "List the keys of a scenario, and get their values."),
-    "graph": LazyCommand("telenano.cli.commands.graph", "graph", "Draw the nodes, and the topics between them."),
-    "law": LazyCommand("telenano.cli.commands.law", "app", "List, show and check laws, those of packages included."),
-    "new": LazyCommand("telenano.cli.commands.new", "new", "Make a package with a law, device, sample or program."),
-    "sample": LazyCommand("telenano.cli.commands.sample", "app", "Make or read a surface as a round tip sees it."),
-    "scan": LazyCommand(
-        "telenano.cli.commands.scan", "scan", "Image a sample: tapping or contact mode, simulated time."
-    ),
-    "curve": LazyCommand(
-        "telenano.cli.commands.curve",
-        "curve",
-        "Measure a force curve of the simulated instrument, beside a measured one.",
-    ),
-    "push": LazyCommand("telenano.cli.commands.push", "push", "Push one particle, in simulated time or on a rig."),
-    "reproduce": LazyCommand(
-        "telenano.cli.commands.reproduce", "reproduce", "Make figures and equations of the paper again, on one page."
-    ),
-    "keys": LazyCommand("telenano.cli.commands.keys", "app", "Make, show and list the keys that identify machines."),
-    "relay": LazyCommand(
-        "telenano.cli.commands.relay", "relay", "Run a relay between two sites that can only dial out."
-    ),
-    "device": LazyCommand("telenano.cli.commands.device", "app", "List, probe and watch real devices; emulate some."),
-    "doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig."),
+# The commands of telenano itself, each in the module of its name; groups are the `app` of theirs.
+_ABOUT = {
+    "up": "Run a scenario on a rig, record it, write figure and summary.",
+    "session": "Send a command to a running rig.",
+    "estop": "Stop the devices at once, whoever else sends commands.",
+    "status": "Show the state of a running rig.",
+    "view": "Open the operator's page of a rig or of a recording.",
+    "bridge": "Hand a running rig to the viewers of others.",
+    "topic": "Inspect the messages of a running rig.",
+    "link": "Show and change the link of a running rig.",
+    "node": "Run one node alone.",
+    "record": "Attach to a running rig and record it.",
+    "replay": "Play a recording in the place of nodes that do not run.",
+    "report": "Write figure and summary of a recording again.",
+    "compare": "Draw sessions over one another, with one table.",
+    "bag": "Inspect a recording, and make others from it.",
+    "study": "Study each law in lockstep: stability, transparency.",
+    "scenario": "List, show, check and make scenarios.",
+    "param": "List the keys of a scenario, and get their values.",
+    "graph": "Draw the nodes, and the topics between them.",
+    "law": "List, show and check laws, those of packages included.",
+    "new": "Make a package with a law, device, sample or program.",
+    "sample": "Make or read a surface as a round tip sees it.",
+    "scan": "Image a sample: tapping or contact mode, simulated time.",
+    "curve": "Measure a force curve of the simulated instrument, beside a measured one.",
+    "push": "Push one particle, in simulated time or on a rig.",
+    "reproduce": "Make figures and equations of the paper again, on one page.",
+    "keys": "Make, show and list the keys that identify machines.",
+    "relay": "Run a relay between two sites that can only dial out.",
+    "device": "List, probe and watch real devices; emulate some.",
 }
+_GROUPS = ("bridge", "topic", "link", "node", "bag", "study", "scenario", "param", "law", "sample", "keys", "device")
+LAZY_COMMANDS = {
+    name: LazyCommand(f"telenano.cli.commands.{name}", "app" if name in _GROUPS else name, about)
+    for name, about in _ABOUT.items()
+} | {"doctor": LazyCommand("telenano.doctor.report", "doctor", "Check whether this machine can run a rig.")}
 
 
 # The order of the list of commands; those of packages of the project stand in it where they are installed.
