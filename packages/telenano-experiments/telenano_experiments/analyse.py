@@ -5,14 +5,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
-from proto.extras import how_to_add_package
 from telenano_experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
 from telenano_experiments.effects import Effects, Factor, Test, as_rows, effects
 from telenano_experiments.psychophysics.methods import replay
@@ -83,24 +82,9 @@ class Analysis(NamedTuple):
 EVERYTHING = Choice()
 
 
-def require_packages() -> None:
-    """Raise ConfigError, which says what adds them, where what it takes is not installed."""
-    from importlib.util import find_spec
-
-    missing = [name for name in ("pandas", "scipy", "statsmodels") if find_spec(name) is None]
-    if missing:
-        raise ConfigError(f"the analysis needs {', '.join(missing)}: {how_to_add_package('telenano-experiments')}")
-
-
 def versions() -> dict[str, str]:
     """Return the versions of the packages that the figures of an analysis depend on."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    return {name: version(name) for name in PACKAGES}
 
 
 def analyse(
@@ -114,9 +98,8 @@ def analyse(
         adaptive: The settings of each adaptive factor, by its name: their thresholds are fitted.
 
     Raises:
-        ConfigError: A measure, factor or correction is not known, no trial counts, or a package is not installed.
+        ConfigError: A measure, factor or correction is not known, or no trial counts.
     """
-    require_packages()
     import pandas as pd
 
     check_choice(tables, choice)

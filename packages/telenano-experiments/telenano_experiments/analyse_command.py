@@ -60,12 +60,11 @@ def analyse(
     """
     with report_errors(as_json):
         from services.viz_node.figure_style import figure_options
-        from telenano_experiments.analyse import Choice, analyse, check_choice, require_packages
+        from telenano_experiments.analyse import Choice, analyse, check_choice
         from telenano_experiments.analysis_page import NAME, write_analysis
         from telenano_experiments.folder_tables import about_experiment, adaptive_factors, tables_of
         from telenano_experiments.table import write_tables
 
-        require_packages()
         if test not in ("mixed", "anova"):
             raise ConfigError(f"--test {test}: must be mixed or anova")
         options = figure_options(formats, style)

@@ -1,6 +1,7 @@
 """What a test comes to: corrected p values, differences and effect sizes with their intervals, and sphericity."""
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -22,21 +23,11 @@ def corrected(ps: Sequence[float], correction: str) -> list[float]:
 
     Bonferroni; S. Holm, Scand. J. Stat. 6 (1979) 65; Y. Benjamini and Y. Hochberg, J. R. Stat. Soc. B 57 (1995) 289.
     """
-    count = len(ps)
-    if correction == "none" or not count:
+    from statsmodels.stats.multitest import multipletests
+
+    if correction == "none" or not ps:
         return list(ps)
-    if correction == "bonferroni":
-        return [min(1.0, count * p) for p in ps]
-    given = np.asarray(ps, dtype=float)
-    order = np.argsort(given)
-    ranks = np.arange(1, count + 1)
-    if correction == "holm":
-        ascending = np.maximum.accumulate((count + 1 - ranks) * given[order])
-    else:
-        ascending = np.minimum.accumulate((count / ranks * given[order])[::-1])[::-1]
-    result = np.empty(count)
-    result[order] = np.minimum(ascending, 1.0)
-    return [float(p) for p in result]
+    return [float(p) for p in multipletests(ps, method=correction)[1]]
 
 
 def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, float, float]:
@@ -78,34 +69,27 @@ def compared(left: Matrix, right: Matrix, paired: Matrix | None, confidence: flo
     """
     from scipy import stats
 
-    if paired is not None:
-        count = len(paired)
-        if count < 2:
-            return None
-        deviation, df, size = float(paired.std(ddof=1)), float(count - 1), float(count)
-        difference, error = float(paired.mean()), deviation / math.sqrt(count)
-    else:
-        if min(len(left), len(right)) < 2:
-            return None
-        spreads = left.var(ddof=1) / len(left), right.var(ddof=1) / len(right)
-        difference, error = float(left.mean() - right.mean()), math.sqrt(float(sum(spreads)))
-        # Welch's degrees of freedom; g has the pooled deviation
-        df = float(sum(spreads) ** 2 / (spreads[0] ** 2 / (len(left) - 1) + spreads[1] ** 2 / (len(right) - 1) or 1.0))
-        size = len(left) * len(right) / (len(left) + len(right))
-        pooled = (left.var(ddof=1) * (len(left) - 1) + right.var(ddof=1) * (len(right) - 1)) / (
-            len(left) + len(right) - 2
-        )
-        deviation = math.sqrt(float(pooled))
-    if error <= 0.0 or deviation <= 0.0:
+    if min(len(part) for part in ((left, right) if paired is None else (paired,))) < 2:
         return None
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, df)) * error
-    p = 2.0 * float(stats.t.sf(abs(difference) / error, df))
+    if paired is not None:
+        deviation, size, difference = float(paired.std(ddof=1)), float(len(paired)), float(paired.mean())
+    else:
+        # g has the pooled deviation
+        rest = len(left) - 1, len(right) - 1
+        deviation = math.sqrt(float(left.var(ddof=1) * rest[0] + right.var(ddof=1) * rest[1]) / sum(rest))
+        size, difference = len(left) * len(right) / (len(left) + len(right)), float(left.mean() - right.mean())
+    if deviation <= 0.0:
+        return None
+    # Student's test of differences, or Welch's, of which one side may be the same in all
+    with warnings.catch_warnings(action="ignore"):
+        test = stats.ttest_ind(left, right, equal_var=False) if paired is None else stats.ttest_1samp(paired, 0.0)
+    df, ends = float(test.df), test.confidence_interval(confidence)
     # L. V. Hedges, J. Educ. Stat. 6 (1981) 107: the deviation of few values is too small on average
     small = 1.0 - 3.0 / (4.0 * df - 1.0)
     t = difference / deviation * math.sqrt(size)
     low, high = _noncentral(lambda centre: float(stats.nct.cdf(t, df, centre)), -math.inf, t, confidence)
     scale = small / math.sqrt(size)
-    return difference, difference - half, difference + half, df, p, t * scale, low * scale, high * scale
+    return difference, float(ends.low), float(ends.high), df, float(test.pvalue), t * scale, low * scale, high * scale
 
 
 def partial_eta2(f: float, df1: float, df2: float, confidence: float = 0.95) -> tuple[float, float, float]:

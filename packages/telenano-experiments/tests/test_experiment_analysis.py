@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from experiment_tables import DELAYS_MS, LAWS, SLOPE, demo, trial
 from observer import Observer
-from telenano_experiments import analyse as analyse_module
 from telenano_experiments.analyse import Choice, analyse
 from telenano_experiments.effect_sizes import corrected, partial_eta2, sphericity
 from telenano_experiments.effects import Effects
@@ -214,7 +213,7 @@ def test_thresholds_are_fitted_for_each_participant_and_condition() -> None:
     assert [(term.term, term.p) for term in tested.terms] == [("law", 1.0)]
 
 
-def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_analysed_is_said() -> None:
     with pytest.raises(ConfigError, match="no trial counts"):
         analyse(tidy([]))
     with pytest.raises(ConfigError, match=r"measure completion_tine_s: known are .*did you mean completion_time_s"):
@@ -223,11 +222,6 @@ def test_what_cannot_be_analysed_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
         analyse(tidy(demo(1)), Choice(correction="holms"))
     with pytest.raises(ConfigError, match="thresholds need a measure or an answer named `correct`"):
         analyse(tidy(demo(1)), adaptive={"delay_ms": {}})
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(
-        ConfigError, match=r"the analysis needs pandas, scipy, statsmodels: pip install .*telenano-experiments"
-    ):
-        analyse_module.require_packages()
 
 
 def test_everything_is_written_with_what_a_paper_has_to_say(tmp_path: Path) -> None:
