@@ -56,6 +56,7 @@ _ANSWER_EVERY_S = 0.2
 _ANSWER_DEADLINE_S = 5.0
 # Of the values of one answer: sixteen choices of 128 letters and their names.
 _MOST_ANSWER_BYTES = 4096
+_LONGEST_SHOWN_S = 1e6
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 _METRICS_NS = 1_000_000_000
@@ -390,7 +391,7 @@ class Hub:
                     role="participant" if is_own else "experimenter",
                     values=request.values,
                     given_ns=given_ns,
-                    shown_s=request.shown_s,
+                    shown_s=min(max(0.0, request.shown_s), _LONGEST_SHOWN_S),
                 )
                 for _ in range(round(_ANSWER_EVERY_S / TICK_S)):
                     await asyncio.sleep(TICK_S)
@@ -481,7 +482,7 @@ class Hub:
             return
         try:
             outlet = self._outlet()
-            self._holder, self._force = session, (request.force_n, request.across_n)
+            self._holder, self._force = session, (request.force_n, (request.across_x_n, request.across_y_n))
             self._looked_s, self._silent_s = time.monotonic(), 0.0
             outlet.push(*self._force)
         except TelenanoError as error:

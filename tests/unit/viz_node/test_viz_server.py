@@ -229,7 +229,7 @@ def test_a_page_that_has_not_been_built_says_how(rig: Rig) -> None:
     [
         ({"token": "wrong-token-01234"}, "the token is wrong"),
         ({"protocol": 2}, "load the page again"),
-        ({"token": 7}, "token: must be a text"),
+        ({"token": 7}, "$.token"),
         ({"k": "estop", "id": "a"}, "the first frame must be hello"),
     ],
 )
