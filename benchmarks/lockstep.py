@@ -14,14 +14,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from telenano_studies import option_values
+from telenano_studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
 
 from services.afm_node.physics.step import AfmInputs
 from services.afm_node.physics.step import step as instrument_step
 from services.haptic_node.physics.step import HapticInputs
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import always_compiled
-from studies import option_values
-from studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
 from studies.loops.link import schedule_of, symmetric_link
 from studies.loops.lockstep import Rig, Trajectory, simulate
 

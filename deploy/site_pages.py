@@ -14,9 +14,8 @@ import nbformat
 from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
 from nbconvert.preprocessors import ExecutePreprocessor
+from telenano_studies.pages.gallery import FOLDER, fragment_of
 from traitlets.config import Config
-
-from studies.pages.gallery import FOLDER, fragment_of
 
 ROOT = Path(__file__).resolve().parents[1]
 # documents beside docs/, which its pages link to; a package that `telenano new` made here is none

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
+from telenano_studies.loops.cells import Cell
 
 from proto.errors import ConfigError
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
 from services.runtime.settings.config import validate
-from studies.loops.cells import Cell
 from studies.loops.theory import (
     Arm,
     Complex,

@@ -50,7 +50,6 @@ _ABOUT = {
     "report": "Write figure and summary of a recording again.",
     "compare": "Draw sessions over one another, with one table.",
     "bag": "Inspect a recording, and make others from it.",
-    "study": "Study each law in lockstep: stability, transparency.",
     "scenario": "List, show, check and make scenarios.",
     "param": "List the keys of a scenario, and get their values.",
     "graph": "Draw the nodes, and the topics between them.",
@@ -60,12 +59,11 @@ _ABOUT = {
     "scan": "Image a sample: tapping or contact mode, simulated time.",
     "curve": "Measure a force curve of the simulated instrument, beside a measured one.",
     "push": "Push one particle, in simulated time or on a rig.",
-    "reproduce": "Make figures and equations of the paper again, on one page.",
     "keys": "Make, show and list the keys that identify machines.",
     "relay": "Run a relay between two sites that can only dial out.",
     "device": "List, probe and watch real devices; emulate some.",
 }
-_GROUPS = ("bridge", "topic", "link", "node", "bag", "study", "scenario", "param", "law", "sample", "keys", "device")
+_GROUPS = ("bridge", "topic", "link", "node", "bag", "scenario", "param", "law", "sample", "keys", "device")
 LAZY_COMMANDS = {
     name: LazyCommand(f"telenano.cli.commands.{name}", "app" if name in _GROUPS else name, about)
     for name, about in _ABOUT.items()

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from telenano_studies.loops.cells import Cell, rig_of
+from telenano_studies.loops.validate import read_course, scenario_of
 from test_virtual_lockstep import (
     HAND_POINTS,
     PERIOD_NS,
@@ -31,10 +33,8 @@ from proto.messages import TeleopForward
 from services.controller.config import LAWS
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from studies.loops import link
-from studies.loops.cells import Cell, rig_of
 from studies.loops.link import Schedule, fresh, last_together, schedule_from
 from studies.loops.lockstep import Trajectory, simulate
-from studies.loops.validate import read_course, scenario_of
 
 TICKS = SETTLE_TICKS + round(SESSION_S / PERIOD_S)
 # the instrument is armed over a link that is still in order

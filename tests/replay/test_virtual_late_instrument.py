@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_studies.loops.cells import Cell, energies_of, scales_of
+from telenano_studies.loops.validate import read_course, scenario_of
 from test_virtual_lockstep import PERIOD_NS, PERIOD_S, SETTLE_TICKS, ConstantRig
 from virtual_rig import Range, constant_timing
 
-from studies.loops.cells import Cell, energies_of, scales_of
 from studies.loops.lockstep import Trajectory
-from studies.loops.validate import read_course, scenario_of
 
 SEED = 7
 Points = tuple[tuple[float, float], ...]

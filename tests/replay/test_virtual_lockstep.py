@@ -32,6 +32,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from telenano_studies.loops.cells import Cell, rig_of
+from telenano_studies.loops.validate import read_course, scenario_of
 from virtual_rig import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 
 from proto import Message, encode
@@ -42,10 +44,8 @@ from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
 from studies.loops import sites
-from studies.loops.cells import Cell, rig_of
 from studies.loops.link import schedule_of, symmetric_link
 from studies.loops.lockstep import Trajectory, simulate
-from studies.loops.validate import read_course, scenario_of
 
 PERIOD_S = ControllerConfig().period_s
 PERIOD_NS = round(PERIOD_S * 1e9)

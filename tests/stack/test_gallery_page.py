@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from browser_page import AXE, Page, View, browser, keep, needs_browser, open_page
 from made_sessions import Made, hand_force_n
-
-from studies.pages.gallery import FOLDER, page_of
+from telenano_studies.pages.gallery import FOLDER, page_of
 
 pytestmark = [pytest.mark.browser, needs_browser]
 

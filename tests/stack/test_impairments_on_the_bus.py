@@ -8,11 +8,11 @@ import machine
 import pytest
 import yaml
 from impairments import KINDS, cell_of, direction_of, fault_of, outcomes, scenario_over, write_bursts, write_traces
+from telenano_studies.loops.cells import Cell, CellResult
+from telenano_studies.loops.validate import RECORDING_NAME
 
 from analysis.report import read_session
 from recording.multi_file import open_recordings
-from studies.loops.cells import Cell, CellResult
-from studies.loops.validate import RECORDING_NAME
 
 # what servo and clocks leave of the balance [J]
 LEAST_J = -1e-6

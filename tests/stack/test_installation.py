@@ -235,7 +235,7 @@ ALONE = {
     "launcher": "report REFERENCE --out report",
     "studies": "study transparency --law wave --delay 0 --out study",
     "rig": "curve --out curve",
-    "dask": "-c import dask.distributed, studies.loops.sweep",
+    "dask": "-c import dask.distributed, telenano_studies.loops.sweep",
     "peers": "-c import zenoh, iceoryx2",
     "notebooks": "-c import hatchling, ipykernel, nbconvert, telenano; telenano.simulate('fig12').df('afm/state')",
     "site": "-c import mkdocs, material, mkdocstrings",

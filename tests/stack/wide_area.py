@@ -35,11 +35,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import telenano_studies.option_values
 import yaml
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
-import studies.option_values
 from analysis.network_trace import QUANTILES
 from recording.reader import Recording
 from services.runtime.settings.config import flatten
@@ -283,8 +283,9 @@ def fig12(
 
 def draws(law: str, delay_ms: float, loss: float, first_hold_s: float | None = None) -> list[str]:
     """Give the verdicts of lockstep on the same programme over the same network, one for each draw of the losses."""
+    from telenano_studies.loops.validate import SEEDS
+
     from studies.loops.simulation import simulate_scenario
-    from studies.loops.validate import SEEDS
 
     verdicts = []
     chosen: dict[str, Any] = {}
@@ -386,7 +387,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, default=1000, help="most sessions to run now")
     given = parser.parse_args()
     if given.table is not None:
-        laws = studies.option_values.laws(given.laws)
+        laws = telenano_studies.option_values.laws(given.laws)
         cells = list(itertools.product(laws, given.delays_ms, given.losses))
         table(given.table, cells, given.networks.split(","), given.cells)
         return

@@ -127,7 +127,7 @@ def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: lis
 
 
 def _page(take: "Take[Any]", verdicts: "list[Verdict]", result: str) -> Any:
-    from studies.pages.page import Page
+    from analysis.page import Page
 
     page = Page(f"Acceptance of {take.facts.identity}: {result}")
     page.paragraph(

@@ -86,7 +86,7 @@ def analyse(
 
 
 def _print(document: dict[str, Any], page: Path) -> None:
-    from studies.pages.page import text
+    from analysis.page import text
 
     out = console()
     columns = {

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.page import Page, write_images
 from services.recorder.provenance import versions as origin_of
 from services.viz_node.figure_style import COLUMN_IN, LINES, FigureOptions, lettered, styled
-from studies.pages.page import Page, write_images
 from telenano_experiments.analyse import Analysis, versions
 from telenano_experiments.effects import Factor
 from telenano_experiments.psychophysics.function import Psychometric

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from telenano_studies import option_values
+from telenano_studies.study_options import SchedulerOption, WorkersOption
+from telenano_studies.study_results import INTERRUPTED, print_result, sweep_in, write_study
 
 from services.viz_node.figure_style import figure_options, styled
-from studies import option_values
-from telenano.cli.commands.study_options import SchedulerOption, WorkersOption
-from telenano.cli.commands.study_results import INTERRUPTED, print_result, sweep_in, write_study
 from telenano.cli.completion import law_names
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import report_errors
@@ -40,7 +40,7 @@ def benchmark(
 ) -> None:
     """Run the benchmark of laws: fixed tasks, networks and hands in lockstep; one page, and a digest of the runs."""
     with report_errors(as_json, INTERRUPTED):
-        from studies.pages.page import write_images
+        from analysis.page import write_images
         from telenano_experiments.benchmark.plan import plan_of
         from telenano_experiments.benchmark.recordings import write_recordings
         from telenano_experiments.benchmark.results import rows_of, runs_text, summary_of

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from analysis.page import Page, text
 from services.delay_node.profiles import PROFILES
-from studies.pages.page import Page, text
 from telenano_experiments.benchmark.plan import HANDS, TASKS, VERSION, Plan
 from telenano_experiments.benchmark.results import Row, Spread, choices
 from telenano_experiments.benchmark.run import DIGITS, MEASURES, MOST_PEAK

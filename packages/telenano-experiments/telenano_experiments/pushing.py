@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from telenano_studies.loops.push_study import SPEED_M_PER_S
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.particles.push import KINETIC, RADIUS
@@ -20,7 +21,6 @@ from services.haptic_node.physics.lateral_hand import LateralHandConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops.push_hand import Hand, Push, new_hand
-from studies.loops.push_study import SPEED_M_PER_S
 from studies.loops.simulation import instrument_params
 from telenano.extend.tasks import Course
 from telenano_experiments.operators import Profile

@@ -17,6 +17,7 @@ from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Ru
 from telenano_experiments.benchmark.recordings import course_text, write_recordings
 from telenano_experiments.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
 from telenano_experiments.benchmark.run import MEASURES, MOST_PEAK, RUNS, STRUCK, Outcome, outcome_from, run
+from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
@@ -25,7 +26,6 @@ from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 from services.controller.laws.wave import WaveConfig
 from services.delay_node.profiles import PROFILES
 from studies.loops.link import schedule_of
-from studies.loops.sweep import Journal, Sweep
 from telenano.cli.root import app
 
 STEP_S = 0.005

@@ -107,8 +107,8 @@ def margins(
 ) -> None:
     """Show what a law keeps with slow devices, and with each parameter a fifth more or less."""
     with report_errors(as_json):
-        from studies.loops.margins import as_dict
-        from studies.loops.margins import margins as rows_of
+        from telenano_studies.loops.margins import as_dict
+        from telenano_studies.loops.margins import margins as rows_of
 
         rows = [as_dict(row) for row in rows_of(law, delay, stiffness, latency)]
     facts = {"law": law, "round_trip_ms": delay, "stiffness_n_per_m": stiffness, "device_latency_ms": latency}

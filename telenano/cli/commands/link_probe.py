@@ -84,7 +84,7 @@ def probe(
 def _laws(text: str | None) -> tuple[str, ...]:
     if text is None:
         return ()
-    from studies import option_values
+    from telenano_studies import option_values
 
     return option_values.laws(text)
 
@@ -94,8 +94,9 @@ def _tried(
 ) -> list[dict[str, Any]]:
     if not laws:
         return []
+    from telenano_studies.loops.network import MeasuredNetwork, rows_of, run_laws
+
     from services.delay_node.config import parse_settings
-    from studies.loops.network import MeasuredNetwork, rows_of, run_laws
 
     round_trip_ms = sum(way["delay_p50_ms"] for way in network.values())
     lost_share = max(way["lost_share"] for way in network.values())

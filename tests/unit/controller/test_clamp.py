@@ -4,12 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_studies.loops.cells import Cell, trajectory_of
 
 from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
 from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
 from studies.loops import lockstep
-from studies.loops.cells import Cell, trajectory_of
 
 PARAMS = ClampParams(True, 1e8, 1.5e-6 * 1e-3 / 30.0, 0.1)
 

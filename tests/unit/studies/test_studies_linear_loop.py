@@ -5,17 +5,17 @@ import math
 import control
 import numpy as np
 import pytest
+from telenano_studies.loops.cells import Cell, run_cell
+from telenano_studies.loops.stability import Axes, Line, theory_of
+from telenano_studies.option_values import Jitter
 
 import telenano
 from proto.errors import ConfigError
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
-from studies.loops.cells import Cell, run_cell
 from studies.loops.linear_loop import LinearLoop
-from studies.loops.stability import Axes, Line, theory_of
 from studies.loops.theory import Arm, Device, arm_response, loop_model
-from studies.option_values import Jitter
 
 OMEGA = np.geomspace(0.5, 100.0, 60)
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_studies.loops.cells import Cell, course_of, rig_of, trajectory_of
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics import step as afm
@@ -12,7 +13,6 @@ from services.controller.config import LAWS
 from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from studies.loops import lockstep
-from studies.loops.cells import Cell, course_of, rig_of, trajectory_of
 from studies.loops.link import schedule_of, symmetric_link
 
 PERIOD_S = 1e-3

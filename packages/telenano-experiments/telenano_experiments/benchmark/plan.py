@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
+from telenano_studies.loops.cells import Cell, Environment
 
 from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS
@@ -19,7 +20,6 @@ from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.profiles import PROFILES
 from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings
-from studies.loops.cells import Cell, Environment
 
 VERSION = 2
 

@@ -8,7 +8,8 @@ import hashlib
 import json
 from pathlib import Path
 
-from studies.loops.cells import scales_of
+from telenano_studies.loops.cells import scales_of
+
 from telenano_experiments.benchmark.plan import VERSION, Plan, Run
 from telenano_experiments.benchmark.run import course_of, rounded
 

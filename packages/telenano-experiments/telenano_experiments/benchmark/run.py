@@ -10,14 +10,14 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
+from telenano_studies.loops.cells import CellResult, Scales, judged, scales_of, settle_ticks
+from telenano_studies.loops.sweep import Kind
 
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import validate
-from studies.loops.cells import CellResult, Scales, judged, scales_of, settle_ticks
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Series, Trajectory, build_rig, simulate
-from studies.loops.sweep import Kind
 from telenano_experiments.benchmark.etvo import Offsets, etvo
 from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task, is_random
 

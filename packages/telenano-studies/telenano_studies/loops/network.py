@@ -1,0 +1,57 @@
+"""What each law does over a network as it was measured: in lockstep, on the recorded delays and losses."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from services.delay_node.config import LinkSettings
+from telenano_studies.loops.cells import Cell, CellResult, course_of, judged
+from telenano_studies.loops.tuning import tuned
+
+# k of the cantilever of Table 2, in the contact of Fig. 12
+CONTACT_N_PER_M = 40.0
+
+
+@dataclass(frozen=True)
+class MeasuredNetwork:
+    """The link's settings that replay a measurement, the folder of its files, and its figures both ways."""
+
+    settings: LinkSettings
+    folder: Path
+    round_trip_ms: float
+    lost_share: float
+
+
+def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, CellResult]]:
+    """Run each law in the contact of Fig. 12, with its defaults and tuned for the round trip; tuned is True there."""
+    found = []
+    for law in laws:
+        for is_tuned in (False, True):
+            cell = Cell(
+                law=law,
+                environment="contact",
+                round_trip_ms=network.round_trip_ms,
+                stiffness_n_per_m=CONTACT_N_PER_M,
+                loss=network.lost_share,
+            )
+            if is_tuned:
+                settings = tuned(law, CONTACT_N_PER_M, cell.round_trip_s)
+                cell = cell.model_copy(update={"settings": settings})
+            course = course_of(cell, cell.hand_points(), cell.hold_s()[1], (network.settings, network.folder))
+            found.append((is_tuned, judged(cell, course)))
+    return found
+
+
+def rows_of(results: Sequence[tuple[bool, CellResult]]) -> list[dict[str, Any]]:
+    """Return the verdicts as rows of a table."""
+    return [
+        {
+            "law": result.cell.law,
+            "parameters": "tuned" if is_tuned else "defaults",
+            "verdict": result.verdict,
+            "hold_ratio": None if result.hold_ratio is None else round(result.hold_ratio, 4),
+            "reason": result.reason,
+        }
+        for is_tuned, result in results
+    ]

@@ -1,0 +1,241 @@
+"""Figures of the paper made anew, and its equations with the numbers of Table 2, on one page."""
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from analysis.page import Page, png_of, text
+from proto.errors import RigError
+from recording.whole_files import whole_file
+from services.afm_node.config import AfmConfig
+from services.afm_node.physics.cantilever import volts_per_m
+from services.afm_node.physics.contact.capillary import meniscus_force, meniscus_radius_m
+from services.afm_node.physics.contact.contact_table import table_force
+from services.afm_node.physics.contact.lennard_jones import contact_distance_m, lennard_jones_force, minimum_distance_m
+from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa, pull_off_force_n, reduced_modulus_pa
+from services.afm_node.physics.contact.tip_sample import branch_force
+from services.afm_node.physics.sample.made_samples import SampleConfig
+from services.afm_node.programs.scan import ScanSettings
+from studies.instrument.curve_models import ModelRow, compare_models
+from studies.instrument.force_curve import Curve, force_curve, marks_of
+from studies.instrument.scan import ScanResult, scan
+from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
+from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
+
+FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
+Progress = Callable[[str, int, int], None]
+# The statement of the paper for each figure, and where this one differs.
+_BESIDE_THE_PAPER = {
+    "fig5": "The paper: the tip contacts with the sample at C and leaves it at D during retracting; the hysteresis is"
+    " energy that is lost. The same here, where C is the forming of the meniscus, as a cantilever of 40 N/m does not"
+    " snap, and D is its break; the paper draws F over the distance h, this figure over the base.",
+    "fig6": "The paper: measured on mica, with the noise of its electronics, and nearly linear in contact. The same"
+    " here without noise; tip and sample are those of Table 2, since the paper does not tell all of them.",
+    "fig8": "The paper: dots of about 5 nm radius and 10 nm height. Here they are wider, as the tip of 10 nm radius"
+    " sees them; their places are drawn by a seed.",
+    "fig10": "The paper: upward jumps of the hand stand for the dots, and x_m goes with alpha_p x_s. The same here; the"
+    " hand stays below the tops by what sample and device give way.",
+    "fig12": "The paper: the operator pushes from 0.8 s on, the tip is pulled before it touches, F_m and alpha_f F_s"
+    " balance, and after the release at 4.6 s the hand goes back to the point of contact. The same here; F_m is 1.05"
+    " times alpha_f F_s, as Eq. 17 has it for K_f = 20. The arrow in (c) is the forming of the meniscus, by which a"
+    " cantilever of 40 N/m goes 0.12 nm: it does not snap.",
+}
+
+
+class Value(NamedTuple):
+    """One number: what and where in the paper, with its erratum; ours and the expected one, in one unit."""
+
+    name: str
+    where: str
+    ours: float
+    expected: float
+    unit: str
+
+    @property
+    def difference(self) -> float:
+        """Return the difference, as a share of the expected value."""
+        return self.ours / self.expected - 1.0
+
+
+def equations() -> list[Value]:
+    """Return what the equations give for Table 2, computed by the models, beside independently computed values."""
+    config = AfmConfig()
+    t, c = config.tip_sample, config.cantilever
+    tip = config.to_params().plant.tip
+    a0 = contact_distance_m(t.sigma_m)
+    least = minimum_distance_m(t.sigma_m)
+    onset = tip.contact_onset_m
+    volts = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
+    modulus = reduced_modulus_pa(t.tip_modulus_pa, t.tip_poisson, t.sample_modulus_pa, t.sample_poisson)
+
+    def contact(indentation_m: float) -> tuple[float, float]:
+        return table_force(tip.table, indentation_m)
+
+    pull_off = pull_off_force_n(tip.table.contact)
+    rows = [
+        ("read-out of the bridge", "Eq. 3", volts * 1e-6, 6.25, "mV/nm"),
+        ("contact distance a0", "Eq. 5", a0 * 1e9, 0.197988, "nm"),
+        ("strongest attraction without water", "Eq. 5",
+         lennard_jones_force(least, t.hamaker_j, t.tip_radius_m, t.sigma_m)[0] * 1e9, -3.797, "nN"),
+        ("its distance", "Eq. 5", least * 1e9, 0.2494, "nm"),
+        ("meniscus at a0", "Eq. 6, E3, E4",
+         meniscus_force(a0, tip.capillary_force_n, tip.meniscus_width_m, a0)[0] * 1e9, -9.173, "nN"),
+        ("meniscus radius at 63.8 % humidity", "Eq. 6", meniscus_radius_m(0.638) * 1e9, 1.2, "nm"),
+        ("reduced modulus E*", "Eq. 8", modulus * 1e-9, 4.31198, "GPa"),
+        ("cohesive stress", "Eq. 8, E5", cohesive_stress_pa(t.work_of_adhesion_j_per_m2, a0) * 1e-9, 0.374568, "GPa"),
+        ("transition parameter lambda", "Eq. 8", tip.table.contact.transition, 0.82538, ""),
+        ("pull-off of the dry contact", "Eq. 7-11, E6", pull_off * 1e9, -3.684, "nN"),
+        ("force without indentation", "Eq. 7-11", contact(0.0)[0] * 1e9, -3.225, "nN"),
+        ("hand-over distance h*", "Eq. 4, E7", onset * 1e9, 0.2735, "nm"),
+        ("force there", "Eq. 4, E7", branch_force(tip, onset, False, False)[0] * 1e9, -3.605, "nN"),
+        *((f"contact stiffness at {d:g} nm", "Eq. 7-11", contact(d * 1e-9)[1], k, "N/m")
+          for d, k in ((0.0, 6.74), (0.2, 13.15), (0.5, 19.6), (1.0, 27.4), (2.0, 38.6))),
+    ]  # fmt: skip
+    others = [*device_rows(), *cantilever_rows(), *contact_rows(), *control_rows()]
+    values = [Value(name, where, float(ours), expected, unit) for name, where, ours, expected, unit in (*rows, *others)]
+    return sorted(values, key=lambda value: _equation_number(value.where))
+
+
+def _equation_number(where: str) -> int:
+    """Return the number of the first equation that a place of the paper names.
+
+    >>> _equation_number("Eq. 7-11, E6")
+    7
+    """
+    found = re.search(r"Eq\. (\d+)", where)
+    return int(found.group(1)) if found else 0
+
+
+def reproduce(figures: Sequence[str], out: Path, pixels: int, progress: Progress) -> dict[str, object]:
+    """Write reproduce.html into a folder with the chosen figures; return their numbers.
+
+    A figure whose rig did not run is replaced by the reason, which is also under `failed` in the numbers.
+
+    Args:
+        figures: The figures, of FIGURES.
+        out: The folder.
+        pixels: The pixels of a line, and the lines, of the image of Fig. 8.
+        progress: Called with the figure, how much of it is done, and its whole.
+    """
+    page = Page("The paper, made again")
+    summary: dict[str, object] = {}
+    if "equations" in figures:
+        rows = equations()
+        page.heading("Equations and errata E1 to E8, with the values of Table 1 and 2 and of Fig. 12")
+        head = ("quantity", "where", "ours", "expected", "unit", "difference [%]")
+        page.table(head, [(r.name, r.where, r.ours, r.expected, r.unit, 100.0 * r.difference) for r in rows])
+        page.paragraph("Expected: computed from the equations independently of this project, with the errata mended.")
+        summary["equations"] = [{**row._asdict(), "difference": row.difference} for row in rows]
+    for name, stiffness, words in (
+        ("fig5", 40.0, "Fig. 5, force and distance in approach and retraction (simulation): Table 2"),
+        ("fig6", 8.0, "Fig. 6, the same with the cantilever of the experiment, k = 8 N/m, without its noise"),
+    ):
+        if name in figures:
+            config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": stiffness}})
+            curve = force_curve(config, 20e-9, 20e-9, progress=partial(progress, name))
+            page.heading(words)
+            summary[name] = _add_curve(page, curve)
+            page.paragraph(_BESIDE_THE_PAPER[name])
+    if "models" in figures:
+        page.heading("The quasi-static cantilever beside Eq. 4 in full")
+        found = compare_models(progress=partial(progress, "models"))
+        columns = (
+            "k [N/m]", "pull-off [nN]", "difference [%]", "snap-in x_s [nm]", "difference [nm]", "hysteresis [aJ]",
+            "difference [%]", "step [nm]",
+        )  # fmt: skip
+        page.table(columns, [_model_cells(row) for row in found])
+        summary["models"] = [row._asdict() for row in found]
+    if "fig8" in figures:
+        request = ScanSettings.in_simulated_time(pixels=pixels, lines=pixels)
+
+        def shown(n: int, of: int) -> bool:
+            progress("fig8", n, of)
+            return True
+
+        image = scan(SampleConfig().build(), request, AfmConfig(), shown)
+        page.heading("Fig. 8, InAs dots on 150 x 150 nm², tapping mode")
+        summary["fig8"] = _add_image(page, image)
+        page.paragraph(_BESIDE_THE_PAPER["fig8"])
+    live: tuple[tuple[str, str, Callable[[Page, Path], dict[str, object]]], ...] = (
+        ("fig10", "Fig. 10, the hand over two InAs dots: x_m solid, the surface at 0.1 cm/nm dashed", _add_tactile),
+        ("fig12", "Fig. 12, a hand presses the tip onto mica, presses harder, and lets go", _add_holds),
+    )
+    failed: dict[str, str] = {}
+    for name, words, add in live:
+        if name in figures:
+            progress(name, 0, 1)
+            page.heading(words)
+            try:
+                summary[name] = add(page, run_scenario(name, out, partial(progress, name)))
+                page.paragraph(_BESIDE_THE_PAPER[name])
+            except RigError as error:
+                failed[name] = str(error)
+                page.paragraph(f"Not made: {error}")
+    if failed:
+        summary["failed"] = failed
+    with whole_file(out / "reproduce.html") as file:
+        page.write(file)
+    return summary
+
+
+def _model_cells(row: ModelRow) -> tuple[float, ...]:
+    return (
+        row.stiffness_n_per_m,
+        row.static_pull_off_n * 1e9,
+        100.0 * row.pull_off_share,
+        row.static_snap_in_m * 1e9,
+        row.snap_in_difference_m * 1e9,
+        row.static_hysteresis_j * 1e18,
+        100.0 * row.hysteresis_share,
+        row.step_m * 1e9,
+    )
+
+
+def _add_tactile(page: Page, recording: Path) -> dict[str, object]:
+    path = tactile_path(recording)
+    numbers: dict[str, object] = {
+        "correlation": path.correlation,
+        "rms_at_the_hand_m": path.rms_m,
+        "greatest_at_the_hand_m": float(path.hand_m.max()),
+        "speed_m_per_s": float(path.way_m[-1] / path.time_s[-1]),
+    }
+    page.image(png_of(tactile_figure(path)), "The upward jumps are the dots, as wide as dot and tip together.")
+    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    return numbers
+
+
+def _add_holds(page: Page, recording: Path) -> dict[str, object]:
+    folder = recording.parent
+    page.image((folder / "fig12.png").read_bytes(), "Forces, positions, and force against distance.")
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    holds = summary.get("holds", [])
+    if holds:
+        page.table(tuple(holds[0]), [tuple(hold.values()) for hold in holds])
+    return {"holds": holds}
+
+
+def _add_curve(page: Page, curve: Curve) -> dict[str, object]:
+    from studies.instrument.force_curve_figure import curve_figure
+
+    marks = marks_of(curve)
+    numbers: dict[str, object] = {"stiffness_n_per_m": curve.stiffness_n_per_m, **marks.as_dict()}
+    page.image(png_of(curve_figure([(curve, marks)])), "C contact, D leaving, as in the paper; the pull-off.")
+    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    return numbers
+
+
+def _add_image(page: Page, found: ScanResult) -> dict[str, object]:
+    from analysis.image_files import Image, image_figure
+
+    images = {
+        "height": Image("Height", "m", found.height_m, found.width_m, found.depth_m),
+        "truth": Image("Surface as the tip sees it", "m", found.truth_m, found.width_m, found.depth_m),
+        "error": Image("Difference", "m", found.height_m - found.truth_m, found.width_m, found.depth_m),
+    }
+    numbers: dict[str, object] = {"rms_error_m": found.rms_error_m, "correlation": found.correlation}
+    page.image(png_of(image_figure(images)), f"RMS error {found.rms_error_m * 1e9:.3f} nm, free of noise.")
+    page.table(("quantity", "value"), [(key, text(value)) for key, value in numbers.items()])
+    return numbers

@@ -1,0 +1,308 @@
+"""`telenano study`: stability maps, transparency, all laws compared, and the check that the bus agrees.
+
+What imports matplotlib is imported when a command runs, so that `telenano study --help` answers at once.
+"""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from analysis.page import Page, write_images
+from analysis.table_files import table_formats
+from services.viz_node.figure_style import figure_options, styled
+from telenano.cli.exit_codes import EXIT_FAILED
+from telenano.cli.model_options import Given, validated, with_options
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group
+from telenano.cli.output import print_rows, report_errors, results_folder
+from telenano.cli.sample_options import results_in
+from telenano_studies.gallery_command import gallery_command
+from telenano_studies.loops import advice
+from telenano_studies.loops.advice import Question
+from telenano_studies.loops.sample import drawn_cells
+from telenano_studies.loops.stability import Axes, LineResult, run_stability
+from telenano_studies.pages.compare import (
+    OVER_SEEDS,
+    OVER_SEEDS_HEAD,
+    Feel,
+    Request,
+    measure_all,
+    over_seeds_rows,
+    run_comparison,
+    spectra_of,
+    spectrum_figures,
+    write_comparison,
+    write_spectra,
+    write_transparency,
+    z_width_of,
+)
+from telenano_studies.promises_command import promises
+from telenano_studies.push_command import push
+from telenano_studies.study_options import OutOption, SchedulerOption, WorkersOption
+from telenano_studies.study_results import (
+    INTERRUPTED,
+    NO_JOURNAL,
+    command_line,
+    print_result,
+    sweep_in,
+    warn_of,
+    write_study,
+)
+
+if TYPE_CHECKING:
+    from telenano_studies.loops.validate import Agreement
+
+_BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
+# A study of one link and one environment does not have these options.
+_ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances", "seeds")
+# defaults of a study in place of those of the model, as a person would write them
+_TRANSPARENCY = {"laws": "all", "environment": "spring", "delays_ms": "0,20,40,100,200", "stiffnesses_n_per_m": "10"}
+_VALIDATE = {"laws": "virtual_impedance", "environment": "contact", "delays_ms": "0,40,60"}
+
+app = command_group()
+app.command()(promises)
+app.command()(push)
+app.command("gallery")(gallery_command)
+
+
+@app.command()
+@with_options(Axes)
+def stability(
+    given: Given,
+    out: OutOption,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
+    table: TableOption = "parquet",
+    as_json: JsonOption = False,
+) -> None:
+    """Map delay against stiffness, gain, jitter or loss: stable, limit cycle or diverged, and the critical delay."""
+    with report_errors(as_json, INTERRUPTED):
+        from telenano_studies.pages.stability_page import write_stability
+
+        axes, tables = validated(Axes, given), table_formats(table)
+        axes.check()
+        with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
+            results = run_stability(axes, sweep)
+        summary = write_stability(results, out, command_line(), figure_options(formats, style), tables)
+        over_seeds = ("link, over seeds [ms]",) if axes.seeds > 1 else ()
+        head = ("law", "conditions", "theory [ms]", "lockstep [ms]", "link alone [ms]", *over_seeds)
+        rows = [
+            (
+                r.line.law,
+                r.line.label,
+                "any" if r.theory_unlimited else _ms(r.theory_ms),
+                _ms(r.critical_delay_ms),
+                _ms(r.critical_link_ms),
+                *([_over_seeds(r)] if over_seeds else []),
+            )
+            for r in results
+        ]
+        print_result(summary, head, rows, out, as_json=as_json)
+
+
+@app.command()
+@with_options(Feel, ("environment", "gains", "jitters", "losses", "session_s", *_ONE_LINK), _TRANSPARENCY)
+def transparency(
+    given: Given,
+    out: OutOption,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
+    table: TableOption = "parquet",
+    as_json: JsonOption = False,
+) -> None:
+    """Measure what the hand feels: tracking, stiffness, hybrid matrix over frequency, Z-width of each law."""
+    with report_errors(as_json, NO_JOURNAL):
+        axes, tables = validated(Feel, given), table_formats(table)
+        warn_of(*axes.check())
+        rows = measure_all(axes, axes.delays_ms, for_delay=axes.tuned)
+        spectra = spectra_of(axes, axes.delays_ms, axes.frequencies_hz, for_delay=axes.tuned)
+        options = figure_options(formats, style)
+        records = [
+            {**asdict(row), "hand": axes.hand, **z_width_of(found)} for row, found in zip(rows, spectra, strict=True)
+        ]
+        summary = {"study": "transparency", "rows": records}
+        with results_in(out) as folder:
+            with styled(options):
+                images = write_images(folder, spectrum_figures(spectra), command_line(), options)
+            page = Page("Transparency under delay")
+            page.code(command_line())
+            write_transparency(page, rows)
+            write_spectra(page, spectra, images)
+            lines = [line for found in spectra for line in found.rows()]
+            write_study(folder, page, summary, tables, transparency=records, spectra=lines)
+        head = ("law", "delay [ms]", "verdict", "tracking [%]", "rendered [N/m]", "perceived [ms]", "contrast [dB]",
+                "passive to [N/m]", "Z-width [dB]")  # fmt: skip
+        print_result(summary, head, [
+            (r.law, r.round_trip_ms, r.verdict, r.tracking_error_percent, r.rendered_stiffness_n_per_m,
+             r.perceived_delay_ms, r.contrast_db, found.passive_n_per_m, found.z_width_db)
+            for r, found in zip(rows, spectra, strict=True)
+        ], out, as_json=as_json)  # fmt: skip
+
+
+@app.command()
+@with_options(Request)
+def compare(
+    given: Given,
+    out: OutOption,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    formats: FormatOption = "png",
+    style: StyleOption = "screen",
+    table: TableOption = "parquet",
+    as_json: JsonOption = False,
+) -> None:
+    """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
+    with report_errors(as_json, INTERRUPTED):
+        request, tables = validated(Request, given), table_formats(table)
+        with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
+            result = run_comparison(request, sweep)
+        summary = write_comparison(result, out, command_line(), figure_options(formats, style), tables)
+        if not as_json:
+            for sentence in summary["advice"]:
+                typer.echo(sentence)
+            if over_seeds := over_seeds_rows(summary["take"]):
+                typer.echo(OVER_SEEDS)
+                print_rows([dict(zip(OVER_SEEDS_HEAD, row, strict=True)) for row in over_seeds])
+        head = ("law", *(f"spring {k:g} N/m" for k in request.spring_n_per_m), "contact")
+        print_result(summary, head, [
+            (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
+            for name, found in summary["laws"].items()
+        ], out, as_json=as_json)  # fmt: skip
+
+
+@app.command()
+@with_options(Question, ("seed", "hands"))
+def advise(
+    given: Given,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder for page, table and journal; resumes a journal.")
+    ] = Path("out/advice"),
+    workers: WorkersOption = None,
+    table: TableOption = "parquet",
+    as_json: JsonOption = False,
+) -> None:
+    """Say which law to take for a network and a sample: every law, tuned for them, tried with a force and with arms."""
+    with report_errors(as_json, INTERRUPTED):
+        question, tables = validated(Question, given), table_formats(table)
+        with sweep_in(out, workers, None, shown=not as_json) as sweep:
+            candidates = advice.advise(question, sweep)
+        words = advice.in_words(question, candidates)
+        records = [candidate.as_dict() for candidate in candidates]
+        summary = {"study": "advise", "take": records[0]["law"] if records[0]["suited"] else None, "advice": words,
+                   "candidates": records}  # fmt: skip
+        over_seeds = [candidate.over_seeds() for candidate in candidates]
+        repeated = ("force over seeds", "peak over seeds") if over_seeds[0] else ()
+        head = ("law", "stable runs", "force in a hold", "peak force", "free [N s/m]", "least energy [mJ]", "price",
+                *repeated)  # fmt: skip
+        rows = [
+            (c.name, f"{r['stable_runs']}/{r['runs']}", r["force_share"], r["peak_share"], r["free_n_s_per_m"],
+             1e3 * r["lowest_energy_j"], r["price"], *([str(o["force_share"]), str(o["peak_share"])] if o else []))
+            for c, r, o in zip(candidates, records, over_seeds, strict=True)
+        ]  # fmt: skip
+        page = Page("Which law to take")
+        page.code(command_line())
+        for sentence in words:
+            page.paragraph(sentence)
+        page.table(head, rows)
+        if repeated:
+            page.paragraph(OVER_SEEDS)
+        with results_in(out) as folder:
+            write_study(folder, page, summary, tables, advise=records)
+        if not as_json:
+            for sentence in [*words, *([OVER_SEEDS] if repeated else [])]:
+                typer.echo(sentence)
+            typer.echo(f"set: {candidates[0].as_flags()}")
+        print_result(summary, head, rows, out, as_json=as_json)
+
+
+@app.command()
+@with_options(Axes, ("gains", *_ONE_LINK), _VALIDATE)
+def validate(
+    given: Given,
+    out: OutOption,
+    sample: Annotated[
+        int | None,
+        typer.Option(
+            "--sample", min=1, max=1000, metavar="N", help="Run so many drawn cells instead of those of the options."
+        ),
+    ] = None,
+    sample_seed: Annotated[int, typer.Option("--sample-seed", min=0, help="Seed of the draw.")] = 1,
+    site_file: Annotated[
+        Path | None, typer.Option("--site-file", metavar="FILE", help="Address book of the rig; default: this machine.")
+    ] = None,
+    table: TableOption = "parquet",
+    as_json: JsonOption = False,
+) -> None:
+    """Run cells on real processes over the link and compare with lockstep; exit code 1 where they disagree."""
+    with report_errors(as_json, _BUS_INTERRUPTED):
+        from telenano_studies.loops.validate import SEEDS, TOLERANCE_SHARE, Bus, bus_edges, scenario_of, validate_cells
+
+        axes, tables = validated(Axes, given), table_formats(table)
+        warn_of(*axes.check())
+        cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
+        cells = drawn_cells(sample, sample_seed) if sample is not None else cells
+        for cell in cells:
+            scenario_of(cell)
+        with results_folder(out):
+            agreements = validate_cells(cells, Bus(site_file, out), lambda text: typer.echo(text, err=True))
+        records = [asdict(agreement) for agreement in agreements]
+        edges = bus_edges(agreements, cells[0].controller().period_s)
+        summary = {
+            "study": "validate",
+            "agree": all(a.agree for a in agreements),
+            "bus_critical_delay_ms": [edge._asdict() for edge in edges],
+            "cells": records,
+        }
+        head = ("law", "environment", "stiffness [N/m]", "hand", "delay [ms]", "jitter [ms]", "loss", "lockstep", "bus",
+                "draws", "growth, lockstep [1/s]", "growth, bus [1/s]", "difference", "at most", "agree")  # fmt: skip
+        rows = [
+            (a.law, a.environment, a.stiffness_n_per_m, a.hand, a.round_trip_ms, a.jitter_ms, a.loss, a.lockstep, a.bus,
+             a.draws, a.lockstep_growth_per_s, a.bus_growth_per_s, a.difference_share, a.tolerance_share, _agreed(a))
+            for a in agreements
+        ]  # fmt: skip
+        what = f"{sample} drawn cells" if sample is not None else axes.environment
+        page = Page(f"The bus against lockstep: {what}")
+        page.code(command_line())
+        page.table(head, rows)
+        page.paragraph(
+            "Difference: RMS of the tip's force on the bus less that in lockstep, over the session, as a share of the"
+            f" hand's force; at most {TOLERANCE_SHARE:g} where both are stable. Over a random link lockstep runs over"
+            " the losses and delays that the recording has of every message, and the bus has to have its verdict;"
+            f" the draws are {SEEDS} runs over other losses, and show how much depends on them."
+        )
+        if edges:
+            page.table(("law", "stiffness [N/m]", "critical delay on the bus [ms]"), [(e[0], *e[2:]) for e in edges])
+            page.paragraph(
+                "Where the growth rate on the bus passes zero, taken as linear between two cells, half a sample period"
+                " included: it compares with the continuous theory and with lockstep."
+            )
+        with results_in(out) as folder:
+            write_study(folder, page, summary, tables, validate=records)
+        print_result(summary, head, rows, out, as_json=as_json)
+    if not summary["agree"]:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _agreed(agreement: "Agreement") -> str:
+    if not agreement.agree:
+        return "no"
+    if agreement.near_an_edge:
+        return "yes, near an edge"
+    return "undecided" if agreement.undecided else "yes"
+
+
+def _over_seeds(result: LineResult) -> str:
+    """Return deviation, interval and number of the seeds that have an edge; what is not random has one course."""
+    if not result.stable_shares:
+        return "not random"
+    of = f"{result.seeds.n if result.seeds else 0} of {result.line.axes.seeds} seeds"
+    if result.seeds is None or result.seeds.deviation is None:
+        return of
+    return f"± {result.seeds.deviation:.2f}, mean {result.seeds.low:.1f} to {result.seeds.high:.1f}, {of}"
+
+
+def _ms(value: float | None) -> str:
+    return "none found" if value is None else f"{value:.2f}"

@@ -1,0 +1,140 @@
+"""Arms, tuning for a delay, and the advice that is made of them."""
+
+import math
+from typing import Any, get_args
+
+import pytest
+from telenano_studies.loops.advice import CANDIDATES, Question, advise, cells_of, in_words
+from telenano_studies.loops.cells import Cell, CellResult, Hand, run_cell, trajectory_of
+from telenano_studies.loops.merits import Network, Sample, Trial
+from telenano_studies.loops.sweep import Journal, Sweep
+from telenano_studies.loops.tuning import tuned
+from telenano_studies.option_values import Jitter
+
+from services.controller.config import LAWS
+from services.haptic_node.operator_config import ARMS
+from studies.loops import lockstep
+from studies.loops.theory import critical_delay_s, loop_model
+
+
+def cell(hand: Any = "ordinary", **changes: Any) -> Cell:
+    values: dict[str, Any] = {
+        "law": "position_force",
+        "environment": "spring",
+        "round_trip_ms": 0.0,
+        "stiffness_n_per_m": 20.0,
+        "session_s": 3.0,
+        "hand": hand,
+    }
+    return Cell(**{**values, **changes})
+
+
+@pytest.fixture
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the loop without the compiler: no law has to be compiled into it."""
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
+
+
+@pytest.mark.parametrize("hand", ARMS)
+@pytest.mark.usefixtures("plain")
+def test_arm_presses_with_the_force_of_the_programme_if_hand_and_sample_are_one(hand: str) -> None:
+    course = trajectory_of(cell(hand))
+    assert 1e8 * course.tip_force_n[-1] == pytest.approx(1.0, rel=0.01, abs=0.0)
+    assert course.hand_force_n[-1] == pytest.approx(1e8 * course.tip_force_n[-1], rel=1e-3, abs=0.0)
+
+
+@pytest.mark.usefixtures("plain")
+def test_wall_only_pushes_and_is_met_on_the_way() -> None:
+    course = trajectory_of(cell(environment="wall"))
+    assert course.tip_force_n.min() == 0.0
+    assert course.base_position_m[course.in_contact].min() > 3e-9
+    assert 1e8 * course.tip_force_n[-1] == pytest.approx(1.0, rel=0.02, abs=0.0)
+
+
+@pytest.mark.usefixtures("plain")
+def test_result_tells_force_peak_and_what_hand_and_tip_are_apart() -> None:
+    result = run_cell(cell("force", law="passivity", round_trip_ms=20.0))
+    assert result.verdict == "stable"
+    assert result.tip_n == pytest.approx(1.0, rel=1e-3, abs=0.0)
+    assert result.hand_n == pytest.approx(1.0, rel=1e-3, abs=0.0)
+    # the spring K_c of the coupling is in series: F / K_c
+    assert result.apart_m == pytest.approx(1.0 / 1500.0, rel=0.05, abs=0.0)
+    assert CellResult.from_dict(result.as_dict()) == result
+
+
+@pytest.mark.grid(law="passivity")
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("delay_s", [0.0, 0.2])
+def test_tuned_loop_bears_twice_the_delay(law: str, delay_s: float) -> None:
+    settings = dict(tuned(law, 38.0, delay_s))
+    if delay_s == 0.0 or law not in ("virtual_impedance", "position_force"):
+        assert settings == {}
+        return
+    config: Any = LAWS[law].config
+    model = loop_model(law, config(damping_n_s_per_m=settings[f"{law}.damping_n_s_per_m"]), 38.0)
+    assert model is not None
+    assert critical_delay_s(model) == pytest.approx(2.0 * delay_s, rel=1e-3, abs=0.0)
+    # where inertia does not matter B_v = 4 G T / pi
+    assert model.damping_n_s_per_m == pytest.approx(4.0 * model.gain_n_per_m * delay_s / math.pi, rel=0.01, abs=0.0)
+
+
+class Told(Sweep):
+    """A sweep in which the laws do as the test says: (verdict, force at the tip, greatest force)."""
+
+    def __init__(self, told: dict[str, tuple[str, float, float]], folder: Any) -> None:
+        super().__init__(Journal(folder / "journal.jsonl"), 1)
+        self.told = told
+        self.cells: list[Cell] = []
+
+    def run(self, cells: Any) -> list[CellResult]:
+        self.cells = list(cells)
+        found = []
+        for asked in cells:
+            verdict, tip_n, peak_n = self.told.get(asked.law, ("diverged", 1.0, 9.0))
+            reason = "it grows" if verdict != "stable" else ""
+            found.append(
+                CellResult(asked, verdict, None, 0.0, 0.0, 1.0, 0.0, False, reason, peak_n, tip_n, 1.0, 0.0, 0.0)
+            )
+        return found
+
+
+def test_advice_takes_the_law_that_costs_least_and_says_why_others_are_not_suited(tmp_path: Any) -> None:
+    question = Question(round_trip_ms=120.0, loss=0.03, stiffness_n_per_m=80.0)
+    sweep = Told({"wave": ("stable", 0.6, 1.0), "model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
+    found = advise(question, sweep)
+    assert [candidate.law for candidate in found[:3]] == ["model_mediated", "model_mediated", "wave"]
+    assert [candidate.clamp for candidate in found[:2]] == [False, True]
+    assert len(sweep.cells) == len(CANDIDATES) * 4 * 3
+    words = in_words(question, found)
+    assert words[0].startswith(
+        "120 ms, 3 % loss, wall of 80 N/m: take model_mediated with the clamp off; all of its 12 runs held"
+    )
+    assert words[1].startswith("Next come model_mediated with the clamp on, with 0.97 of the force in the worst hold")
+    assert "smith with the clamp off (it grows)" in words[2]
+    assert found[0].price() == pytest.approx(0.03 + 0.1, rel=1e-9, abs=0.0)
+
+
+def test_a_law_is_suited_only_if_all_its_runs_are_stable(tmp_path: Any) -> None:
+    question = Question(round_trip_ms=300.0, jitter=Jitter(0.5, relative=True), stiffness_n_per_m=80.0)
+    found = advise(question, Told({}, tmp_path))
+    assert all(candidate.price() == math.inf for candidate in found)
+    assert in_words(question, found)[0] == "300 ms, jitter 50%, wall of 80 N/m: no law held in all of its runs."
+    assert found[0].as_dict()["price"] is None
+
+
+def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
+    sweep = Told({}, tmp_path)
+    advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
+    assert len(sweep.cells) == len(CANDIDATES) * 4
+
+
+def test_the_page_runs_what_the_advice_runs() -> None:
+    question = Question(
+        round_trip_ms=120.0, jitter=Jitter(0.5, relative=True), loss=0.03, stiffness_n_per_m=80.0, seeds=2
+    )
+    network = Network(question.round_trip_ms, question.jitter, question.loss)
+    hands: tuple[Hand, ...] = get_args(Hand)
+    trial = Trial(tuple(LAWS), (network,), hands, (Sample("wall", 80.0),), seed=0, seeds=2)
+    for law, clamp in CANDIDATES:
+        ran = [cell for hand in hands for cell in trial.cells(trial.samples[0], law, clamp, network, hand)]
+        assert ran == cells_of(question, law, clamp)

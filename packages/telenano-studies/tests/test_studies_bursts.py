@@ -1,0 +1,99 @@
+"""Bursts: signals that a link lets out together, in lockstep, are borne by every slave half that closes a loop."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from telenano_studies.loops.cells import (
+    Cell,
+    CellResult,
+    course_of,
+    energies_of,
+    judged,
+    rig_of,
+    scales_of,
+    settle_s,
+    settle_ticks,
+)
+
+from services.delay_node.config import parse_settings
+from studies.loops.link import Schedule, schedule_from
+from studies.loops.lockstep import simulate
+
+PERIOD_NS = 1_000_000
+# a tenth of a microjoule is what the servo of the device makes of a ripple
+LEAST_J = -1e-6
+
+
+def held(law: str, stiffness: float, direction: dict[str, Any], hand: str = "force") -> CellResult:
+    """Return what becomes of a hand of 1 N over a round trip of 20 ms with such a link forward."""
+    cell = Cell(
+        law=law, environment="spring", hand=hand, round_trip_ms=20.0, stiffness_n_per_m=stiffness, jitter_ms=1e-3
+    )
+    link = parse_settings({"seed": 1, "forward": {"delay_s": 0.01, **direction}, "backward": {"delay_s": 0.01}})
+    return judged(cell, course_of(cell, cell.hand_points(), cell.hold_s()[1], measured=(link, Path())))
+
+
+# finding A: -44.3 mJ and 32.7 N at 80 N/m over slots of 30 ms, -10.2 mJ at 150 N/m over 60 ms
+@pytest.mark.check("a grid of slots and laws")
+@pytest.mark.parametrize("law", ["wave", "passivity"])
+@pytest.mark.parametrize(("stiffness", "slot_s"), [(40.0, 0.06), (80.0, 0.03), (80.0, 0.06), (150.0, 0.06)])
+def test_slots_make_no_energy_and_press_no_harder_than_the_hand(law: str, stiffness: float, slot_s: float) -> None:
+    result = held(law, stiffness, {"slots": {"min_interval_s": slot_s}})
+    assert result.verdict == "stable"
+    assert result.lowest_energy_j > LEAST_J
+    assert result.peak_n is not None
+    assert result.peak_n < 1.1
+
+
+def bursts(ticks: int, pause_ms: int, apart_ns: int) -> Schedule:
+    """Return a link that is silent for a pause, then lets all that waited out one after another, again and again."""
+    sent = np.arange(ticks, dtype=np.int64)
+    opens = (sent // pause_ms + 1) * pause_ms * PERIOD_NS
+    forward = opens + (sent % pause_ms) * apart_ns + 10 * PERIOD_NS
+    backward = forward + 10 * PERIOD_NS
+    return schedule_from(forward, sent, backward, np.arange(ticks, dtype=np.int64), ticks, PERIOD_NS)
+
+
+@pytest.mark.check("a grid of bursts and laws")
+@pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
+@pytest.mark.parametrize("apart_us", [20, 100, 300])
+@pytest.mark.parametrize(("stiffness", "pause_ms"), [(80.0, 60), (200.0, 40), (20.0, 120)])
+def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
+    law: str, apart_us: int, stiffness: float, pause_ms: int
+) -> None:
+    # as a node gets them that waits for them: at 80 N/m, 20 us apart, wave made -21 mJ and passivity -11 mJ, and
+    # model_mediated -60 mJ after pauses of 240 ms
+    cell = Cell(law=law, environment="spring", round_trip_ms=80.0, stiffness_n_per_m=stiffness)
+    rig = rig_of(cell, cell.hand_points(), settle_s(cell) + cell.hold_s()[1])
+    settle = settle_ticks(cell, rig.period_s)
+    ticks = settle + round(cell.hold_s()[1] / rig.period_s)
+    result = judged(cell, simulate(rig, bursts(ticks, pause_ms, 1000 * apart_us), settle))
+    # `model_mediated` lets the hand go in a pause of more than 50 ms, and what the tip then does no hand has paid
+    assert result.lowest_energy_j > (-1e-4 if law == "model_mediated" else LEAST_J)
+    assert result.peak_n is not None
+    assert result.peak_n < 1.4
+
+
+def hand_at_hz(law: str, frequency_hz: float) -> float:
+    """Return the least energy in two-port and device [J]: hand of 0.5 + 0.5 N sin, spring of 20 N/m, no delay."""
+    cell = Cell(law=law, environment="spring", round_trip_ms=0.0, stiffness_n_per_m=20.0)
+    each = max(4, round(500.0 / frequency_hz))
+    sine = [
+        (1.5 + n / (each * frequency_hz), 0.5 + 0.5 * math.sin(2.0 * math.pi * n / each))
+        for n in range(1, round(4.0 * frequency_hz) * each + 1)
+    ]
+    points = [(0.0, 0.0), (0.5, 0.5), (1.5, 0.5), *sine]
+    course = course_of(cell, points, 5.5)
+    return float(energies_of(course, scales_of(cell.controller())).stored_j.min())
+
+
+@pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
+def test_a_hand_below_26_hz_gets_no_energy_from_the_device_and_one_above_does(law: str) -> None:
+    for frequency_hz in (8.0, 20.0, 25.0):
+        assert hand_at_hz(law, frequency_hz) > LEAST_J
+    # the lag of the servo, and none of the law: it is in the document with these figures
+    for frequency_hz in (40.0, 60.0):
+        assert -1e-3 < hand_at_hz(law, frequency_hz) < -1e-4

@@ -1,0 +1,112 @@
+"""Disturbances in the lockstep: those of the node, one for one, and what they do to a cell."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from telenano_studies import option_values
+from telenano_studies.loops.cells import Cell, course_of, run_cell
+
+from proto.errors import ConfigError
+from services.afm_node import safety
+from services.afm_node.config import AfmConfig
+from services.afm_node.physics.disturbances import DisturbanceConfig
+from services.afm_node.physics.disturbed import noisy_params
+from services.afm_node.physics.sim import simulated_afm
+from services.afm_node.physics.step import AfmInputs, initial_afm_state, step
+from studies.loops import lockstep
+
+AFM = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 2.0}}).to_params()
+ALL = {
+    "seed": 8,
+    "vibration": {"enabled": True},
+    "hysteresis": {"enabled": True, "range_m": 30e-9},
+    "creep": {"enabled": True},
+    "drift": {"enabled": True, "speed_m_per_s": 2e-9},
+    "thermal": {"enabled": True},
+    "readout": {"enabled": True},
+    "electrostatic": {"enabled": True, "voltage_v": 1.5, "noise_v": 0.3},
+}
+
+
+@pytest.mark.parametrize("name", [*(key for key in ALL if key != "seed"), "all"])
+def test_each_disturbs_as_in_the_node(name: str) -> None:
+    config = DisturbanceConfig.model_validate(ALL if name == "all" else {"seed": 8, name: ALL[name]})
+    node = simulated_afm(AFM, disturbances=config)
+    node.open()
+    params = AFM._replace(plant=noisy_params(config, AFM.plant, 0.5))
+    state = initial_afm_state(params)
+    rng = np.random.Generator(np.random.PCG64(1))
+    references = np.concatenate([np.linspace(-20e-9, 25e-9, 150), np.linspace(25e-9, -20e-9, 150)])
+    forces = []
+    # the first one is where both begin at rest
+    for reference in (-100e-9, *(references + rng.normal(0.0, 0.2e-9, 300)).tolist()):
+        asked = AfmInputs(reference, 0.0, safety.ACTION_POSITION, True, False)
+        state, (found, _) = step(params, state, asked, 1e-3)
+        node.elapse(1e-3)
+        expected = node.exchange(found.base_m)
+        # the same parts, bit for bit
+        assert found == expected
+        forces.append(found.force_n)
+    assert max(forces) > 3e-9 > -3e-9 > min(forces)
+
+
+def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
+    assert option_values.disturbances(["drift", "thermal.temperature_k=77"]) == (
+        ("drift.enabled", True),
+        ("thermal.enabled", True),
+        ("thermal.temperature_k", 77),
+    )
+
+    def cell(environment: str, *given: str) -> Cell:
+        return Cell(
+            law="virtual_impedance", environment=environment, round_trip_ms=0.0, stiffness_n_per_m=40.0,
+            disturbances=option_values.disturbances(given),
+        )  # fmt: skip
+
+    with pytest.raises(ConfigError, match="--disturb: spring has no instrument to disturb"):
+        cell("spring", "drift").disturbed_instrument(1.0)
+    with pytest.raises(ConfigError, match="gremlins"):
+        cell("contact", "gremlins").disturbed_instrument(1.0)
+    with pytest.raises(ConfigError, match=r"thermal\.temperature_k"):
+        cell("contact", "thermal.temperature_k=-1").disturbed_instrument(1.0)
+    assert cell("contact").key != cell("contact", "drift").key
+
+
+def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def course(seed: int, *disturbed: str) -> Any:
+        cell = Cell(
+            law="virtual_impedance", environment="contact", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
+            disturbances=option_values.disturbances(disturbed),
+        )  # fmt: skip
+        return course_of(cell, ((0.0, 0.0), (0.1, 2.0), (0.5, 2.0)), 0.5)
+
+    noise = ("readout", "vibration")
+    noisy, quiet, other = course(1, *noise), course(1), course(2, *noise)
+    assert noisy.in_contact.any()
+    assert not np.array_equal(noisy.tip_force_n, quiet.tip_force_n)
+    assert not np.array_equal(noisy.tip_force_n, other.tip_force_n)
+    # the plain steps of the node give the same bits
+    monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
+    plain = course(1, *noise)
+    for name in ("tip_force_n", "base_position_m", "hand_position_m", "in_contact", "instrument_mode"):
+        assert np.array_equal(getattr(noisy, name), getattr(plain, name)), name
+
+
+@pytest.mark.endurance
+def test_a_disturbed_cell_is_judged_and_its_seed_decides_it() -> None:
+    cells: list[Any] = [
+        Cell(law="virtual_impedance", environment="contact", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
+             disturbances=given)
+        for seed, given in (
+            (1, ()), (1, (("readout.enabled", True), ("vibration.enabled", True))),
+            (2, (("readout.enabled", True), ("vibration.enabled", True))),
+        )
+    ]  # fmt: skip
+    quiet, noisy, other = (run_cell(cell) for cell in cells)
+    # a swing that lasts is one, whoever drives it
+    assert (quiet.verdict, noisy.verdict) == ("stable", "limit_cycle")
+    assert quiet.peak_to_peak_n < 0.01 < noisy.peak_to_peak_n
+    assert noisy.peak_to_peak_n != other.peak_to_peak_n
+    again = course_of(cells[1], cells[1].hand_points(), 2.0)
+    assert np.array_equal(again.tip_force_n, course_of(cells[1], cells[1].hand_points(), 2.0).tip_force_n)
