@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from telenano_studies import option_values
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, ENVIRONMENTS, Cell, rig_of
+from telenano_studies.loops.links import symmetric_link
 
 from services.afm_node.physics.step import AfmInputs
 from services.afm_node.physics.step import step as instrument_step
 from services.haptic_node.physics.step import HapticInputs
 from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import always_compiled
-from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.link import schedule_of
 from studies.loops.lockstep import Rig, Trajectory, simulate
 
 AIM = 2000.0

@@ -17,6 +17,7 @@ from services.signals import children
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
+STUDIES = "packages/telenano-studies/telenano_studies"
 STUDY = (
     *("study", "stability", "--law", "virtual_impedance", "--environment", "contact", "--stiffness", "40"),
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
@@ -24,9 +25,10 @@ STUDY = (
 # what is done, the file, a text in it and what takes its place
 LAW = "services/controller/laws/virtual_impedance.py"
 MODEL = "services/afm_node/physics/contact/lennard_jones.py"
+FIGURES = "telenano_studies/pages/figures.py"
 EDITS = (
     ("nothing", LAW, "", ""),
-    ("a comment in the figures of studies", "studies/pages/figures.py", '"""\n\nfrom', '"""\n\n# a comment\nfrom'),
+    ("a comment in the figures of studies", FIGURES, '"""\n\nfrom', '"""\n\n# a comment\nfrom'),
     ("the law of the study", LAW, "- scaled_force\n", "- 1.0 * scaled_force\n"),
     ("a model of the instrument", MODEL, "q8 = q2 * q2", "q8 = 1.0 * q2 * q2"),
 )
@@ -41,9 +43,9 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         sources, cache = Path(folder) / "sources", Path(folder) / "cache"
-        for name in PACKAGES:
+        for name in (*PACKAGES, STUDIES):
             ignored = shutil.ignore_patterns("node_modules", "dist", "__pycache__")
-            shutil.copytree(ROOT / name, sources / name, ignore=ignored)
+            shutil.copytree(ROOT / name, sources / Path(name).name, ignore=ignored)
         environment = {**os.environ, "PYTHONPATH": str(sources), "XDG_CACHE_HOME": str(cache)}
         cold_s, compiled, _ = study(environment, Path(folder) / "cold")
         rows.append({"what": "cold", "compiled": compiled, "share": 1.0, "time_s": cold_s})

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 from case_durations import MARKS, CaseDurations, listed
+from closed_loops import loop, plain_loop
 from hypothesis import HealthCheck, settings
 from recorded_sessions import recording_of
 
-__all__ = ["recording_of"]
+__all__ = ["loop", "plain_loop", "recording_of"]
 
 # derandomize: the same examples every run, and no database of them on disk
 settings.register_profile(
@@ -53,20 +54,3 @@ def pytest_collection() -> Iterator[None]:
         gc.freeze()
         gc.enable()
         sys.dont_write_bytecode = forbidden
-
-
-@pytest.fixture
-def plain_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the closed loop as plain Python: the same bits, and one session takes less time than compiling the loop."""
-    monkeypatch.setattr("studies.loops.lockstep.compiled_call", lambda step, given: step(*given))
-
-
-@pytest.fixture
-def loop(request: pytest.FixtureRequest) -> None:
-    """Compile the closed loop for each law over the sample and for one law on a spring; the other laws run plain there.
-
-    So a law or an environment that cannot be compiled is noticed, and no pair of them costs a compilation of its own.
-    """
-    given = request.node.callspec.params
-    if given.get("environment", "spring") == "spring" and given["law"] != "virtual_impedance":
-        request.getfixturevalue("plain_loop")

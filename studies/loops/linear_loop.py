@@ -13,18 +13,18 @@ G e^(-sT) / (Z_v + g Z_a D) with the whole delay in one place; between wave vari
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel
-from telenano_studies.loops.cells import Cell
+from pydantic import BaseModel, Field
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, known_names
+from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
-from services.runtime.settings.config import validate
+from services.runtime.settings.config import Settings, merge, nested, validate
 from studies.loops.theory import (
     Arm,
     Complex,
@@ -42,6 +42,8 @@ from studies.loops.theory import (
     transfer_function,
 )
 
+# a hand of constant force, or one of the arms of `services.haptic_node.operator_config.ARMS`
+Hand = Literal["force", "soft", "ordinary", "stiff"]
 LINEAR_LAWS = ("virtual_impedance", "position_force", "wave")
 # Newton's method begins on a grid of the region, and ends after so many steps at the latest.
 _STARTS, _STEPS = (16, 96), 40
@@ -232,31 +234,41 @@ def _device() -> Device:
     return Device(*closed_loop_coefficients(DeviceConfig().to_params()))
 
 
-def not_linear(cell: Cell) -> str:
-    """Return why the loop of a cell is not linear; empty where it is."""
-    if cell.law not in LINEAR_LAWS:
-        return f"{cell.law} has no linear loop; {', '.join(LINEAR_LAWS)} have"
-    if cell.environment != "spring":
-        return f"the environment {cell.environment} is not linear; spring is, at the stiffness of a contact"
-    if cell.controller().clamp.enabled:
-        return f"the force clamp behind {cell.law} is not linear; leave controller.clamp.enabled out"
+def linear_loop(controller: ControllerConfig, stiffness_n_per_m: float, round_trip_s: float, hand: Hand) -> LinearLoop:
+    """Return the linear loop of the law in force against a spring.
+
+    Args:
+        controller: The configuration of both halves, its force clamp left out.
+        stiffness_n_per_m: K of the spring [N/m].
+        round_trip_s: The round trip of link and devices [s].
+        hand: `force`, a constant force, or the name of an arm.
+
+    Raises:
+        ConfigError: The law or the clamp has no linear loop.
+    """
+    if reason := not_linear(controller):
+        raise ConfigError(reason)
+    arm = None if hand == "force" else Arm(*ARMS[hand])
+    return LinearLoop(
+        controller.law, controller.law_config(), stiffness_n_per_m, round_trip_s, controller.period_s, arm
+    )
+
+
+def not_linear(controller: ControllerConfig) -> str:
+    """Return why the loop of a law against a spring is not linear; empty where it is."""
+    if controller.law not in LINEAR_LAWS:
+        return f"{controller.law} has no linear loop; {', '.join(LINEAR_LAWS)} have"
+    if controller.clamp.enabled:
+        return f"the force clamp behind {controller.law} is not linear; leave controller.clamp.enabled out"
     return ""
 
 
-def linear_loop(cell: Cell) -> LinearLoop:
-    """Return the linear loop of a cell; ConfigError where its law, its environment or the clamp has none."""
-    controller = cell.controller()
-    if reason := not_linear(cell):
-        raise ConfigError(reason)
-    arm = None if cell.hand == "force" else Arm(*ARMS[cell.hand])
-    return LinearLoop(
-        cell.law,
-        controller.law_config(),
-        cell.stiffness_n_per_m,
-        1e-3 * (cell.round_trip_ms + cell.device_latency_ms),
-        controller.period_s,
-        arm,
-    )
+class _Given(Settings):
+    """What `theory` is asked for, in the ranges of the studies."""
+
+    stiffness_n_per_m: float = Field(gt=0.0, le=1e6)
+    round_trip_ms: float = Field(ge=0.0, le=1e5)
+    hand: Hand
 
 
 def theory(
@@ -284,12 +296,12 @@ def theory(
     Raises:
         ConfigError: There is no such law, hand or key, or the loop is not linear; the message says which is.
     """
-    given = {
-        "law": law,
-        "environment": environment,
-        "stiffness_n_per_m": stiffness_n_per_m,
-        "round_trip_ms": round_trip_ms,
-        "hand": hand,
-        "settings": tuple(sorted((settings or {}).items())),
-    }
-    return linear_loop(validate(Cell, given, "theory"))
+    if law not in LAWS:
+        raise ConfigError(f"unknown law {law!r}, {known_names(law, LAWS)}")
+    if environment != "spring":
+        raise ConfigError(f"the environment {environment} is not linear; spring is, at the stiffness of a contact")
+    asked = {"stiffness_n_per_m": stiffness_n_per_m, "round_trip_ms": round_trip_ms, "hand": hand}
+    given = validate(_Given, asked, "theory")
+    section = merge(nested(dict(settings or {}), "theory"), {"law": law})
+    controller = validate(ControllerConfig, section, "theory", "controller")
+    return linear_loop(controller, given.stiffness_n_per_m, 1e-3 * given.round_trip_ms, given.hand)

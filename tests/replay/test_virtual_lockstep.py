@@ -33,6 +33,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from telenano_studies.loops.cells import Cell, rig_of
+from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.validate import read_course, scenario_of
 from virtual_rig import EPOCH_OFFSET_NS, VirtualRig, constant_timing
 
@@ -44,7 +45,7 @@ from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
 from studies.loops import sites
-from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.link import schedule_of
 from studies.loops.lockstep import Trajectory, simulate
 
 PERIOD_S = ControllerConfig().period_s

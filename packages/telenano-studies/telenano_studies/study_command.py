@@ -22,6 +22,7 @@ from telenano_studies.loops import advice
 from telenano_studies.loops.advice import Question
 from telenano_studies.loops.sample import drawn_cells
 from telenano_studies.loops.stability import Axes, LineResult, run_stability
+from telenano_studies.network_command import network_command
 from telenano_studies.pages.compare import (
     OVER_SEEDS,
     OVER_SEEDS_HEAD,
@@ -64,6 +65,7 @@ app = command_group()
 app.command()(promises)
 app.command()(push)
 app.command("gallery")(gallery_command)
+app.command("network")(network_command)
 
 
 @app.command()

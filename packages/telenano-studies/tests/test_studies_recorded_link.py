@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recorder_samples import NODE, sample
+from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.recorded_link import recorded_schedule
 
 from proto import encode
@@ -15,7 +16,7 @@ from recording.writer import RecordingWriter
 from services.delay_node.engine import fates_of
 from services.delay_node.fate import Fate
 from services.recorder.config import RecorderConfig
-from studies.loops.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of, symmetric_link
+from studies.loops.link import BACKWARD_TOPIC, FORWARD_TOPIC, MESSAGE_BYTES, schedule_of
 
 MS = 1_000_000
 EPOCH_NS = 10**18

@@ -5,8 +5,9 @@ from typing import Any
 
 import pytest
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, run_cell, settle_ticks
+from telenano_studies.loops.links import symmetric_link
 
-from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.link import schedule_of
 from studies.loops.lockstep import simulate
 
 # the model is there as soon as the tip touches

@@ -159,7 +159,7 @@ def test_key_of_a_cell_names_all_of_it() -> None:
 def test_key_follows_the_sources(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = Cell(law="wave", environment="spring", round_trip_ms=1.0, stiffness_n_per_m=10.0)
     before = cell.key
-    monkeypatch.setattr("telenano_studies.loops.cells._sources", lambda: "edited")
+    monkeypatch.setattr("telenano_studies.loops.cells.sources", lambda: "edited")
     assert cell.key != before
 
 

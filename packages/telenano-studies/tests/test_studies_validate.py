@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from telenano_studies.loops import validate as study
 from telenano_studies.loops.cells import Cell, trajectory_of
+from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.sample import drawn_cells
 from telenano_studies.loops.validate import (
     Agreement,
@@ -27,7 +28,6 @@ from services.delay_node.config import parse_settings
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
-from studies.loops.link import symmetric_link
 from studies.loops.lockstep import Trajectory
 
 

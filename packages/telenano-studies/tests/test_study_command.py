@@ -198,7 +198,7 @@ def test_compare_puts_laws_on_one_page(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_help_is_there_at_once() -> None:
-    code = "import sys; import telenano.cli.commands.study; "
+    code = "import sys; import telenano_studies.study_command; "
     code += "bad = {'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
     code += "print(sorted(bad & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

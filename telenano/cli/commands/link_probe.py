@@ -1,4 +1,4 @@
-"""`telenano link probe`: what the network between two sites does, as a trace, a figure and a verdict for each law."""
+"""`telenano link probe`: what the network between two sites does, as a trace, a figure and settings."""
 
 import contextlib
 import time
@@ -28,7 +28,7 @@ _SECTION = "delay_node.yaml"
 
 
 def probe(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for traces, figure and verdicts.")] = Path(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for traces, figure and settings.")] = Path(
         "out/probe"
     ),
     duration: Annotated[
@@ -37,9 +37,6 @@ def probe(
     recording: Annotated[
         Path | None,
         typer.Option("--from", metavar="FILE", help="Take what a recording holds in the place of a running rig."),
-    ] = None,
-    laws: Annotated[
-        str | None, typer.Option("--laws", metavar="LIST", help="Try laws on the trace, in lockstep: names, or all.")
     ] = None,
     site_file: SiteFileOption = TWO_SITES_FILE,
     as_json: JsonOption = False,
@@ -51,7 +48,6 @@ def probe(
     with report_errors(as_json):
         from analysis.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
 
-        chosen = _laws(laws)
         reports = (
             list(_recorded(recording)) if recording is not None else _measured(site_file, duration, shown=not as_json)
         )
@@ -69,38 +65,13 @@ def probe(
             network: dict[str, dict[str, Any]] = {
                 direction: {**trace.summary(), **_line(direction, reports)} for direction, trace in traces.items()
             }
-            verdicts = _tried(chosen, section, folder, network)
-            document = {"network": network, "laws": verdicts, "replay": section, "files": str(out)}
+            document = {"network": network, "replay": section, "files": str(out)}
             (folder / "probe.json").write_text(_json_text(document), encoding="utf-8")
     if as_json:
         print_json(document)
         return
     print_rows([{"what": key, **{way: network[way][key] for way in network}} for key in network["forward"]])
-    if verdicts:
-        print_rows(verdicts)
     typer.echo(f"{out}: traces, network.png, probe.json; {_SECTION} has the settings that replay this network")
-
-
-def _laws(text: str | None) -> tuple[str, ...]:
-    if text is None:
-        return ()
-    from telenano_studies import option_values
-
-    return option_values.laws(text)
-
-
-def _tried(
-    laws: tuple[str, ...], section: dict[str, Any], folder: Path, network: dict[str, dict[str, Any]]
-) -> list[dict[str, Any]]:
-    if not laws:
-        return []
-    from telenano_studies.loops.network import MeasuredNetwork, rows_of, run_laws
-
-    from services.delay_node.config import parse_settings
-
-    round_trip_ms = sum(way["delay_p50_ms"] for way in network.values())
-    lost_share = max(way["lost_share"] for way in network.values())
-    return rows_of(run_laws(laws, MeasuredNetwork(parse_settings(section), folder, round_trip_ms, lost_share)))
 
 
 def _line(direction: str, reports: Sequence[LinkNetwork]) -> dict[str, Any]:

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_studies.loops.links import Uneven, symmetric_link, uneven_ns, uneven_schedule
 
 from proto.errors import ConfigError
 from services.delay_node.config import parse_settings
 from studies.loops import link
-from studies.loops.link import Uneven, schedule_of, symmetric_link, uneven_ns, uneven_schedule
+from studies.loops.link import schedule_of
 
 PERIOD_S = 1e-3
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_studies.loops.cells import Cell, course_of, rig_of, trajectory_of
+from telenano_studies.loops.links import symmetric_link
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics import step as afm
@@ -13,7 +14,7 @@ from services.controller.config import LAWS
 from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from studies.loops import lockstep
-from studies.loops.link import schedule_of, symmetric_link
+from studies.loops.link import schedule_of
 
 PERIOD_S = 1e-3
 FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))

@@ -76,7 +76,10 @@ def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_pat
         ("device approach", PACKAGE),
         ("device guard nanonis", PACKAGE),
         ("device simulate gwyscope", PACKAGE),
+        ("law margins", "telenano-studies"),
+        ("reproduce equations", "telenano-studies"),
         ("sample import", "telenano-afm-files"),
+        ("study stability", "telenano-studies"),
     ],
 )
 def test_a_command_that_needs_a_package_names_it_and_its_command(

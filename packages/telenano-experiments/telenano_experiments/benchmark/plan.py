@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
-from telenano_studies.loops.cells import Cell, Environment
+from telenano_studies.loops.cells import Cell, Environment, sources
 
 from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS
 from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.profiles import PROFILES
-from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings
 
 VERSION = 2
@@ -180,4 +179,4 @@ def _link_text(network: str) -> str:
 @functools.cache
 def _sources() -> str:
     own = sorted(Path(__file__).parent.glob("*.py"))
-    return source_digest() + hashlib.sha256(b"".join(path.read_bytes() for path in own)).hexdigest()
+    return sources() + hashlib.sha256(b"".join(path.read_bytes() for path in own)).hexdigest()

@@ -1,6 +1,6 @@
 """Which law to take for a network and a sample: every law, tuned for it, tried with a constant force and with arms.
 
-The laws are tuned by the rule of `telenano_studies.loops.tuning`, and run in lockstep on the network with several seeds and four
+The laws are tuned by one rule (`tuning`), and run in lockstep on the network with several seeds and four
 hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same force
 if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these runs
 is stable by `analysis.verdict`. Those that are suited are ranked by a price, the sum of

@@ -34,9 +34,11 @@ from services.haptic_node.operator_config import ARMS
 from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
-from studies.loops.link import Schedule, Uneven, schedule_of, symmetric_link, uneven_schedule
+from studies.loops.linear_loop import Hand as Hand
+from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
 from telenano_studies import option_values
+from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
 
 ENVIRONMENTS = ("spring", "wall", "contact", "body")
 if TYPE_CHECKING:
@@ -44,8 +46,6 @@ if TYPE_CHECKING:
 else:
     # The environments include the samples of installed packages.
     Environment = Literal[(*ENVIRONMENTS, *SAMPLES.found)]
-# a hand of constant force, or one of the arms of `services.haptic_node.config.ARMS`
-Hand = Literal["force", "soft", "ordinary", "stiff"]
 # K of the theory's examples; in the contact it is the cantilever's k of Table 2
 DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
     "spring": (10.0, 20.0, 38.0),
@@ -143,7 +143,7 @@ class Cell(Conditions):
     @property
     def key(self) -> str:
         """A digest of the cell and of every source its outcome depends on: a changed model is a different cell."""
-        text = self.model_dump_json() + _sources()
+        text = self.model_dump_json() + sources()
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     @property
@@ -494,5 +494,7 @@ def rig_of(cell: Cell, hand_points: Sequence[tuple[float, float]], duration_s: f
 
 
 @functools.lru_cache(maxsize=1)
-def _sources() -> str:
-    return source_digest()
+def sources() -> str:
+    """Return a digest of every source that the outcome of a cell depends on."""
+    own = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+    return source_digest() + hashlib.sha256(own).hexdigest()

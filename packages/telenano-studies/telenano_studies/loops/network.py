@@ -1,11 +1,13 @@
 """What each law does over a network as it was measured: in lockstep, on the recorded delays and losses."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from services.delay_node.config import LinkSettings
+from proto.errors import ConfigError
+from services.delay_node.config import LinkSettings, parse_settings
 from telenano_studies.loops.cells import Cell, CellResult, course_of, judged
 from telenano_studies.loops.tuning import tuned
 
@@ -21,6 +23,24 @@ class MeasuredNetwork:
     folder: Path
     round_trip_ms: float
     lost_share: float
+
+
+def measured_network(folder: Path) -> MeasuredNetwork:
+    """Return the network of a folder of `telenano link probe`.
+
+    Raises:
+        ConfigError: The folder has no probe, or not a whole one.
+    """
+    file = folder / "probe.json"
+    try:
+        probe = json.loads(file.read_text(encoding="utf-8"))
+        ways = probe["network"].values()
+        round_trip_ms = sum(way["delay_p50_ms"] for way in ways)
+        lost_share = max(way["lost_share"] for way in ways)
+        replay = probe["replay"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{file}: is no result of `telenano link probe`: {error}") from error
+    return MeasuredNetwork(parse_settings(replay), folder, round_trip_ms, lost_share)
 
 
 def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, CellResult]]:

@@ -14,8 +14,8 @@ import statistics
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from studies.loops.link import Uneven
 from telenano_studies.loops.cells import Cell, CellResult, Environment, Hand
+from telenano_studies.loops.links import Uneven
 from telenano_studies.loops.sweep import Sweep
 
 ROUND_TRIPS_MS = (0.0, 20.0, 60.0, 120.0, 200.0, 500.0)

@@ -25,13 +25,14 @@ from services.afm_node.physics.particles.tip_shape import touch_distance_m
 from services.afm_node.physics.step import initial_afm_state
 from services.controller.config import LAWS, ControllerConfig
 from services.haptic_node.config import HapticConfig
-from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, validate
 from studies.loops import push_hand as h
-from studies.loops.link import Schedule, schedule_of, symmetric_link
+from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Rig, build_rig, simulate
 from studies.loops.particle_bench import bench
 from studies.loops.simulation import instrument_params
+from telenano_studies.loops.cells import sources
+from telenano_studies.loops.links import symmetric_link
 from telenano_studies.loops.sweep import Kind
 
 # A particle is placed within this distance of its goal.
@@ -60,7 +61,7 @@ class Trial(Settings):
     @property
     def key(self) -> str:
         """A digest of the trial and of every source its outcome depends on."""
-        return hashlib.sha256((self.model_dump_json() + _sources()).encode()).hexdigest()[:24]
+        return hashlib.sha256((self.model_dump_json() + sources()).encode()).hexdigest()[:24]
 
 
 class Outcome(NamedTuple):
@@ -91,11 +92,6 @@ class Outcome(NamedTuple):
 def read(data: dict[str, Any]) -> Outcome:
     """Return an outcome from plain data."""
     return Outcome(**{**data, "cell": Trial(**data["cell"])})
-
-
-@functools.cache
-def _sources() -> str:
-    return source_digest()
 
 
 def check(trial: Trial) -> None:

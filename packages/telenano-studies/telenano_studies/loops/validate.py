@@ -34,7 +34,6 @@ from recording.reader import Recording
 from recording.site_clock import Timeline
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.launcher.child_session import reason_of, run_session
-from studies.loops.link import direction_of
 from studies.loops.lockstep import Trajectory, simulate
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
@@ -46,6 +45,7 @@ from telenano_studies.loops.cells import (
     settle_ticks,
     trajectory_of,
 )
+from telenano_studies.loops.links import direction_of
 from telenano_studies.loops.recorded_link import recorded_schedule
 
 Series = npt.NDArray[np.float64]

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+import services.viz_node
 from services.controller.config import OWN_LAWS
-from studies.loops.linear_loop import linear_loop, not_linear
 from telenano_studies.loops.cells import Cell, energies_of, judged, scales_of, trajectory_of
+from telenano_studies.loops.linear_cells import linear_loop, not_linear
 
 STIFFNESS_N_PER_M = 20.0
 DELAYS_MS = tuple(5.0 * i for i in range(41))
@@ -26,7 +27,7 @@ _ENERGY_J, _MOST_J = 1e-6, 0.02
 _CURVE, _MOST_CURVE = 1e-2, 9.0
 _FREQUENCIES_HZ = np.geomspace(0.2, 40.0, 150)
 
-FOLDER = Path(__file__).resolve().parents[2] / "services" / "viz_node" / "web" / "gallery"
+FOLDER = Path(services.viz_node.__path__[0]) / "web" / "gallery"
 
 
 def cell_of(law: str, round_trip_ms: float, stiffness_n_per_m: float = STIFFNESS_N_PER_M) -> Cell:
