@@ -45,6 +45,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.modes import LEAST_SAMPLES, Mode, modes_of, noise_floor
+from analysis.swings import turning_points
 
 Series = npt.NDArray[np.float64]
 Kind = Literal[
@@ -363,24 +364,11 @@ def _travels(values: Series, height_n: float, noise_n: float) -> list[float] | N
         values = np.diff(np.cumsum(values)[block - 1 :: block], prepend=0.0) / block
     if _reached_by_noise(noise_n / math.sqrt(block), len(values)) > height_n:
         return None
-    turns, sense = [float(values[0])], 0
-    lowest = highest = float(values[0])
-    for value in values.tolist():
-        if sense >= 0:
-            highest = max(highest, value)
-            if value <= highest - height_n:
-                turns += [highest] if sense else []
-                turns[0] = turns[0] if sense else highest
-                sense, lowest = -1, value
-                continue
-        if sense <= 0:
-            lowest = min(lowest, value)
-            if value >= lowest + height_n:
-                turns += [lowest] if sense else []
-                turns[0] = turns[0] if sense else lowest
-                sense, highest = 1, value
-    if sense:
-        turns.append(highest if sense > 0 else lowest)
+    force_n = values.tolist()
+    places = turning_points(force_n, range(len(force_n)), height_n)
+    turns = [force_n[place] for place in places]
+    # from the last turn on it goes as far as it gets
+    turns += [max(force_n[place:], key=lambda value: abs(value - force_n[place])) for place in places[-1:]]
     return [abs(after - before) for before, after in pairwise(turns)]
 
 
