@@ -276,8 +276,11 @@ def report_of(
     if is_long:
         again = "another Ctrl-C" if outcome.interrupted else "Ctrl-C"
         show(f"that takes some time; {again} leaves it to `telenano report {names} --out {plan.out}`")
+    # matplotlib takes a second to import, which a running rig should not pay
+    from analysis.report import write_report
+
     try:
-        return make_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
+        return write_report(recordings, plan.out, outcome.missing, options, show if is_long else lambda step: None)
     except RecordingError:
         # The failure of the rig is the cause, and is reported.
         if outcome.failure:
@@ -286,20 +289,6 @@ def report_of(
     except KeyboardInterrupt as error:
         again = f"telenano report {names} --out {plan.out}"
         raise RigError(f"interrupted while the report was made, `{again}` makes it") from error
-
-
-def make_report(
-    recordings: Sequence[Path],
-    out: Path,
-    missing: Sequence[str],
-    options: FigureOptions,
-    show: Callable[[str], None],
-) -> dict[str, Any]:
-    """Make figure and summary from a recording; what the recording lacks ends in a TelenanoError."""
-    # matplotlib takes a second to import, which a running rig should not pay
-    from analysis.report import write_report
-
-    return write_report(recordings, out, missing, options, show)
 
 
 def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:

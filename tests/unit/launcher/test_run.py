@@ -141,7 +141,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
         show("1 of 4: reading the session")
         return {"recording": str(recordings[0]), "out": str(out)}
 
-    monkeypatch.setattr(up, "make_report", made)
+    monkeypatch.setattr("analysis.report.write_report", made)
     assert report_of(ran, plan, reported.append) == {"recording": str(path), "out": str(plan.out)}
     assert reported == ["making figure and summary"]
     # of a long one it is said what is done, and how to have the terminal back
@@ -167,7 +167,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     def broken(*given: Any) -> Any:
         raise RecordingError("no session in it")
 
-    monkeypatch.setattr(up, "make_report", broken)
+    monkeypatch.setattr("analysis.report.write_report", broken)
     assert report_of(Outcome("the cause", False, True, (path,), "", {}), plan, reported.append) is None
     with pytest.raises(RecordingError, match="no session in it"):
         report_of(ran, plan, reported.append)
@@ -175,7 +175,7 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
     def interrupted(*given: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(up, "make_report", interrupted)
+    monkeypatch.setattr("analysis.report.write_report", interrupted)
     with pytest.raises(RigError, match=r"`telenano report .* makes it"):
         report_of(ran, plan, reported.append)
 
