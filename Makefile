@@ -11,7 +11,7 @@ OUT ?= out/fig12
 IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay_node:delay \
   afm_node:afm:telenano-afm-controllers recorder:recorder \
   session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
-  study:studies,dask:telenano-studies
+  study:studies,dask:telenano-studies,telenano-microscopy
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 comma := ,
@@ -140,7 +140,7 @@ dist: page ## Build wheel, source distribution, SBOM and licences, and try the w
 
 lock: $(BIN)/uv ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
-	  --no-emit-package telenano-studies -o requirements.lock
+	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
 # each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
@@ -162,7 +162,7 @@ images: ## Build the container images of deploy/.
 # $(call image_lock,IMAGE EXTRA,EXTRA PACKAGE,PACKAGE)
 define image_lock
 $(COMPILE) pyproject.toml $(patsubst %,packages/%/pyproject.toml,$(subst $(comma), ,$(word 3,$(1)))) \
-	  --constraint requirements.lock --no-emit-package telenano \
+	  --constraint requirements.lock --no-emit-package telenano --no-emit-package telenano-microscopy \
 	  $(addprefix --extra ,$(subst $(comma), ,$(word 2,$(1)))) -o deploy/locks/$(word 1,$(1)).lock
 
 endef

@@ -17,7 +17,7 @@ _ROOT = Path(__file__).resolve().parents[2]
 # These folders and files hold the steps, and everything else that the outcome of a study depends on.
 SOURCES = (
     *("services/numerics", "services/haptic_node", "services/afm_node", "services/controller", "services/delay_node"),
-    *("studies/loops", "studies/instrument", "analysis/modes.py", "analysis/verdict.py"),
+    *("studies/loops", "analysis/modes.py", "analysis/verdict.py"),
     # deadlines, which are compiled into the loop
     *("proto/topics.py", "services/runtime/loop/freshness.py"),
 )

@@ -1,8 +1,48 @@
 """Images of one's own as files, written whole into a folder, and a format of one's own for the images of others."""
 
+from pathlib import Path
+
+import typer
+
 from analysis.image_files import Image, ImageFacts, images_of_lines
+from presets import plugins
 from services.console.live_program import LiveImage
-from telenano.cli.commands.scan import write_images
 from telenano.cli.sample_options import results_in
 
 __all__ = ["Image", "ImageFacts", "LiveImage", "images_of_lines", "results_in", "write_images"]
+
+
+def write_images(
+    out: Path, images: dict[str, Image], mode: str, instrument: str = "simulated AFM", *, sample: str = ""
+) -> list[str]:
+    """Write the files of an image into a folder and return their names.
+
+    Args:
+        out: The folder.
+        images: The channels; the height is `height`.
+        mode: contact or tapping.
+        instrument: What took the image.
+        sample: The sample, where it is known.
+    """
+    from analysis.image_files import write_gsf, write_gwy, write_png
+    from services.recorder.provenance import versions
+
+    write_gsf(out / "scan.gsf", images["height"])
+    write_gwy(out / "scan.gwy", images)
+    write_png(out / "scan.png", images)
+    files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
+    found = versions()
+    facts = ImageFacts(mode, instrument, f"{found['package telenano']}, commit {found['commit']}", sample)
+    formats = plugins.load("images", lambda _, value: value if callable(value) else None, own)
+    for name, write in formats.found.items():
+        path = out / f"scan.{name}"
+        # An image that cannot be taken again is not lost by the code of a package.
+        try:
+            write(path, images, facts)
+            files.append(path.name)
+        except Exception as error:  # noqa: BLE001
+            path.unlink(missing_ok=True)
+            formats.problems[name] = plugins.fault_of_package(error) or str(error)
+    for name, problem in formats.problems.items():
+        typer.echo(f"telenano: scan.{name} was not written: {problem}", err=True)
+    return files

@@ -101,8 +101,8 @@ def npy() -> bytes:
 
 
 def write_hdf5(path: Path) -> None:
-    from studies.instrument.force_curve import Curve, Half
-    from studies.instrument.force_curve import write_hdf5 as write
+    from telenano_microscopy.force_curve import Curve, Half
+    from telenano_microscopy.force_curve import write_hdf5 as write
 
     base = np.linspace(-1e-7, 0, 20)
     there, back = (Half(way, 0.1 * way, 0.15 * way) for way in (base, base[::-1]))
@@ -230,7 +230,7 @@ def _read_grid(path: Path) -> None:
 
 
 def _read_curve(path: Path) -> None:
-    from studies.instrument.force_curve import read_measured
+    from telenano_microscopy.force_curve import read_measured
 
     assert np.isfinite(read_measured(path).retract.force_n).all()
 

@@ -11,11 +11,11 @@ import h5py
 import numpy as np
 import pytest
 from telenano_calibration.own_calibration import sensitivities_of_file
+from telenano_microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from studies.instrument.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 from telenano.cli.root import app
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"

@@ -4,12 +4,12 @@ import base64
 
 import numpy as np
 import pytest
+from telenano_microscopy.curve_models import ModelRow
 from telenano_studies.pages import reproduce as module
 from telenano_studies.pages.live_figures import TactilePath
 from telenano_studies.pages.reproduce import FIGURES, equations, reproduce
 
 from proto.errors import RigError
-from studies.instrument.curve_models import ModelRow
 
 
 def test_every_equation_is_within_the_digits_of_its_expected_value():

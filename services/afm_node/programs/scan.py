@@ -5,7 +5,7 @@ above its own. What the base does is the picture, height = -x_s, up to a constan
 contact of stiffness c the loop closes k + c over c times as slowly as on a rigid sample. The amplitude follows within
 Q / (pi f), 0.2 ms in Table 2, and is read before it has: at the next step.
 
-`ScanSettings` describes an image wherever it is taken: by the node, and in simulated time (`studies.instrument.scan`).
+`ScanSettings` describes an image wherever it is taken: by the node, and in simulated time.
 """
 
 import math

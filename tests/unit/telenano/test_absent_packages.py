@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from telenano_afm_controllers import gwyscope_model, nanonis_model
+from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
 from presets import plugins
@@ -18,7 +19,6 @@ from services.afm_node.instrument import calibration_of_file
 from services.afm_node.physics.sample.surface_files import read_surface
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.runtime.settings.config import validate
-from studies.instrument.force_curve import read_measured
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
 
@@ -79,6 +79,7 @@ def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_pat
         ("law margins", "telenano-studies"),
         ("reproduce equations", "telenano-studies"),
         ("sample import", "telenano-afm-files"),
+        ("scan --live", "telenano-microscopy"),
         ("study stability", "telenano-studies"),
     ],
 )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
 from presets import plugins
@@ -18,7 +19,6 @@ from proto.errors import ConfigError
 from recording.export import export_recording
 from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.provenance import plugin_facts
-from studies.instrument.force_curve import read_measured
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
 from telenano.doctor.report import checks_of_packages, extensions, stale
@@ -153,7 +153,7 @@ def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_a
     text = said("experiment", "check", "delay_and_law", code=2)
     assert "the command 'experiment' is in the package telenano-experiments: pip install" in text
     listed = said("--help")
-    assert "  scan " in listed and not {"study", "experiment", "benchmark"} & set(listed.split())
+    assert "  law " in listed and not {"study", "experiment", "benchmark"} & set(listed.split())
 
 
 def test_packages_that_lockstep_does_not_run_change_no_digest_and_only_drivers_are_recorded(make: Any) -> None:

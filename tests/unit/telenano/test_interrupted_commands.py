@@ -230,7 +230,7 @@ _SLOW = pytest.mark.endurance
 # a signal after the last line or point, while the first file is written
 _WHILE_WRITING = """
 import os, signal, sys
-import studies.instrument.force_curve as curves, studies.instrument.scan as scans
+import telenano_microscopy.force_curve as curves, telenano_microscopy.scan as scans
 from analysis import image_files
 from services.afm_node.programs.imaging import CHANNELS
 import numpy as np

@@ -7,6 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from telenano_microscopy.curve_models import ModelRow, compare_models
+from telenano_microscopy.force_curve import Curve, force_curve, marks_of
+from telenano_microscopy.scan import ScanResult, scan
+
 from analysis.page import Page, png_of, text
 from proto.errors import RigError
 from recording.whole_files import whole_file
@@ -19,9 +23,6 @@ from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa,
 from services.afm_node.physics.contact.tip_sample import branch_force
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.programs.scan import ScanSettings
-from studies.instrument.curve_models import ModelRow, compare_models
-from studies.instrument.force_curve import Curve, force_curve, marks_of
-from studies.instrument.scan import ScanResult, scan
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
 
@@ -218,7 +219,7 @@ def _add_holds(page: Page, recording: Path) -> dict[str, object]:
 
 
 def _add_curve(page: Page, curve: Curve) -> dict[str, object]:
-    from studies.instrument.force_curve_figure import curve_figure
+    from telenano_microscopy.force_curve_figure import curve_figure
 
     marks = marks_of(curve)
     numbers: dict[str, object] = {"stiffness_n_per_m": curve.stiffness_n_per_m, **marks.as_dict()}

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from telenano_microscopy.force_curve import force_curve
+from telenano_microscopy.scan import Noise, scan
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
@@ -11,8 +13,6 @@ from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface import checked, grating
 from services.afm_node.programs.imaging import ERROR, FORCE, HEIGHT, LATERAL
 from services.afm_node.programs.scan import ScanSettings
-from studies.instrument.force_curve import force_curve
-from studies.instrument.scan import Noise, scan
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"
 DOTS = SampleConfig(name="dots", pixels=256)
@@ -71,7 +71,7 @@ def test_tapping_holds_its_amplitude_over_a_dot():
 
 def swing(gain_per_s: float, monkeypatch: pytest.MonkeyPatch) -> float:
     """Give the error of the amplitude a millisecond after an edge of 1 nm, without a proportional gain."""
-    monkeypatch.setattr("studies.instrument.scan.gain_fault", lambda *_: "")
+    monkeypatch.setattr("telenano_microscopy.scan.gain_fault", lambda *_: "")
     request = simulated(pixels=200, lines=1, dwell_s=2e-4, gain_per_s=gain_per_s, proportional=0.0)
     found = scan(grating(400e-9, 128, 400e-9, 1e-9), request, CONFIG)
     return float(np.abs(found.trace[0, -12:, ERROR]).max())

@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 import pytest
-
-from proto.errors import ConfigError, RigError
-from services.afm_node.config import AfmConfig
-from studies.instrument.curve_models import compare_models
-from studies.instrument.force_curve import (
+from telenano_microscopy.curve_models import compare_models
+from telenano_microscopy.force_curve import (
     curve_of_samples,
     force_curve,
     marks_of,
     read_measured,
     write_hdf5,
 )
-from studies.instrument.force_curve_figure import curve_figure
+from telenano_microscopy.force_curve_figure import curve_figure
+
+from proto.errors import ConfigError, RigError
+from services.afm_node.config import AfmConfig
 
 
 def with_stiffness(k, **changes):

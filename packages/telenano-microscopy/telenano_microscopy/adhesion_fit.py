@@ -32,8 +32,8 @@ from services.afm_node.physics.contact.maugis_dugdale import (
     reduced_modulus_pa,
 )
 from services.numerics.compiled import compiled, compiled_form
-from studies.instrument.correlated_noise import Noise, correlated_noise
-from studies.instrument.force_curve import Curve
+from telenano_microscopy.correlated_noise import Noise, correlated_noise
+from telenano_microscopy.force_curve import Curve
 
 Array = npt.NDArray[np.float64]
 

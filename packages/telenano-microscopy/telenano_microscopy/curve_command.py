@@ -7,21 +7,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, RigError
+from proto.errors import RigError
 from services.afm_node.programs.curve import CurveSettings
-from services.runtime.settings.config import flag_overrides, validate
+from services.runtime.settings.config import validate
 from services.signals import interrupts
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
-from telenano.cli.progress import progress
-from telenano.cli.sample_options import AfmOption, require, results_in
+from telenano.cli.sample_options import AfmOption, results_in
+from telenano.extend.commands import (
+    DEFAULT_SITE_FILE,
+    ConfigError,
+    JsonOption,
+    SiteFileOption,
+    flag_overrides,
+    print_document,
+    progress,
+    report_errors,
+)
 
 if TYPE_CHECKING:
     from proto.messages import Scalar
-    from studies.instrument.force_curve import Curve
+    from telenano_microscopy.force_curve import Curve
 
 
 class CurveModel(StrEnum):
@@ -57,12 +63,11 @@ def curve(
 ) -> None:
     """Approach and retract, mark snap-in, contact, pull-off and break, write HDF5 (afmformats) and a figure."""
     with report_errors(as_json):
-        require("h5py")
         validated(CurveSettings, given)
-        import studies.instrument.force_curve as curves
+        import telenano_microscopy.force_curve as curves
         from services.afm_node.config import AfmConfig
-        from studies.instrument.adhesion_fit import fit_adhesion
-        from studies.instrument.force_curve_figure import curve_figure
+        from telenano_microscopy.adhesion_fit import fit_adhesion
+        from telenano_microscopy.force_curve_figure import curve_figure
 
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
         measured = None if overlay is None else curves.read_measured(overlay, number)
@@ -116,7 +121,7 @@ def _live(
 ) -> "Curve":
     """Have a running rig take a curve; RigError when it ended before it was complete."""
     from services.console.live_program import LiveCurve
-    from studies.instrument.force_curve import curve_of_samples
+    from telenano_microscopy.force_curve import curve_of_samples
 
     samples = LiveCurve()
     # The rig decides the values that were not given.

@@ -5,35 +5,40 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, RigError
+from proto.errors import RigError
 from services.afm_node.programs.scan import ScanSettings
-from services.runtime.settings.config import flag_overrides, validate
+from services.runtime.settings.config import validate
 from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
-from telenano.cli.progress import progress
 from telenano.cli.sample_options import (
     AfmOption,
     ChannelOption,
     SampleOption,
     SampleSetOption,
     SampleSizeOption,
-    require,
     results_in,
     sample_config,
+)
+from telenano.extend.commands import (
+    DEFAULT_SITE_FILE,
+    ConfigError,
+    JsonOption,
+    SiteFileOption,
+    flag_overrides,
+    print_document,
+    progress,
+    report_errors,
 )
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from analysis.image_files import Image
     from proto.messages import Scalar
-    from studies.instrument.scan import ScanResult
+    from telenano.extend.images import Image
+    from telenano_microscopy.scan import ScanResult
 
 # fields of the model for which the command has options of its own
 _OWN = {"setpoint_n": "--setpoint", "setpoint_share": "--setpoint", "width_m": "--size", "depth_m": "--size"}
@@ -64,7 +69,6 @@ def scan(
 ) -> None:
     """Image a sample and write .gwy, .gsf and PNG; Ctrl-C and SIGTERM end the image and keep the lines so far."""
     with report_errors(as_json):
-        require("gwyfile")
         mode = given.get("mode") or (ScanSettings() if live else ScanSettings.in_simulated_time()).mode
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
@@ -79,8 +83,9 @@ def scan(
             return
         if foreign_here := [option for option, field in (("--x", "x_m"), ("--y", "y_m")) if given.get(field)]:
             raise ConfigError(f"{', '.join(foreign_here)}: only with --live: otherwise the whole sample is imaged")
-        import studies.instrument.scan as scans
+        import telenano_microscopy.scan as scans
         from services.afm_node.config import AfmConfig
+        from telenano.extend.images import write_images
 
         sample = sample_config(name, size, channel, settings)
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
@@ -122,8 +127,7 @@ def _scan_live(
     out: Path, site_file: Path, settings: ScanSettings, given: "dict[str, Scalar]", *, as_json: bool
 ) -> None:
     """Have a running rig image its sample, and write what came, also of an image that ended early."""
-    from analysis.image_files import images_of_lines
-    from services.console.live_program import LiveImage
+    from telenano.extend.images import LiveImage, images_of_lines, write_images
 
     image = LiveImage()
     # The rig decides the values that were not given.
@@ -169,8 +173,8 @@ def _exit_if_interrupted(said: bool, partial: str) -> None:
 
 def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
     """Return the channels that the mode has, and what the tip sees of the sample."""
-    from analysis.image_files import Image
     from services.afm_node.programs.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, LATERAL, PHASE
+    from telenano.extend.images import Image
 
     width, depth = result.width_m, result.depth_m
 
@@ -198,40 +202,3 @@ def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
         "dissipated": image("Dissipated energy in a period", "J", trace[:, :, DISSIPATED]),
         "peak": image("Peak force", "N", trace[:, :, FORCE]),
     }
-
-
-def write_images(
-    out: Path, images: "dict[str, Image]", mode: str, instrument: str = "simulated AFM", *, sample: str = ""
-) -> list[str]:
-    """Write the files of an image into a folder and return their names.
-
-    Args:
-        out: The folder.
-        images: The channels; the height is `height`.
-        mode: contact or tapping.
-        instrument: What took the image.
-        sample: The sample, where it is known.
-    """
-    from analysis.image_files import ImageFacts, write_gsf, write_gwy, write_png
-    from presets import plugins
-    from services.recorder.provenance import versions
-
-    write_gsf(out / "scan.gsf", images["height"])
-    write_gwy(out / "scan.gwy", images)
-    write_png(out / "scan.png", images)
-    files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
-    found = versions()
-    facts = ImageFacts(mode, instrument, f"{found['package telenano']}, commit {found['commit']}", sample)
-    formats = plugins.load("images", lambda _, value: value if callable(value) else None, own)
-    for name, write in formats.found.items():
-        path = out / f"scan.{name}"
-        # An image that cannot be taken again is not lost by the code of a package.
-        try:
-            write(path, images, facts)
-            files.append(path.name)
-        except Exception as error:  # noqa: BLE001
-            path.unlink(missing_ok=True)
-            formats.problems[name] = plugins.fault_of_package(error) or str(error)
-    for name, problem in formats.problems.items():
-        typer.echo(f"telenano: scan.{name} was not written: {problem}", err=True)
-    return files

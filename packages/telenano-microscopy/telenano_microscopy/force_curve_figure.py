@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from studies.instrument.adhesion_fit import AdhesionFit
-from studies.instrument.force_curve import Curve, Half, Marks
+from telenano_microscopy.adhesion_fit import AdhesionFit
+from telenano_microscopy.force_curve import Curve, Half, Marks
 
 
 def curve_figure(pairs: Sequence[tuple[Curve, Marks]], fit: AdhesionFit | None = None) -> Figure:

@@ -4,10 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
+from telenano_microscopy import adhesion_fit
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
-from studies.instrument import adhesion_fit
 from telenano.cli.root import app
 
 RUNNER = CliRunner()

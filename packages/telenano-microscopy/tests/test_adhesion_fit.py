@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from telenano_microscopy.adhesion_fit import fit_adhesion
+from telenano_microscopy.correlated_noise import _whitened, correlated_noise
+from telenano_microscopy.curve_models import compare_models
+from telenano_microscopy.force_curve import Curve, force_curve, read_measured
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.disturbances import DisturbanceConfig, noise_start, noise_step
-from studies.instrument.adhesion_fit import fit_adhesion
-from studies.instrument.correlated_noise import _whitened, correlated_noise
-from studies.instrument.curve_models import compare_models
-from studies.instrument.force_curve import Curve, force_curve, read_measured
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "SiN_FD_plot.ibw"
 SOFT = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 8.0}})

@@ -1,1 +1,0 @@
-"""Experiments with the instrument alone: images, force curves, calibration."""
