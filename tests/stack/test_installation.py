@@ -266,6 +266,15 @@ def test_an_extra_alone_does_what_it_is_for(
     assert done.returncode == 0, done.stderr
 
 
+def test_a_study_runs_with_its_extra_and_its_package_which_the_wheel_names(wheel: Path, tmp_path: Path) -> None:
+    installation = Installation(tmp_path, wheel, ("studies",))
+    study = ("study", "transparency", "--law", "wave", "--delay", "0", "--out", "study")
+    assert "is in the package telenano-studies: pip install telenano_studies-" in installation.telenano(*study).stderr
+    installation.add(wheel_of(ROOT / "packages" / "telenano-studies", tmp_path / "package"))
+    done = installation.telenano(*study)
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_driver_of_the_inverse3_is_in_its_package_which_the_wheel_names(wheel: Path, tmp_path: Path) -> None:
     installation = Installation(tmp_path, wheel, ())
     probe = ("device", "probe", "--device", "haply")

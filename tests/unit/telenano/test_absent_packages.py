@@ -99,6 +99,14 @@ def test_a_package_that_needs_another_one_names_it_and_its_command(monkeypatch: 
     assert "telenano-acceptance is not installed: pip install -e '" in " ".join(done.stderr.split())
 
 
+def test_the_benchmark_names_the_package_of_the_studies_that_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "telenano_experiments.benchmark_command", raising=False)
+    monkeypatch.setitem(sys.modules, "telenano_studies.study_options", None)
+    done = CliRunner().invoke(app, ["benchmark", "--quick"])
+    assert done.exit_code == 2
+    assert "telenano-studies is not installed: pip install -e '" in " ".join(done.stderr.split())
+
+
 @pytest.mark.usefixtures("bare")
 def test_a_file_that_needs_a_package_names_it_and_its_command(tmp_path: Path) -> None:
     for name, read in (("a.gwy", read_surface), ("a.sxm", read_surface), ("a.jpk-force", read_measured)):

@@ -14,9 +14,8 @@ from telenano.cli.rig_graph import edges
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 SVG = "{http://www.w3.org/2000/svg}"
-SOURCES = [
-    path for folder in ("services", "studies", "analysis", "recording") for path in (ROOT / folder).rglob("*.py")
-]
+FOLDERS = ("services", "studies", "analysis", "recording", "packages/telenano-studies/telenano_studies")
+SOURCES = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
 
 
 def rows(page: str) -> list[list[str]]:
@@ -41,9 +40,8 @@ def test_every_equation_that_the_code_cites_is_in_the_map() -> None:
     assert cited <= listed == set(range(1, 18))
 
 
-FUNCTIONS = sorted(
-    {name for row in rows("paper.md") for name in re.findall(r"`((?:services|studies)\.[a-zA-Z0-9_.]+)`", row[3])}
-)
+NAMED = re.compile(r"`((?:services|studies|telenano_studies)\.[a-zA-Z0-9_.]+)`")
+FUNCTIONS = sorted({name for row in rows("paper.md") for name in NAMED.findall(row[3])})
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
