@@ -89,6 +89,14 @@ def test_all_that_waits_for_a_recorder_that_stood_still_is_recorded_in_order(rig
     assert verify([rig.path]).sound
 
 
+def test_a_command_is_recorded_and_given_to_the_node(rig: Rig) -> None:
+    rig.send(HAND, "haptic/state", haptic_state(0))
+    rig.send(HAND, "session/control", sample("session/control", 0, src=HAND))
+    assert rig.take() == ["session/control"]
+    rig.intake.finish()
+    assert [message.topic for message in Recording(rig.path).messages()] == ["haptic/state", "session/control"]
+
+
 def test_what_comes_within_a_millisecond_is_received_together(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.recorder.node.time.sleep", lambda pause_s: rig.clock.advance_ns(round(pause_s * 1e9)))
     begin_ns = rig.clock.monotonic_ns()

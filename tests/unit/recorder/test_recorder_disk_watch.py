@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from services.recorder import disk_watch
-from services.recorder.disk_watch import LOW_S, DiskWatch, free_bytes
+from services.recorder.disk_watch import LOW_BYTES, LOW_S, DiskWatch, free_bytes
 
 SECOND_NS = 1_000_000_000
 MEGABYTE = 1_000_000
@@ -52,6 +52,15 @@ def test_it_warns_in_time_by_the_rate_of_this_recording() -> None:
     assert 500 - LOW_S - 2 < warned_s <= 500 - LOW_S + 2
     assert disk.watch.text.startswith("the disk of /rec has 1")
     assert disk.watch.text.endswith(" s at 1.00 MB/s")
+
+
+def test_almost_nothing_left_is_warned_of_at_once() -> None:
+    disk = Disk(LOW_BYTES - 1, 0)
+    assert disk.first_warning_s(1) == 0.0
+    assert disk.watch.text == "the disk of /rec has 16.0 MB left"
+    disk.free = LOW_BYTES
+    disk.watch.check(10 * SECOND_NS, 0)
+    assert disk.watch.text == ""
 
 
 def test_the_space_of_a_folder_that_is_not_there_yet_is_that_of_its_parent(

@@ -59,6 +59,26 @@ def recorded(intake: Intake) -> Recording:
     return Recording(intake.writer.path)
 
 
+def test_the_place_where_a_message_was_received_names_the_channel(intake: Intake, listen: MakeListener) -> None:
+    near, far = listen("controller@master"), listen("delay_node@slave")
+    for listener in (near, far):
+        intake.record(listener, frames("teleop/forward", teleop_forward(0)), EPOCH_NS)
+    link = sample("link/status", 0, src="delay_node@slave")
+    intake.record(far, frames("link/status", link), EPOCH_NS)
+    found = [(m.channel_topic, m.site, m.via, m.src) for m in recorded(intake).messages()]
+    assert found == [
+        ("teleop/forward", "master", "direct", "controller@master"),
+        ("teleop/forward@slave", "slave", "link", "controller@master"),
+        ("link/status", "slave", "direct", "delay_node@slave"),
+    ]
+
+
+def test_what_comes_back_to_the_master_is_marked_so(intake: Intake, listen: MakeListener) -> None:
+    event = sample("session/event", 0, src="afm_node@slave")
+    intake.record(listen("delay_node@master"), frames("session/event", event), EPOCH_NS)
+    assert [m.channel_topic for m in recorded(intake).messages()] == ["session/event@master"]
+
+
 def test_sources_on_one_topic_are_counted_apart(intake: Intake, listen: MakeListener) -> None:
     for source in ("haptic_node@master", "controller@master"):
         listener = listen(source)
@@ -185,6 +205,13 @@ def test_lost_events_count_as_a_fault_only_where_they_were_sent(intake: Intake, 
     for seq in (0, 3):
         intake.record(near, frames("session/event", sample("session/event", seq, src="afm_node@slave")), EPOCH_NS)
     assert (intake.lost, intake.lossless_lost) == (4, 2)
+
+
+def test_repetitions_and_late_messages_are_recorded_as_they_come(intake: Intake, listen: MakeListener) -> None:
+    listener = listen("haptic_node@master")
+    for seq in (0, 2, 1, 1):
+        intake.record(listener, frames("haptic/state", haptic_state(seq)), EPOCH_NS)
+    assert [m.seq for m in recorded(intake).messages(["haptic/state"])] == [0, 2, 1, 1]
 
 
 def test_only_a_command_received_from_its_publisher_is_given_back(intake: Intake, listen: MakeListener) -> None:

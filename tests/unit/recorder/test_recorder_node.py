@@ -1,5 +1,6 @@
 import os
 import random
+import signal
 import subprocess
 import sys
 import tempfile
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 import zmq
-from recorder_samples import EPOCH_NS, NODE, haptic_state, session_control, teleop_forward
+from recorder_samples import EPOCH_NS, NODE, haptic_state, sample, session_control, teleop_forward
 
 from proto import TOPICS, Message, encode
 from proto.messages import InputHealth, SessionEvent
@@ -102,6 +103,24 @@ def rig(config: RecorderConfig) -> Iterator[Rig]:
     rig = Rig(Intake(RecordingWriter.create(NODE, config)), config)
     yield rig
     rig.intake.finish()
+
+
+def test_flushes_come_at_the_interval_of_the_configuration(rig: Rig) -> None:
+    flushed_at: list[int] = []
+    rig.intake.flush = lambda now_ns: flushed_at.append(rig.clock.monotonic_ns())
+    while rig.clock.monotonic_ns() < 1_000_000_000:
+        rig.loop.turn()
+    assert flushed_at == [200_000_000, 400_000_000, 600_000_000, 800_000_000, 1_000_000_000]
+
+
+def test_the_start_is_reported_once_after_the_first_flush(rig: Rig, tmp_path: Path) -> None:
+    assert rig.bus.events() == []
+    for _ in range(4):
+        rig.loop.turn()
+    (event,) = rig.bus.events()
+    assert (event.kind, event.level, event.data["state"]) == ("recording", "info", "started")
+    assert event.data["path"] == str(tmp_path / "session.mcap")
+    assert rig.node.state == "running"
 
 
 def test_the_end_completes_the_file_and_says_what_is_in_it(rig: Rig) -> None:
@@ -217,6 +236,16 @@ def test_lost_commands_and_events_are_a_fault(rig: Rig) -> None:
         rig.loop.turn()
     (fault,) = [event for event in rig.bus.events() if event.kind == "fault"]
     assert fault.data["missing"] == 3
+
+
+def test_health_counts_the_messages_received(rig: Rig) -> None:
+    rig.loop.turn()
+    rig.intake.received = 1000
+    for _ in range(3):
+        rig.loop.turn()
+    rates = [message.rate_hz for topic, message in rig.bus.published if topic == "node/health"]
+    # the first one is sent at the start
+    assert rates == [0.0, pytest.approx(2000.0, rel=1e-9, abs=0)]
 
 
 NODES = (
@@ -431,6 +460,21 @@ def newest_state(path: Path) -> int:
     return [message.seq for message in Recording(path).messages(["haptic/state"])][-1]
 
 
+def test_a_process_that_is_stopped_completes_its_file(
+    site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
+) -> None:
+    others = stage([key for key in NODES if key != NODE])
+    path = tmp_path / "out" / "session.mcap"
+    with started(site_file, scenario_file) as process:
+        publish_until(others, path, 20_000)
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    info = Recording(path).info()
+    assert info.complete
+    assert {channel.lost for channel in info.channels} == {0}
+
+
 def test_a_killed_process_loses_no_more_than_an_interval(
     site_file: Path, scenario_file: Path, tmp_path: Path, stage: Callable[..., Stage]
 ) -> None:
@@ -452,3 +496,26 @@ def test_a_killed_process_loses_no_more_than_an_interval(
         # how often it is flushed is tested in virtual time: what was lost is only what came since
         assert reflushed > flushed
         assert states[-1].seq >= reflushed
+
+
+def test_a_process_that_may_not_write_runs_and_says_so(site_file: Path, scenario_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("in the way")
+    with started(site_file, scenario_file) as process:
+        assert process.stderr is not None
+        line = b""
+        while b"the rig continues" not in line:
+            line = process.stderr.readline()
+            assert line, "the recorder ended"
+        assert b"out: is not a folder" in line
+        process.terminate()
+        process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+
+
+def test_a_sample_of_each_topic_can_be_recorded_and_decoded(config: RecorderConfig) -> None:
+    writer = RecordingWriter.create(NODE, config)
+    published = [(topic, sample(topic, 0)) for topic in TOPICS]
+    for topic, message in published:
+        writer.write(writer.channel(topic, message.src, "master"), EPOCH_NS, EPOCH_NS, 0, encode(message))
+    writer.finish()
+    assert [message.decode() for message in Recording(writer.path).messages()] == [message for _, message in published]

@@ -19,12 +19,15 @@ from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
 from services.recorder.open_recording import open_recording
+from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import NullPublisher
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
 from services.runtime.settings.config import validate
 from telenano.extend.testing import VirtualClock
+
+SECOND_NS = 1_000_000_000
 
 
 class RecorderRig:
@@ -265,6 +268,36 @@ def test_an_event_triggers_a_snapshot(
     rig.intake.finish()
     (path,) = rig.files()
     assert seqs(path) == list(range(10))
+
+
+def test_contact_from_the_start_is_no_snap(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig(snapshot_s=1.0, snapshot_on=("contact",))
+    for seq in range(3):
+        rig.receive("afm/state", sample("afm/state", seq, src="afm_node@master", in_contact=True))
+    rig.flush()
+    assert rig.files() == []
+
+
+def test_the_snapshot_buffer_drops_by_time_and_by_size() -> None:
+    buffer = SnapshotBuffer(1.0, 1000)
+    for second in range(5):
+        buffer.add(Entry(second * SECOND_NS // 2, 0, second, b"x" * 10, None, None))
+    assert [entry.seq for entry in buffer.drain()] == [2, 3, 4]
+    for number in range(20):
+        buffer.add(Entry(0, 0, number, b"x" * 100, None, None))
+    assert (len(buffer), buffer.size_bytes) == (10, 1000)
+
+
+def test_the_recorder_says_how_it_does(make_rig: Callable[..., RecorderRig]) -> None:
+    rig = make_rig()
+    rig.receive_states(0, 1000)
+    rig.flush()
+    status = rig.command(**{"record.status": True})
+    assert "1000 messages/s" in status
+    assert "1000 written" in status
+    assert "0 lost" in status
+    rig.receive_states(1005, 1)
+    assert "5 lost" in rig.node.status()
 
 
 def test_orders_that_make_no_sense_are_refused(make_rig: Callable[..., RecorderRig]) -> None:

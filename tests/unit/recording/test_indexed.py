@@ -7,6 +7,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from made_sessions import Made
@@ -109,6 +110,11 @@ def test_a_file_without_a_sound_index_is_read_as_a_whole(path: Path, tmp_path: P
     assert indexed._indexes == {}
     assert list(indexed.select()) == list(Recording(copy).select())
     assert indexed.info() == Recording(copy).info()
+
+
+def test_the_information_of_a_sound_file_comes_by_its_index(path: Path) -> None:
+    info: Any = IndexedRecording(path).info()
+    assert (info.basis, info.messages) == ("summary", Recording(path).info().messages)
 
 
 def test_parts_are_read_as_one(path: Path, tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from forged_files import copied, repeated_index
-from made_sessions import Made
+from made_sessions import BEGAN_NS, Made
 
 from recording.indexed import IndexedRecording
 from recording.odd_times import LONGEST_PAUSE_NS, Dates
@@ -59,6 +59,13 @@ def test_a_message_of_another_time_is_named_and_moves_neither_start_nor_end(
     verdict = verify([path])
     assert [finding.text for finding in verdict.findings if finding.check == "odd"] == [text]
     assert not verdict.sound
+
+
+def test_a_recording_of_days_without_a_pause_is_not_odd(made: Path, tmp_path: Path) -> None:
+    step_ns = LONGEST_PAUSE_NS // 100
+    path = copied(made, tmp_path / "days.mcap", lambda place, ns: BEGAN_NS + place * step_ns)
+    assert Recording(path).span_ns[1] - BEGAN_NS > 30 * LONGEST_PAUSE_NS
+    assert Recording(path).odd == () == Recording(made).odd
 
 
 @pytest.mark.parametrize("what", ["chunks", "attachments", "metadata"])

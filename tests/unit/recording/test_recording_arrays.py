@@ -5,7 +5,7 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
+from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleop_forward
 
 from proto import encode
 from proto.errors import RecordingError
@@ -32,6 +32,25 @@ def test_columns_have_the_values_in_the_kinds_of_the_fields(make_file: MakeFile)
     np.testing.assert_array_equal(found["limited"], number % 2 == 1)
     assert found["src"][0] == "haptic_node@master"
     assert [found[field].dtype.kind for field in fields] == ["f", "f", "i", "i", "i", "i", "b", "O"]
+
+
+def test_a_time_range_selects(make_file: MakeFile) -> None:
+    recording = Recording(make_file(40))
+    found = columns(recording, "haptic/state", ["seq"], EPOCH_NS + 100, EPOCH_NS + 100 + 3 * MILLISECOND_NS)
+    assert found["seq"].tolist() == [0, 1, 2]
+    empty = columns(recording, "haptic/state", ["position_m.0"], 0, 1)
+    assert (empty["position_m.0"].dtype, empty["position_m.0"].size) == (np.float64, 0)
+
+
+def test_nil_becomes_nan(config: RecorderConfig) -> None:
+    writer = RecordingWriter.create(NODE, config)
+    channel = writer.channel("teleop/forward", "controller@master", "master")
+    for seq, wave in enumerate((None, (1e-9, 2e-9, 3e-9))):
+        writer.write(channel, seq, seq, seq, encode(teleop_forward(seq, wave_sqrt_w=wave)))
+    writer.finish()
+    found = columns(Recording(writer.path), "teleop/forward", ["wave_sqrt_w.2"])["wave_sqrt_w.2"]
+    assert math.isnan(found[0])
+    assert found[1] == 3e-9
 
 
 @pytest.mark.parametrize(

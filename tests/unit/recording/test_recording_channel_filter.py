@@ -1,7 +1,7 @@
 import pytest
 
 from proto.errors import ConfigError
-from recording.channel_filter import Selection, matcher
+from recording.channel_filter import Selection, matcher, node_matcher
 from recording.messages import RecordedChannel
 
 
@@ -23,6 +23,12 @@ def channel(name: str, src: str = "afm_node@slave") -> RecordedChannel:
 )
 def test_globs_and_regular_expressions(pattern: str, name: str, matches: bool) -> None:
     assert matcher(pattern)(name) is matches
+
+
+def test_a_node_is_meant_by_name_or_key() -> None:
+    assert node_matcher("controller")("controller@slave")
+    assert node_matcher("controller@master")("controller@master")
+    assert not node_matcher("controller@master")("controller@slave")
 
 
 def test_exclusion_wins_and_nothing_given_is_everything() -> None:

@@ -203,6 +203,13 @@ def test_every_message_obeys_the_schema_that_viewers_get(topic: str, tmp_path: P
         assert obeys(json.loads(message.data), json.loads(schema.data))
 
 
+def test_the_check_of_the_schema_can_fail() -> None:
+    schema = {"type": "object", "properties": {"a": {"type": "array", "items": {"type": "number"}}}}
+    assert obeys({"a": [1.0, 2]}, schema)
+    for wrong in ({"a": None}, {"a": [[1.0]]}, {"a": [True]}, {"a": 1.0}, []):
+        assert not obeys(wrong, schema)
+
+
 @pytest.mark.parametrize("topic", list(TOPICS))
 def test_the_schema_for_viewers_is_plain(topic: str) -> None:
     def check(node: Any) -> None:
@@ -261,6 +268,12 @@ def test_a_viewer_draws_by_the_time_of_sending(kind: str, tmp_path: Path) -> Non
     with (tmp_path / "viewer.mcap").open("rb") as file:
         found = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
     assert found == sent_ns
+
+
+def test_a_viewer_gets_the_unit_of_a_part_that_is_an_array_or_may_be_absent() -> None:
+    parts = plain_schema(AfmScanline.model_json_schema())["properties"]
+    assert parts["height_m"]["description"].endswith("[m]")
+    assert "[rad]" in parts["phase_rad"]["description"]
 
 
 def test_nothing_is_overwritten(rich: Path, tmp_path: Path) -> None:

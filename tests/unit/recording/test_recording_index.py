@@ -75,6 +75,11 @@ def changed(data: bytes, place: int, form: str, value: int) -> bytes:
     return checksummed(content)
 
 
+def test_a_file_that_is_right_has_no_faults(plain: bytes, make_file: MakeFile) -> None:
+    assert faults_of(plain) == []
+    assert verify([make_file()]).sound
+
+
 def test_what_a_writer_may_leave_out_is_not_asked_for() -> None:
     for options in (
         {"use_chunking": False},
@@ -106,6 +111,15 @@ def test_what_other_readers_go_by_is_compared_with_the_file(plain: bytes) -> Non
     ):
         faults = faults_of(changed(plain, place, form, value))
         assert any(fault in found for found in faults), (fault, faults)
+
+
+def test_header_and_checksum_of_the_summary_are_read(plain: bytes) -> None:
+    content = bytearray(plain)
+    content[len(MAGIC)] = Opcode.METADATA
+    assert faults_of(bytes(content))[0].startswith("header or summary cannot be read")
+    content = bytearray(plain)
+    content[-len(MAGIC) - 1] ^= 1
+    assert faults_of(bytes(content)) == ["the checksum of the summary is wrong"]
 
 
 def test_any_flipped_bit_of_a_recording_is_named(make_file: MakeFile) -> None:
@@ -147,3 +161,9 @@ def contents(data: bytes) -> tuple[object, ...]:
     summary = reader.get_summary()
     messages = [(channel, message) for _, channel, message in reader.iter_messages()]
     return summary, messages, list(reader.iter_attachments())
+
+
+def test_a_file_that_was_not_closed_is_reported_as_that(make_file: MakeFile) -> None:
+    path = make_file(20, finish=False)
+    assert not scan(path.read_bytes()).finished
+    assert {finding.check for finding in verify([path]).findings} == {"end"}

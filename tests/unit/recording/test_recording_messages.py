@@ -39,6 +39,10 @@ def test_the_file_is_the_library_s(compression: CompressionType, chunk_size: int
     assert written(MessageWriter, compression, chunk_size) == written(Writer, compression, chunk_size)
 
 
+def test_the_library_is_as_the_short_way_expects_it() -> None:
+    assert MessageWriter(BytesIO()).is_quick
+
+
 def test_messages_are_counted_before_their_chunk_ends() -> None:
     writer = MessageWriter(BytesIO())
     writer.start()

@@ -12,7 +12,7 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, teleo
 
 from proto import encode
 from proto.errors import RecordingError
-from recording.mcap_scan import MAGIC
+from recording.mcap_scan import MAGIC, scan
 from recording.messages import RecordedMessage
 from recording.reader import Recording
 from recording.records import GAP_TOPIC, REJECTED_TOPIC, GapRecord, RejectedRecord
@@ -55,6 +55,15 @@ def test_what_was_written_is_read(make_file: MakeFile, compression: str, finish:
     assert recording.channels[0].rate_hz == 1000.0
     assert recording.attachments == {"site.yaml": b"nodes: {}\n"}
     assert recording.metadata == {"versions": {"python": "3"}}
+
+
+def test_topics_and_times_select(make_file: MakeFile) -> None:
+    recording = Recording(make_file(40))
+    start, end = EPOCH_NS + 5 * MILLISECOND_NS + 200, EPOCH_NS + 9 * MILLISECOND_NS + 200
+    found = list(recording.messages(["teleop/forward@slave"], start, end))
+    assert [message.seq for message in found] == [5, 6, 7, 8]
+    assert list(recording.messages(["teleop/forward"])) == []
+    assert list(recording.messages([])) == []
 
 
 def test_the_account_of_a_recording(config: RecorderConfig) -> None:
@@ -186,6 +195,21 @@ def test_a_file_cut_off_anywhere_gives_a_beginning_that_grows_with_it(
     assert last_error == len(MAGIC) - 1
 
 
+def test_the_end_that_is_cut_off_is_accounted_for(make_file: MakeFile) -> None:
+    path = make_file(40, finish=False, compression="none")
+    last = scan(path.read_bytes()).blocks[-1]
+    os.truncate(path, last.data_end - 30)
+    info = Recording(path).info()
+    assert not info.complete
+    # all but the very last message, of which only a part is there
+    assert info.messages == 79
+    assert info.damage == (
+        f"byte {last.offset}, {last.data_end - 30 - last.offset} bytes: the file ends within a chunk, "
+        "whose beginning was read",
+    )
+    assert info.skipped_bytes == last.data_end - 30 - last.offset
+
+
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_one_wrong_byte_costs_one_chunk_at_most(make_file: MakeFile, tmp_path: Path, compression: str) -> None:
     path = make_file(40, compression=compression)
@@ -205,6 +229,33 @@ def test_one_wrong_byte_costs_one_chunk_at_most(make_file: MakeFile, tmp_path: P
         assert info.messages == len(found)
         if len(found) < len(whole):
             assert info.skipped_bytes > 0, position
+
+
+def test_a_damaged_chunk_is_named(make_file: MakeFile, tmp_path: Path) -> None:
+    path = make_file(40, compression="none")
+    content = bytearray(path.read_bytes())
+    block = scan(bytes(content)).blocks[1]
+    content[block.data_start + 100] ^= 1
+    path.write_bytes(content)
+    info = Recording(path).info()
+    assert info.messages == 60
+    assert (info.closed, info.complete) == (True, False)
+    assert info.missing[0] == f"{info.skipped_bytes} bytes of session.mcap cannot be read"
+    assert len(info.damage) == 1
+    assert info.damage[0].startswith(f"byte {block.offset}, ")
+    assert info.damage[0].endswith("the checksum of the chunk is wrong")
+    assert {channel.lost for channel in info.channels} == {10}
+
+
+def test_reading_goes_on_after_foreign_bytes(make_file: MakeFile) -> None:
+    path = make_file(40, finish=False)
+    content = path.read_bytes()
+    block = scan(content).blocks[2]
+    path.write_bytes(content[: block.offset] + b"\x00" * 500 + content[block.offset :])
+    info = Recording(path).info()
+    assert info.messages == 80
+    assert info.skipped_bytes == 500
+    assert info.damage == (f"byte {block.offset}, 500 bytes: bytes that are not a record",)
 
 
 def test_bytes_after_the_end_are_reported(make_file: MakeFile) -> None:

@@ -192,6 +192,11 @@ def test_the_clock_of_the_other_site_is_set_right_by_the_offset_that_the_link_me
     assert {each.time_ns - sent(each.message.seq) for each in found if each.message.topic == "afm/state"} == {0}
 
 
+def test_stamps_of_one_clock_are_left_as_they_are(record: Callable[[list[Row]], Recording]) -> None:
+    rows = [status(uncertainty_s=0.1), tip(0, sent(0) + 6000)]
+    assert [each.time_ns - sent(0) for each in in_order(record(rows)) if each.message.topic == "afm/state"] == [0]
+
+
 def status(uncertainty_s: float) -> Row:
     """Return a report of the link: the slave's clock is 80 ms ahead."""
     clock = LinkClock(valid=True, offset_s=0.08, uncertainty_s=uncertainty_s, round_trip_s=2e-3, exchanges=9)

@@ -12,6 +12,7 @@ from recording import summary
 from recording.mcap_scan import scan
 from recording.reader import Recording
 from recording.records import GapRecord
+from recording.rewrite import filter_recording
 from recording.summary import quick_info
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
@@ -94,6 +95,21 @@ def test_where_a_process_was_started_again_few_chunks_are_read(
     ]
     # Two hundred chunks are halved eight times, and of each half two are looked at.
     assert len(unpacked) <= 2 + 16 * len(at)
+
+
+def test_a_copy_that_lacks_a_part_has_to_be_read(tmp_path: Path) -> None:
+    path = written(tmp_path, list(range(450)))
+    damaged = bytearray(path.read_bytes())
+    blocks = scan(bytes(damaged)).blocks
+    damaged[blocks[len(blocks) // 2].data_start + 50] ^= 0xFF
+    path.write_bytes(damaged)
+    assert not Recording(path).info().complete
+    filter_recording(path, tmp_path / "recovered.mcap")
+    assert quick_info(tmp_path / "recovered.mcap") is None
+
+
+def test_a_file_that_was_not_closed_has_no_summary(tmp_path: Path) -> None:
+    assert quick_info(written(tmp_path, list(range(450)), finish=False)) is None
 
 
 def test_no_damage_to_the_summary_ends_in_anything_but_the_other_way(tmp_path: Path) -> None:

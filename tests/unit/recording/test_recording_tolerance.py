@@ -6,6 +6,10 @@ from recording.tolerance import Tolerances, first_difference
 LEFT = {"seq": 1, "position_m": (0.0, 0.0, -1e-9), "mode": "follow", "data": {"a": 1}}
 
 
+def test_equal_messages_have_no_difference() -> None:
+    assert first_difference(LEFT, dict(LEFT), Tolerances()) is None
+
+
 @pytest.mark.parametrize(
     ("change", "field"),
     [
@@ -32,6 +36,10 @@ def test_a_tolerance_holds_for_the_parts_of_its_field_only() -> None:
     assert first_difference(LEFT, moved, Tolerances({"position_m.0": 1.0})) is not None
     assert first_difference(LEFT, moved, Tolerances({"position_m": 0.99e-10})) is not None
     assert first_difference(LEFT, {**LEFT, "mode": "hold"}, Tolerances({"*": 1.0})) is not None
+
+
+def test_ignored_fields_are_left_out() -> None:
+    assert first_difference(LEFT, {**LEFT, "seq": 2}, Tolerances(), ("seq",)) is None
 
 
 @pytest.mark.parametrize("text", ["force_n", "force_n=x", "=1", "force_n=-1", "force_n=nan"])

@@ -78,12 +78,28 @@ def test_a_recording_is_never_overwritten(config: RecorderConfig) -> None:
     assert all(path.is_absolute() for path in paths)
 
 
+def test_a_missing_folder_is_made(tmp_path: Path) -> None:
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path / "a" / "b"))
+    writer.finish()
+    assert writer.path == tmp_path / "a" / "b" / "session.mcap"
+
+
 def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="file: is not a folder"):
         RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path / "file"))
     with pytest.raises(RecordingError, match=r"below/session\.mcap: cannot be created: Not a directory"):
         RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path / "file" / "below"))
+
+
+def test_a_flush_hands_everything_to_the_file(config: RecorderConfig) -> None:
+    stream = io.BytesIO()
+    writer = RecordingWriter(stream, Path("x.mcap"), NODE, config)
+    channel = writer.channel("haptic/state", "haptic_node@master", "master")
+    writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(haptic_state(0)))
+    before = len(stream.getvalue())
+    writer.flush()
+    assert len(stream.getvalue()) == writer.size_bytes > before
 
 
 def test_flushing_to_the_disk_reaches_the_same_bytes(tmp_path: Path) -> None:

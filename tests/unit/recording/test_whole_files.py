@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from recording.whole_files import whole_file, whole_folder, whole_results
+from recording.whole_files import new_folder, whole_file, whole_folder, whole_results
 
 
 class _Stop(BaseException):
@@ -128,3 +128,21 @@ def test_a_device_is_written_to_and_not_replaced_and_a_link_is_followed(tmp_path
         part.write_text("1")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "target").read_text() == "1"
+
+
+def test_a_long_name_has_a_temporary_name_too(tmp_path: Path) -> None:
+    path = tmp_path / ("ä" * 120 + ".h5")
+    with whole_file(path) as part:
+        part.write_text("1")
+    assert path.read_text() == "1"
+
+
+def test_a_new_folder_goes_if_nothing_came_to_be_in_it(tmp_path: Path) -> None:
+    with new_folder(tmp_path / "a"):
+        assert (tmp_path / "a").is_dir()
+    with new_folder(tmp_path / "b"):
+        (tmp_path / "b" / "c").write_text("")
+    (tmp_path / "d").mkdir()
+    with new_folder(tmp_path / "d"):
+        pass
+    assert names(tmp_path) == ["b", "d"]
