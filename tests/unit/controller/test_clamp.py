@@ -7,7 +7,7 @@ import pytest
 from telenano_studies.loops.cells import Cell, trajectory_of
 
 from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
 from studies.loops import lockstep
 
@@ -29,6 +29,17 @@ def test_towards_the_sample_it_lets_through_what_the_hand_presses_more() -> None
     assert let_through.position_m == pytest.approx(1e-8 + PARAMS.reach_m_per_n * 0.3, rel=1e-12, abs=0.0)
     # 2 N at the tip: it gives way, whatever the reference
     assert clamped(PARAMS, wanted, pressing(1e-8), tip(2e-8)).position_m < 1e-8
+
+
+def test_away_from_the_sample_nothing_is_limited() -> None:
+    assert clamped(PARAMS, SlaveReference(-5e-8, True), pressing(1e-8), tip(0.0)) == SlaveReference(-5e-8, True)
+
+
+def test_without_hand_or_tip_it_does_not_act() -> None:
+    wanted = SlaveReference(9e-8, True)
+    assert clamped(PARAMS, wanted, pressing(1e-8, active=False), tip(2e-8)) == wanted
+    assert clamped(PARAMS, wanted, pressing(1e-8), tip(2e-8, following=False)) == wanted
+    assert clamped(PARAMS._replace(enabled=False), wanted, pressing(1e-8), tip(2e-8)) == wanted
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -77,3 +88,13 @@ def test_a_clamp_bounds_the_force_and_does_not_end_the_swing_of_the_law(
     force = 1e8 * trajectory_of(cell).tip_force_n[-2500:]
     assert force.max() < 1.11
     assert np.ptp(force) == pytest.approx(swing_n, rel=0.2, abs=0.0)
+
+
+def test_two_laws_come_with_the_clamp() -> None:
+    """A clamp of the law's own counts as on while its margin is one that a hand can meet."""
+    margins = {name: getattr(ControllerConfig(law=name).params(), "margin_n", NO_LIMIT_N) for name in OWN_LAWS}
+    assert {name for name, margin in margins.items() if margin < NO_LIMIT_N} - {"wave"} == {
+        "passivity",
+        "model_mediated",
+    }
+    assert not ControllerConfig(law="wave").params().clamped

@@ -129,6 +129,43 @@ def test_silence_past_the_limit_lets_the_hand_go(master: Any) -> None:
     assert node.state == "safe"
 
 
+def test_signal_of_another_law_counts_as_silence(master: Any) -> None:
+    bench, node = master
+    hand = tick(bench, node)
+    other = answer_fields(1e-9, hand.seq, hand.t_ns, law="wave")
+    node.on_message(bench.received("teleop/backward", "controller@slave", **other))
+    (command,) = bench.take("haptic/command")
+    assert command.mode == "off"
+
+
+def test_missed_ticks_are_bridged_by_their_number(master: Any, bench_of: Any) -> None:
+    moved = []
+    for gap in (1, 3):
+        bench = bench_of("controller@master")
+        node = MasterController(bench.context, ControllerConfig())
+        for wait in (1, gap):
+            bench.clock.advance_ns((wait - 1) * PERIOD_NS)
+            hand = tick(bench, node, 1.0)
+            fields = answer_fields(0.0, hand.seq, hand.t_ns)
+            node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
+        moved.append(node.law_state.position_m)
+    assert moved[1] > 3.0 * moved[0]
+
+
+def test_lateness_of_the_hand_does_not_enter_the_law(master: Any, bench_of: Any) -> None:
+    positions = []
+    for lateness in ((0, 0, 0), (40_000, 7_000, 90_000)):
+        bench = bench_of("controller@master")
+        node = MasterController(bench.context, ControllerConfig())
+        for late in lateness:
+            bench.clock.advance_ns(late)
+            hand = tick(bench, node, 1.0)
+            fields = answer_fields(0.0, hand.seq, hand.t_ns)
+            node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
+        positions.append(node.law_state.position_m)
+    assert positions[0] == positions[1]
+
+
 def pushed(bench: Any, node: MasterController) -> Any:
     """Push for a while in free space, and give the last reference of the tip."""
     for _ in range(200):
@@ -138,6 +175,16 @@ def pushed(bench: Any, node: MasterController) -> Any:
     last = bench.take("teleop/forward")[-1].position_m[2]
     assert last < -2e-9
     return last
+
+
+def test_hand_that_stalled_finds_its_reference_where_it_was(master: Any) -> None:
+    bench, node = master
+    before = pushed(bench, node)
+    bench.clock.advance_ns(10**9)
+    tick(bench, node, 1.0, position_m=(0.0, 0.0, -node.law_state.position_m))
+    after = bench.take("teleop/forward")[-1].position_m[2]
+    # a tick of free motion at most
+    assert 0.0 < before - after < 16e-12
 
 
 def test_hand_that_was_restarted_is_joined_where_it_is_and_the_tip_stays(master: Any) -> None:
@@ -205,6 +252,21 @@ def test_hand_is_where_it_would_be_if_no_sample_had_been_late(bench_of: Any, law
     assert places[1:] == pytest.approx([places[0]] * 2, rel=1e-9, abs=0.0)
 
 
+def test_parameters_change_at_run_time(master: Any) -> None:
+    bench, node = master
+    tick(bench, node)
+    control = bench.make(
+        "session/control",
+        "console@master",
+        id="a",
+        command="set",
+        target="controller",
+        parameters={"virtual_impedance.force_gain": 10.0},
+    )
+    assert "force_gain = 10.0" in node.on_control(control)
+    assert node.params.force_gain == 10.0
+
+
 def test_a_law_that_the_instrument_is_too_slow_for_is_refused_live_in_the_words_of_the_plan(bench_of: Any) -> None:
     refused = {"wave": "controller.law: wave closes a loop through the instrument"}
     config = ControllerConfig.model_validate({"law": "model_mediated", "refused_laws": refused})
@@ -257,6 +319,19 @@ def test_slave_commands_at_once_and_answers_when_the_instrument_has(slave: Any) 
     (backward,) = bench.take("teleop/backward")
     assert backward.force_n == (0.0, 0.0, -3e-9)
     assert (backward.hand_seq, backward.hand_t_ns, backward.active) == (5, 50, True)
+
+
+def test_state_that_answers_no_command_is_kept_for_the_next_answer(slave: Any) -> None:
+    bench, node = slave
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, 0, hand_t_ns=0)))
+    assert bench.take("teleop/backward") == []
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-2e-9, 99)))
+    assert bench.take("teleop/backward") == []
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 6, 1_000_050)))
+    (backward,) = bench.take("teleop/backward")
+    assert backward.force_n == (0.0, 0.0, -2e-9)
+    assert backward.hand_seq == 5
 
 
 def test_dead_instrument_lets_the_hand_go(slave: Any) -> None:
@@ -560,6 +635,21 @@ def test_an_old_signal_moves_no_tip(slave: Any, age_ms: int, commands: int, link
     node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, sampled_ns)))
     assert len(bench.take("afm/command")) == commands
     assert node.stale == 1 - commands
+
+
+def test_a_row_of_old_signals_is_reported_once(slave: Any) -> None:
+    bench, node = slave
+    for n in range(5):
+        sampled_ns = bench.clock.now_ns() - 200 * PERIOD_NS
+        node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, n, sampled_ns)))
+        bench.advance_ms(1.0)
+    assert len(faults(bench)) == 1
+    node.on_message(
+        bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, bench.clock.now_ns()))
+    )
+    node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 6, sampled_ns)))
+    assert len(faults(bench)) == 1
+    assert node.stale == 6
 
 
 @pytest.mark.parametrize("stalled_ms", [200, 1000, 3000])

@@ -15,7 +15,7 @@ from proto.errors import ConfigError
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.energy import Port
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, bounded
-from services.runtime.settings.config import validate
+from services.runtime.settings.config import flatten, validate
 
 ROOT = Path(__file__).parents[3]
 CASES = 8
@@ -59,6 +59,14 @@ def test_a_setting_beyond_its_range_is_refused_with_the_range(key: str, schema: 
     if schema.get("minimum", 0.0) > 0.0:
         with pytest.raises(ConfigError, match="allowed is"):
             validate(ControllerConfig, {section: {name: 1e-300}}, "f.yaml", "controller")
+
+
+def test_the_settings_as_they_come_are_well_inside_of_their_ranges() -> None:
+    defaults = flatten(ControllerConfig().model_dump())
+    for key, schema in _numbers():
+        low, high = schema.get("minimum", 0.0), schema.get("maximum", schema.get("exclusiveMaximum"))
+        assert low == 0.0 or low <= 1e-2 * defaults[key], key
+        assert high >= 2.0 * defaults[key], key
 
 
 def test_what_is_bounded_keeps_its_bits_inside_and_what_is_no_number_shows() -> None:

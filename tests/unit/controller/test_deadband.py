@@ -1,7 +1,9 @@
 """The dead band: what passes, what is kept back, and what the rate becomes."""
 
+import math
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -27,6 +29,12 @@ def of(**fields: Any) -> PortSignal:
     return NO_SIGNAL._replace(**fields)
 
 
+def test_first_signal_and_every_one_without_the_band_pass() -> None:
+    assert passed(PARAMS, [NO_SIGNAL] * 3)[0] == [True, False, False]
+    flags, state = passed(DeadbandConfig().to_params(), [NO_SIGNAL] * 9)
+    assert (all(flags), state.offered, state.sent) == (True, 9, 9)
+
+
 @pytest.mark.parametrize(
     ("field", "value", "step"),
     [
@@ -41,6 +49,24 @@ def test_change_at_the_threshold_is_kept_and_one_just_past_it_passes(field: str,
     at, past = value + step * (1.0 - 1e-6), value + step * (1.0 + 1e-6)
     assert passed(ENDLESS, [of(**{field: value}), of(**{field: at})])[0] == [True, False]
     assert passed(ENDLESS, [of(**{field: value}), of(**{field: past})])[0] == [True, True]
+
+
+@pytest.mark.parametrize("field", ["active", "in_contact", "separation_valid"])
+def test_change_of_a_flag_passes_at_once(field: str) -> None:
+    assert passed(ENDLESS, [NO_SIGNAL, NO_SIGNAL, of(**{field: True})])[0] == [True, False, True]
+
+
+def test_silence_never_gets_longer_than_the_keep_alive() -> None:
+    flags, state = passed(PARAMS, [NO_SIGNAL] * 1000)
+    assert np.diff(np.flatnonzero(flags)).tolist() == [20] * 49
+    assert (state.offered, state.sent) == (1000, 50)
+
+
+def test_rate_on_a_growing_force_is_logarithmic() -> None:
+    # F from 1 to 20 nN: a signal at every factor 1.1
+    forces = np.geomspace(1e-8, 2e-7, 20_000)
+    flags, _ = passed(ENDLESS, [of(force_n=force) for force in forces])
+    assert sum(flags) == pytest.approx(1 + math.log(20.0) / math.log(1.1), abs=1.0)
 
 
 @given(st.lists(st.floats(-2e-8, 2e-8), min_size=1, max_size=200), st.floats(0.0, 0.5))

@@ -8,12 +8,41 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from services.controller.discretisation import exact_discretisation
+from services.controller.discretisation import approach, decay, exact_discretisation
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 
 T = 1e-3
 # a closed form in doubles loses a few last bits itself, ours none
 FEW_BITS = 1e-15
+
+
+def test_mass_and_damper_are_the_exponential_approach() -> None:
+    step = exact_discretisation(10.0, 2000.0, 0.0, T)
+    decay = 2000.0 / 10.0
+    assert step.phi_xx == 1.0
+    assert step.phi_vx == 0.0
+    assert step.phi_vv == pytest.approx(math.exp(-decay * T), rel=FEW_BITS, abs=0.0)
+    assert step.phi_xv == pytest.approx(-math.expm1(-decay * T) / decay, rel=FEW_BITS, abs=0.0)
+    assert step.gamma_v == pytest.approx(-math.expm1(-decay * T) / 2000.0, rel=FEW_BITS, abs=0.0)
+
+
+def test_mass_and_spring_turn_the_phase_by_the_natural_frequency() -> None:
+    step = exact_discretisation(2.0, 0.0, 2.0 * 30.0**2, T)
+    assert step.phi_xx == step.phi_vv == pytest.approx(math.cos(30.0 * T), rel=FEW_BITS, abs=0.0)
+    assert step.phi_xv == pytest.approx(math.sin(30.0 * T) / 30.0, rel=FEW_BITS, abs=0.0)
+    assert step.gamma_x == pytest.approx(2.0 * math.sin(15.0 * T) ** 2 / (2.0 * 900.0), rel=FEW_BITS, abs=0.0)
+
+
+def test_critical_damping_has_no_special_case() -> None:
+    step = exact_discretisation(1.0, 2.0 * 50.0, 50.0**2, 0.02)
+    decay = math.exp(-1.0)
+    assert step.phi_xx == pytest.approx(2.0 * decay, rel=FEW_BITS, abs=0.0)
+    assert step.phi_xv == pytest.approx(0.02 * decay, rel=FEW_BITS, abs=0.0)
+    assert step.phi_vv == pytest.approx(0.0, abs=1e-17)
+
+
+def test_a_free_mass_has_the_figures_of_school() -> None:
+    assert exact_discretisation(1.0, 0.0, 0.0, 0.5) == (1.0, 0.5, 0.0, 1.0, 0.125, 0.5)
 
 
 def test_the_papers_impedance_has_these_digits_on_every_processor() -> None:
@@ -44,3 +73,16 @@ def test_parameters_of_any_size_give_finite_figures(large: float) -> None:
     assert all(math.isfinite(figure) for figure in stiff)
     # what is left is the slow way back, of the time constant B / K = 1 s
     assert stiff.phi_xx == pytest.approx(math.exp(-T), rel=FEW_BITS + 2.0 / large, abs=0.0)
+
+
+@given(st.floats(0.0, 700.0))
+def test_decay_and_approach_are_the_exponential(ratio: float) -> None:
+    assert decay(ratio) == pytest.approx(math.exp(-ratio), rel=FEW_BITS, abs=0.0)
+    assert approach(ratio) == pytest.approx(-math.expm1(-ratio), rel=FEW_BITS, abs=0.0)
+
+
+def test_decay_and_approach_at_the_edges() -> None:
+    assert (decay(0.0), approach(0.0)) == (1.0, 0.0)
+    assert (decay(math.inf), approach(math.inf)) == (0.0, 1.0)
+    assert (decay(1e300), approach(1e300)) == (0.0, 1.0)
+    assert approach(1e-300) == 1e-300

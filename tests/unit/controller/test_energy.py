@@ -2,10 +2,17 @@
 
 import pytest
 
-from services.controller.energy import TOLERANCE_J, is_passive, opened, with_outflow
+from services.controller.energy import TOLERANCE_J, is_passive, moved_to, opened, with_inflow, with_outflow
 from services.controller.law import EnergyAccount
 
 NONE = EnergyAccount(0.0, 0.0, 0.0)
+
+
+def test_held_force_times_way() -> None:
+    port = opened(1e-3, 0.0)
+    for n in range(1, 11):
+        port = with_inflow(port, 1e-3 + 1e-4 * n, 2.0)
+    assert port.energy_j == pytest.approx(2e-3, rel=1e-12, abs=0.0)
 
 
 def test_work_on_a_spring_is_its_energy_whatever_the_steps() -> None:
@@ -16,6 +23,11 @@ def test_work_on_a_spring_is_its_energy_whatever_the_steps() -> None:
             port = with_outflow(port, x, 3000.0 * x)
         assert port.energy_j == pytest.approx(-0.5 * 3000.0 * 4e-6, rel=1e-12, abs=0.0)
         assert with_outflow(port, 0.0, 0.0).energy_j == pytest.approx(0.0, abs=1e-15)
+
+
+def test_motion_out_of_force_is_no_work() -> None:
+    port = moved_to(with_inflow(opened(0.0, 0.0), 1e-3, 1.0), 5e-3, 9.0)
+    assert port.energy_j == pytest.approx(1e-3, rel=1e-14, abs=0.0)
 
 
 @pytest.mark.parametrize(

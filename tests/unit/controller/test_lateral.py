@@ -58,6 +58,14 @@ def test_by_position_the_tip_goes_the_way_of_the_hand_and_the_clutch_lets_it_go_
     assert state.travel.x_m == pytest.approx(1e-6, rel=1e-9)
 
 
+def test_a_hand_that_takes_hold_beside_the_middle_moves_nothing() -> None:
+    state = run(config(), [at(8e-3)] * 500)
+    assert (state.travel.x_m, state.force_n) == (0.0, (0.0, 0.0, 0.0))
+    released = run(config(clutch="released"), [at(2e-3), *[at(9e-3)] * 100])
+    taken = run(config(), [at(9e-3)] * 100, state=released)
+    assert taken.travel.x_m == 0.0
+
+
 @pytest.mark.parametrize("mode", ["rate", "position"])
 def test_in_a_silence_and_without_the_hand_nothing_moves_and_nothing_is_felt(mode: str) -> None:
     params, pushed = config(mode=mode, centring_n_per_m=0.0), LateralFar(-1e-8, 0.0, 0.0, 0.0, known=True)
@@ -228,3 +236,8 @@ def test_the_reference_does_not_run_away_from_a_stage_that_cannot_follow() -> No
     for n in range(3000):
         state = lateral_slave_step(params, state, (3e-10 * n, 0.0), (0.0, 0.0), True, DT)
     assert state.x_m <= 0.1 * 300e-9 + 1e-9 + 1e-12
+
+
+def test_the_stage_is_given_back_when_the_hand_rests() -> None:
+    states = slave([3e-10 * min(n, 500) for n in range(1000)])
+    assert hand_moves(states[600]) and not hand_moves(states[750])

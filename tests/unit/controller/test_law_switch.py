@@ -190,6 +190,14 @@ def test_slave_that_changes_first_stands_until_the_master_follows(bench_of: Any)
     assert 1e8 * 20.0 * rig.base == pytest.approx(1.0, rel=0.02, abs=0.0)
 
 
+def test_law_and_its_parameters_change_in_one_command(bench_of: Any) -> None:
+    rig = Rig(bench_of, "virtual_impedance", delay=0)
+    rig.tick(10)
+    answer = rig.set(rig.master, **{"law": "wave", "wave.impedance_n_s_per_m": 50.0})
+    assert "law = wave" in answer
+    assert rig.master.params.impedance_n_s_per_m == 50.0
+
+
 def test_status_reports_energy_passivity_and_round_trip(bench_of: Any) -> None:
     rig = Rig(bench_of, "wave", delay=30)
     rig.tick(2000)
@@ -222,6 +230,15 @@ def test_counters_of_the_slave_go_on_when_a_sample_of_the_hand_was_late(bench_of
     assert rig.rows[-1][3] == "position"
     assert 1e8 * 20.0 * rig.base == pytest.approx(1.0, rel=0.06, abs=0.0)
     assert rig.rows[-1][2] == pytest.approx(1.0, rel=0.06, abs=0.0)
+
+
+def test_status_shows_that_a_delayed_reflection_makes_energy(bench_of: Any) -> None:
+    rig = Rig(bench_of, "position_force", delay=60)
+    rig.tick(1500)
+    assert not all(status.passive for status in rig.statuses)
+    quiet = Rig(bench_of, "position_force", delay=0)
+    quiet.tick(1500)
+    assert all(status.passive for status in quiet.statuses)
 
 
 @pytest.mark.parametrize("law", ["virtual_impedance", "passivity"])

@@ -1,6 +1,7 @@
 """What every law of the table keeps to."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,12 @@ from services.controller.law import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    law_of,
     no_energy_account,
 )
 from services.controller.law_names import LAW_NAMES
 from services.controller.law_rules import RULES, broken_rules
-from services.controller.laws import wave
+from services.controller.laws import virtual_impedance, wave
 from services.controller.laws.shared import pass_through
 
 T = 1e-3
@@ -56,6 +58,17 @@ def test_table_is_made_of_the_steps_that_a_module_has() -> None:
     )  # fmt: skip
     assert smith.master_energy_account is smith.slave_energy_account is no_energy_account
     assert not (smith.uses_waves or smith.uses_energy or smith.local_loop)
+
+
+def test_law_without_a_step_is_not_made() -> None:
+    with pytest.raises(AttributeError, match="master_start"):
+        law_of(__name__, wave.WaveConfig)
+    with pytest.raises(AttributeError, match="slave_start"):
+        law_of(wave.__name__, wave.WaveConfig, slave=virtual_impedance)
+
+
+def test_no_two_laws_share_a_class_of_parameters() -> None:
+    assert len({type(params_of(name)) for name in LAWS}) == len(LAWS)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -165,3 +178,13 @@ def test_bad_parameters_are_refused(name: str, parameters: dict[str, float], tex
 def test_unknown_law_is_refused() -> None:
     with pytest.raises(ValidationError, match="model_mediated"):
         ControllerConfig.model_validate({"law": "telepathy"})
+
+
+@pytest.mark.parametrize("name", [*LAWS, "deadband"])
+def test_every_parameter_is_documented(name: str) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "laws.md").read_text(encoding="utf-8")
+    model = ControllerConfig.model_fields[name].annotation
+    assert f"\n## {name}\n" in text
+    assert isinstance(model, type)
+    missing = [field for field in model.model_fields if f"`{field}`" not in text]
+    assert not missing

@@ -12,6 +12,7 @@ from services.controller.law import (
     MOST_PERIODS_A_STEP,
     NO_SIGNAL,
     PortSignal,
+    SlaveReference,
     TipMeasurement,
 )
 from services.controller.law_rules import RULES, stiffness_limit_n_per_m
@@ -120,6 +121,20 @@ def test_the_base_meets_nothing_stiffer_than_its_spring_or_its_cantilever() -> N
     assert AfmConfig().stiffest_n_per_m == AfmConfig().cantilever.stiffness_n_per_m
     spring = AfmConfig.model_validate({"environment": "spring", "spring": {"stiffness_n_per_m": 500.0}})
     assert spring.stiffest_n_per_m == 500.0
+
+
+def standing(params: Any, state: Any, signal: PortSignal, tip: TipMeasurement, dt: float) -> tuple[Any, SlaveReference]:
+    """Follow no further than the wall, which it never touches, but press a spring at the start as asked."""
+    base = min(signal.position_m, 2.9e-9 + 1e3 * tip.force_n)
+    return state._replace(position_m=base), SlaveReference(base, True)
+
+
+def test_a_law_that_never_touches_breaks_a_rule(monkeypatch: pytest.MonkeyPatch) -> None:
+    rule = next(rule for rule in RULES if rule.name.startswith("touches a wall"))
+    assert list(rule.broken_by("model_mediated")) == []
+    monkeypatch.setitem(LAWS, "model_mediated", replace(LAWS["model_mediated"], slave_receive=standing))
+    faults = list(rule.broken_by("model_mediated"))
+    assert "presses with 0 N on average" in faults[0]
 
 
 def test_a_law_that_overlooks_what_a_late_instrument_still_has_to_do_breaks_a_rule(

@@ -8,15 +8,21 @@ from compact_surface import force_nn, potential
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.controller.law import NO_SIGNAL, TipMeasurement
+from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 from services.controller.laws.model_mediated import (
     ModelMediatedConfig,
     master_energy_account,
+    master_receive,
+    master_resume,
+    master_send,
+    master_start,
+    retune,
     slave_receive,
     slave_start,
     updated,
 )
 from services.controller.laws.shared.surface import Surface
+from services.controller.laws.shared.virtual_mass import tip_reference
 
 T = 1e-3
 PARAMS = ModelMediatedConfig().to_params(T)
@@ -97,6 +103,16 @@ def test_updates_are_paid_from_the_damper_at_all_times(run_loop: Any) -> None:
     assert (injected <= dissipated * (1.0 + 1e-12)).all()
 
 
+def test_surface_met_late_begins_under_the_hand_almost_without_force() -> None:
+    hand = HandSample(8e-3, 0.0, 1.0, True)
+    state = master_start(PARAMS, hand)
+    answer = NO_SIGNAL._replace(position_m=9e-9, force_n=-1.2e-8, in_contact=True, active=True, silence_s=0.0)
+    state, reference = master_receive(PARAMS, state, hand, answer, T)
+    assert state.rendered
+    assert abs(reference.force_n) <= PARAMS.force_step_n
+    assert state.model.contact_nm >= 12.0
+
+
 def test_guard_presses_no_harder_than_the_hand() -> None:
     tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
     state = slave_start(PARAMS, tip)
@@ -109,9 +125,25 @@ def test_guard_presses_no_harder_than_the_hand() -> None:
     assert force == pytest.approx(1e-8, rel=1e-6, abs=0.0)
 
 
+def test_guard_takes_long_gaps_without_pressing_through() -> None:
+    tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
+    signal = NO_SIGNAL._replace(position_m=1e-7, force_n=1e-8, active=True, silence_s=0.0)
+    state, _ = slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, 0.05)
+    assert 20.0 * (state.position_m - 9e-9) <= 1e-8
+
+
 def test_uncoupled_tip_stays_and_a_retracted_one_gets_the_reference() -> None:
     tip = TipMeasurement(9e-9, 0.0, 0.0, False, True, True, 0.0)
     signal = NO_SIGNAL._replace(position_m=15e-9, silence_s=0.0)
     assert slave_receive(PARAMS, slave_start(PARAMS, tip), signal, tip, T)[1].position_m == 9e-9
     away = tip._replace(following=False)
     assert slave_receive(PARAMS, slave_start(PARAMS, tip), signal, away, T)[1].position_m == 15e-9
+
+
+def test_resume_and_retune_keep_the_tip() -> None:
+    state = master_resume(PARAMS, HandSample(5e-3, 0.01, 0.0, True), 1.1e-8)
+    _, signal = master_send(PARAMS, state, HandSample(5e-3, 0.01, 0.0, True), T)
+    assert signal.position_m == pytest.approx(1.1e-8, rel=1e-14, abs=0.0)
+    other = ModelMediatedConfig(position_scale=1e-7).to_params(T)
+    after = tip_reference(other.mass, retune(PARAMS, other, state).mass)
+    assert after == pytest.approx(1.1e-8, rel=1e-13, abs=0.0)

@@ -7,6 +7,10 @@ import pytest
 from services.controller.law import MOST_PERIODS_A_STEP, paced
 
 
+def test_a_signal_a_period_is_a_step_of_one_period() -> None:
+    assert paced(0, 1, 0) == (0, 1)
+
+
 def test_between_signals_it_steps_what_it_is_behind_and_not_ahead_of_time() -> None:
     # a period and a half after the signal, and again after three periods
     assert paced(0, 0, 1) == (-1, 1)

@@ -6,6 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
+from services.controller.laws.position_force import (
+    PositionForceConfig,
+    master_receive,
+    master_resume,
+    master_send,
+    master_start,
+    retune,
+)
+from services.controller.laws.shared.pass_through import slave_receive, slave_send, slave_start
+from services.controller.laws.shared.virtual_mass import tip_reference
+
+PARAMS = PositionForceConfig().to_params(1e-3)
+
 
 def critical_ticks(stiffness: float) -> float:
     """Give the delay [ms] at the phase margin of K_h e^(-sT) / (M s^2 + B s), less the half period of the hold."""
@@ -35,3 +49,35 @@ def test_oscillation_dies_just_below_the_delay_margin_and_grows_just_above(run_l
     run = run_loop("position_force", lambda n: 0.1, lambda x: stiffness * x, 4000, backward=lambda n: above)
     earlier, later = rest_of(run)
     assert later > 1.1 * earlier
+
+
+def test_channel_makes_energy_past_the_margin(run_loop: Any) -> None:
+    run = run_loop("position_force", lambda n: 1.0, lambda x: 20.0 * x, 3000, backward=lambda n: 100)
+    assert (run.entered_j - run.left_j).min() < -1e-3
+
+
+def test_half_that_does_not_follow_keeps_the_tip() -> None:
+    state = master_start(PARAMS, HandSample(5e-3, 0.0, 0.0, True))
+    before = tip_reference(PARAMS.mass, state)
+    hand = HandSample(6e-3, 0.0, 1.0, False)
+    state, reference = master_receive(PARAMS, state, hand, NO_SIGNAL._replace(active=True, silence_s=0.0), 1e-3)
+    assert reference.position_m == 6e-3
+    state, signal = master_send(PARAMS, state, hand, 1e-3)
+    assert signal.position_m == pytest.approx(before, rel=1e-14, abs=0.0)
+    assert not signal.active
+
+
+def test_slave_passes_reference_and_force() -> None:
+    tip = TipMeasurement(9e-9, -3e-9, 2e-10, True, True, True, 0.0)
+    state, reference = slave_receive(PARAMS, slave_start(PARAMS, tip), NO_SIGNAL._replace(position_m=1e-8), tip, 1e-3)
+    assert reference == (1e-8, True)
+    _, signal = slave_send(PARAMS, state, tip, 1e-3)
+    assert (signal.force_n, signal.position_m, signal.in_contact, signal.active) == (-3e-9, 9e-9, True, True)
+
+
+def test_resume_and_retune_keep_the_tip() -> None:
+    state = master_resume(PARAMS, HandSample(5e-3, 0.02, 0.0, True), 1.1e-8)
+    assert tip_reference(PARAMS.mass, state) == pytest.approx(1.1e-8, rel=1e-14, abs=0.0)
+    other = PositionForceConfig(position_scale=1e-7).to_params(1e-3)
+    after = tip_reference(other.mass, retune(PARAMS, other, state))
+    assert after == pytest.approx(1.1e-8, rel=1e-13, abs=0.0)

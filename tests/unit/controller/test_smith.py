@@ -5,11 +5,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.controller.law import NO_SIGNAL
+from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.smith import (
+    HISTORY,
     Estimate,
     SmithConfig,
     estimated,
+    master_receive,
+    master_resume,
+    master_send,
+    master_start,
+    reference_then,
+    retune,
 )
 
 T = 1e-3
@@ -85,6 +92,23 @@ def test_jitter_and_loss_do_not_disturb_an_exact_model(run_loop: Any) -> None:
     assert 1e8 * run.force_n[-1] == pytest.approx(1.0 / 1.05, rel=1e-3, abs=0.0)
 
 
+def test_history_is_exact_and_bounded() -> None:
+    state = master_start(PARAMS, HandSample(0.0, 0.0, 0.0, True))
+    for n in range(3 * HISTORY):
+        inner = state.impedance._replace(position_m=1e-3 * n)
+        state, _ = master_send(PARAMS, state._replace(impedance=inner), HandSample(0.0, 0.0, 0.0, True), T)
+    newest = 3 * HISTORY - 1
+    for age in (0, 1, 500, HISTORY - 1, HISTORY + 5):
+        expected = 1.5e-6 * 1e-3 * (newest - min(age, HISTORY - 1))
+        assert reference_then(state, age * T, T) == pytest.approx(expected, rel=1e-14, abs=0.0)
+
+
+def test_several_periods_fill_as_many_places() -> None:
+    state = master_resume(PARAMS, HandSample(0.0, 0.0, 0.0, True), 1e-8)
+    state, _ = master_send(PARAMS, state, HandSample(0.0, 0.0, 0.0, True), 3 * T)
+    assert state.newest == 3
+
+
 def test_estimate_is_frozen_without_motion_and_restarts_with_contact() -> None:
     touching = NO_SIGNAL._replace(in_contact=True, force_n=1e-8)
     estimate = Estimate(0.0, 0.0, 0.0, 0.0, 17.0, False)
@@ -94,3 +118,21 @@ def test_estimate_is_frozen_without_motion_and_restarts_with_contact() -> None:
     assert estimate.in_contact
     free = estimated(PARAMS, estimate, 9e-9, NO_SIGNAL)
     assert free == Estimate(0.0, 0.0, 0.0, 0.0, 17.0, False)
+
+
+def test_model_comes_in_and_goes_out_at_its_rate() -> None:
+    hand = HandSample(0.0, 0.0, 0.0, True)
+    state = master_start(PARAMS, hand)
+    touching = NO_SIGNAL._replace(in_contact=True, active=True, silence_s=0.0)
+    for n in range(1, 11):
+        state, _ = master_receive(PARAMS, state, hand, touching, T)
+        assert state.in_use_n_per_m == pytest.approx(0.2 * n, rel=1e-12, abs=0.0)
+    state, _ = master_receive(PARAMS, state, hand, touching._replace(in_contact=False), 2 * T)
+    assert state.in_use_n_per_m == pytest.approx(1.6, rel=1e-12, abs=0.0)
+
+
+def test_retune_keeps_the_tip() -> None:
+    state = master_resume(PARAMS, HandSample(5e-3, 0.0, 0.0, True), 1.1e-8)
+    other = SmithConfig(position_scale=1e-7).to_params(T)
+    _, signal = master_send(other, retune(PARAMS, other, state), HandSample(5e-3, 0.0, 0.0, True), T)
+    assert signal.position_m == pytest.approx(1.1e-8, rel=1e-13, abs=0.0)

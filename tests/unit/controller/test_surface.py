@@ -16,9 +16,14 @@ from services.controller.laws.shared.surface import (
     Surface,
     _place_roots_at_once,
     fitted,
+    gradient,
     met,
+    misfit,
+    over,
     place_roots,
+    remembered,
     root_of,
+    solved_pair,
     unknown,
 )
 from services.numerics.compiled import compiled_form
@@ -28,6 +33,12 @@ K, RANGE = FIT.cantilever, FIT.range_nm
 MICA = Surface(9.0, FIT.kappa, 12.5)
 
 surfaces = st.builds(Surface, st.floats(-20.0, 20.0), st.floats(0.5, 200.0), st.floats(0.0, 30.0))
+
+
+@given(st.floats(1e-12, 1e4), st.floats(0.0, 100.0))
+def test_root_solves_its_equation(y: float, ratio: float) -> None:
+    r = root_of(y, ratio)
+    assert r * r * (1.0 + ratio * r) == pytest.approx(y, rel=1e-12, abs=0.0)
 
 
 def test_the_roots_of_all_samples_at_once_are_those_of_each_by_itself() -> None:
@@ -45,6 +56,35 @@ def test_the_roots_of_all_samples_at_once_are_those_of_each_by_itself() -> None:
                 place(given[-1], contact_nm, ratio)
         assert given[0].tobytes() == given[1].tobytes() == given[2].tobytes()
         assert given[0][3].tolist() == [root_of(float(at) - contact_nm, ratio) for at in samples[0]]
+
+
+def test_kappa_of_table_2_is_hertz() -> None:
+    assert FIT.kappa == pytest.approx(4.0 / 3.0 * 4.31198e9 * math.sqrt(10e-9) * 10.0**-4.5, rel=1e-3, abs=0.0)
+
+
+def test_limits_of_the_force() -> None:
+    assert force_nn(MICA, K, RANGE, 9.0) == -12.5
+    assert force_nn(MICA, K, RANGE, 9.0 - RANGE) == 0.0
+    assert force_nn(MICA, K, RANGE, 9.0 - 0.5 * RANGE) == pytest.approx(-6.25, rel=1e-14, abs=0.0)
+    # a rigid sample leaves the cantilever alone: dF/dx -> k
+    hard = Surface(0.0, 1e9, 0.0)
+    assert force_nn(hard, K, RANGE, 2.0) == pytest.approx(K * 2.0, rel=1e-4, abs=0.0)
+    # a rigid cantilever leaves Hertz
+    assert force_nn(Surface(0.0, 10.0, 0.0), 1e12, RANGE, 4.0) == pytest.approx(80.0, rel=1e-9, abs=0.0)
+
+
+@given(surfaces, st.floats(0.01, 20.0))
+def test_gradient_is_the_numerical_one(surface: Surface, y: float) -> None:
+    x, slopes = surface.contact_nm + y, gradient(surface, K, root_of(y, surface.kappa / K))
+    for index in range(3):
+        step = 1e-5 * max(abs(surface[index]), y)
+        ends = []
+        for sign in (1.0, -1.0):
+            values = list(surface)
+            values[index] += sign * step
+            ends.append(force_nn(Surface(*values), K, RANGE, x))
+        numerical = (ends[0] - ends[1]) / (2.0 * step)
+        assert slopes[index] == pytest.approx(numerical, rel=1e-4, abs=1e-6 * (1.0 + abs(surface.kappa)))
 
 
 @given(surfaces, st.floats(-3.0, 20.0))
@@ -98,6 +138,25 @@ def test_fit_recovers_from_a_false_start_and_finds_a_surface_that_moved() -> Non
             assert force_nn(fit.surface, K, RANGE, x) == pytest.approx(expected, rel=0.02, abs=0.05)
 
 
+def test_a_step_never_fits_worse() -> None:
+    rng = np.random.default_rng(5)
+    fit = met(FIT, 9.5, 3.0)
+    for x in rng.uniform(9.2, 11.5, 300):
+        force = force_nn(MICA, K, RANGE, x) + rng.normal(0.0, 0.3)
+        before = misfit(remembered(FIT, fit, x, force))
+        fit = fitted(FIT, fit, x, force)
+        assert misfit(fit) <= before
+
+
+def test_a_fit_keeps_the_roots_of_its_samples_under_its_surface() -> None:
+    fit = met(FIT, 9.5, 3.0)
+    for x in np.random.default_rng(7).uniform(9.2, 11.5, 60):
+        fit = fitted(FIT, fit, float(x), force_nn(MICA, K, RANGE, float(x)))
+    full = fit.samples[2] > 0.0
+    assert full.sum() > 10
+    assert np.array_equal(fit.samples[:, full], over(FIT, fit, fit.surface).samples[:, full])
+
+
 def test_standing_still_does_not_let_the_fit_drift() -> None:
     fit = met(FIT, 9.5, force_nn(MICA, K, RANGE, 9.5))
     for n in range(3000):
@@ -108,3 +167,12 @@ def test_standing_still_does_not_let_the_fit_drift() -> None:
         fit = fitted(FIT, fit, 10.0, force_nn(MICA, K, RANGE, 10.0))
     np.testing.assert_allclose(force_nn(fit.surface, K, RANGE, 10.0), force_nn(MICA, K, RANGE, 10.0), rtol=1e-3)
     np.testing.assert_allclose(fit.surface, before, rtol=1e-3)
+
+
+@given(st.floats(1e-3, 1e3), st.floats(-0.999, 0.999), st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+def test_pair_of_equations_is_solved(p: float, correlation: float, r: float, u: float, v: float) -> None:
+    q = correlation * math.sqrt(p * r)
+    x, y = solved_pair(p, q, r, u, v)
+    scale = abs(p * x) + abs(q * y) + abs(q * x) + abs(r * y)
+    assert p * x + q * y == pytest.approx(u, rel=0.0, abs=1e-12 * scale + 1e-300)
+    assert q * x + r * y == pytest.approx(v, rel=0.0, abs=1e-12 * scale + 1e-300)

@@ -9,8 +9,12 @@ from services.controller.laws.shared.virtual_mass import (
     Mass,
     MassConfig,
     at_rest,
+    is_coupled,
     let_go,
     moved,
+    periods_in,
+    rescaled,
+    resumed,
     tip_reference,
 )
 
@@ -28,6 +32,19 @@ def test_motion_under_a_held_force_is_the_closed_form() -> None:
     assert mass.velocity_m_per_s == pytest.approx(force / 100.0 * (1.0 - math.exp(-t / tau)), rel=1e-12, abs=0.0)
 
 
+@pytest.mark.parametrize("period_s", [1e-4, 1e-3, 1e-2, 0.1])
+def test_step_does_not_depend_on_how_time_is_cut(period_s: float) -> None:
+    whole = moved(MassConfig().mass_params(period_s), Mass(1e-3, 2e-2, 0.0, True), 0.3)
+    half_params = MassConfig().mass_params(0.5 * period_s)
+    halves = moved(half_params, moved(half_params, Mass(1e-3, 2e-2, 0.0, True), 0.3), 0.3)
+    assert whole.position_m == pytest.approx(halves.position_m, rel=1e-12, abs=0.0)
+    assert whole.velocity_m_per_s == pytest.approx(halves.velocity_m_per_s, rel=1e-11, abs=0.0)
+
+
+def test_damper_of_the_line_adds_to_that_of_the_mass() -> None:
+    assert MassConfig().mass_params(PERIOD_S, 50.0) == MassConfig(damping_n_s_per_m=150.0).mass_params(PERIOD_S)
+
+
 def test_let_go_moves_the_mass_and_not_the_tip() -> None:
     mass = Mass(7e-3, 0.02, 3e-10, True)
     free = let_go(PARAMS, mass, HandSample(5e-3, 0.0, 1.0, True), NO_SIGNAL)
@@ -42,3 +59,27 @@ def test_over_a_retracted_tip_hand_and_tip_are_on_the_line_through_zero() -> Non
     # a tip that still touches, or that nobody hears, may be on the sample
     for other in (retracted._replace(in_contact=True), retracted._replace(active=True), NO_SIGNAL):
         assert let_go(PARAMS, mass, hand, other).tip_offset_m == pytest.approx(3.3e-9, rel=1e-12, abs=0.0)
+
+
+def test_resumed_keeps_motion_and_tip() -> None:
+    mass = resumed(PARAMS, HandSample(5e-3, 0.01, 1.0, True), 1.23e-8)
+    assert (mass.position_m, mass.velocity_m_per_s) == (5e-3, 0.01)
+    assert tip_reference(PARAMS, mass) == pytest.approx(1.23e-8, rel=1e-14, abs=0.0)
+
+
+def test_rescaled_keeps_the_tip() -> None:
+    mass, other = Mass(7e-3, 0.02, 3e-10, True), MassConfig(position_scale=1e-7).mass_params(PERIOD_S)
+    after = tip_reference(other, rescaled(PARAMS, other, mass))
+    assert after == pytest.approx(tip_reference(PARAMS, mass), rel=1e-13, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("active", "silence_s", "coupled"), [(True, 0.05, True), (True, 0.0501, False), (False, 0.0, False)]
+)
+def test_coupling_needs_a_tip_that_follows_and_sends(active: bool, silence_s: float, coupled: bool) -> None:
+    assert is_coupled(PARAMS, NO_SIGNAL._replace(active=active, silence_s=silence_s)) is coupled
+
+
+@pytest.mark.parametrize(("dt", "count"), [(0.0, 1), (1e-3, 1), (1.4e-3, 1), (1.6e-3, 2), (0.05, 50)])
+def test_whole_periods_in_a_time(dt: float, count: int) -> None:
+    assert periods_in(dt, PERIOD_S) == count

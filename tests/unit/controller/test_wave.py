@@ -15,9 +15,11 @@ from services.controller.laws.wave import (
     drawn,
     emptied,
     master_receive,
+    master_resume,
     master_send,
     master_start,
     received,
+    retune,
     slave_receive,
     slave_send,
     slave_start,
@@ -26,6 +28,7 @@ from services.controller.laws.wave import (
 T = 1e-3
 B = 100.0
 PARAMS = WaveConfig().to_params(T)
+BARE = WaveConfig(filter_s=0.0).to_params(T)
 LOST = -1
 
 waves = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=60)
@@ -59,6 +62,17 @@ def test_no_link_lets_more_wave_energy_out_than_went_in(sent: list[float], delay
     assert (np.cumsum(0.5 * rebuilt**2 * T) <= budget * (1.0 + 1e-12) + 1e-300).all()
 
 
+def test_even_wave_over_a_constant_delay_is_at_the_bound() -> None:
+    sent = [0.3, -0.7, 1.1, 0.4, 0.0, 0.2] * 5
+    rebuilt = through(counters(sent), [7], 1.0)
+    np.testing.assert_allclose(rebuilt[7 : 7 + len(sent)], sent, rtol=1e-9, atol=1e-12)
+    spent = 0.5 * np.sum(np.square(rebuilt)) * T
+    budget = 0.5 * np.sum(np.square(sent)) * T
+    assert spent == pytest.approx(budget, rel=1e-9, abs=0.0)
+    # a receiver that took a millionth more would be past it
+    assert spent * (1.0 + 1e-6) > budget
+
+
 def test_wave_that_claims_a_millionth_more_way_than_energy_is_cut() -> None:
     inbox = received(emptied(0.0, 0.0), math.sqrt(2.0 / B) * 0.5 * T * (1.0 + 1e-6), 0.5 * 0.5**2 * T)
     inbox, wave = drawn(inbox, 1.0, B, T)
@@ -69,6 +83,21 @@ def test_wave_that_claims_a_millionth_more_way_than_energy_is_cut() -> None:
     # one with the energy for it passes whole
     honest = received(emptied(0.0, 0.0), math.sqrt(2.0 / B) * 0.5 * T, 0.5 * 0.5**2 * T * (1.0 + 1e-12))
     assert drawn(honest, 1.0, B, T)[1] == pytest.approx(0.5, rel=1e-13, abs=0.0)
+
+
+def test_filter_is_the_first_order_low_pass() -> None:
+    rebuilt = through(counters([1.0] * 200), [0], PARAMS.share)
+    expected = 1.0 - np.exp(-T * np.arange(1, 201) / 0.02)
+    np.testing.assert_allclose(rebuilt[:200], expected, rtol=1e-9, atol=0.0)
+
+
+def test_nothing_new_means_that_the_wave_dies_out_with_the_filter() -> None:
+    inbox = received(emptied(0.0, 0.0), 1e-3, 1.0)
+    seen = []
+    for _ in range(100):
+        inbox, wave = drawn(inbox, PARAMS.share, B, T)
+        seen.append(wave)
+    np.testing.assert_allclose(np.divide(seen[1:], seen[:-1]), math.exp(-T / 0.02), rtol=1e-9, atol=0.0)
 
 
 def test_all_that_was_lost_on_the_way_arrives_with_the_next_signal() -> None:
@@ -217,3 +246,22 @@ def test_base_stands_when_all_waves_have_died_out(silence_s: float, moves: bool)
     late = heard._replace(position_m=1e-9, energy_j=1.0, silence_s=silence_s)
     _, reference = slave_receive(PARAMS, state, late, tip, T)
     assert (reference.position_m != 0.0) is moves
+
+
+def test_resumed_line_starts_without_a_wave() -> None:
+    state = master_resume(PARAMS, HandSample(5e-3, 0.01, 1.0, True), 1e-8)
+    state, signal = master_send(PARAMS, state, HandSample(5e-3, 0.01, 1.0, False), T)
+    assert signal.position_m == pytest.approx(1e-8, rel=1e-14, abs=0.0)
+    answer = NO_SIGNAL._replace(active=True, silence_s=0.0, position_m=3e-8, energy_j=5.0)
+    after, reference = master_receive(PARAMS, state, HandSample(5e-3, 0.01, 0.0, True), answer, T)
+    # what the slave had sent before counts for nothing: the line only brakes
+    assert 0.0 < reference.velocity_m_per_s < 0.01
+    assert after.inbox.taken_j == 5.0
+
+
+def test_retune_keeps_tip_and_impulse() -> None:
+    state = master_start(PARAMS, HandSample(5e-3, 0.0, 0.0, True))._replace(impulse_m=2e-3)
+    other = WaveConfig(impedance_n_s_per_m=50.0, position_scale=3e-6).to_params(T)
+    after = retune(PARAMS, other, state)
+    assert after.impulse_m * 50.0 == pytest.approx(2e-3 * B, rel=1e-14, abs=0.0)
+    assert 3e-6 * 5e-3 + after.mass.tip_offset_m == pytest.approx(1.5e-6 * 5e-3, rel=1e-13, abs=0.0)
