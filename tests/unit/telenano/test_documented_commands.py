@@ -110,7 +110,7 @@ def test_a_documented_command_is_one_that_there_is(page: str, arguments: list[st
         plan = plan_of(options, tmp_path)
         # what a page shows does what it says: nothing in it is overridden by something else
         assert plan.warning == ""
-    elif path == "session" and options["command"].value == "set":
+    elif path == "session" and options["command"] == "set":
         check_settings(options["target"], options["parameters"], tmp_path)
     elif path == "link set":
         check_settings("delay_node", options["settings"], tmp_path)
