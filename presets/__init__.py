@@ -17,7 +17,7 @@ TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
 def scenarios() -> dict[str, Path]:
     """Return the files of the scenarios that come with the project and with installed packages, by name."""
     own = {path.stem: path for path in sorted(SCENARIO_DIRECTORY.glob("*.yaml"))}
-    return {**scenario_files(), **own}
+    return {**scenario_files().found, **own}
 
 
 def known_scenarios() -> list[str]:
@@ -30,9 +30,10 @@ def find_scenario(name: str) -> Path:
     own = SCENARIO_DIRECTORY / f"{name}.yaml"
     if "/" not in name and own.is_file():
         return own
-    if (installed := scenario_files().get(name)) is not None:
-        return installed
-    path = Path(name)
+    packages = scenario_files()
+    if name in packages.problems:
+        raise ConfigError(packages.problems[name])
+    path = packages.found.get(name, Path(name))
     if path.suffix in (".yaml", ".yml") or path.exists():
         return path
     known = known_scenarios()

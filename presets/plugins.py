@@ -45,7 +45,7 @@ class Plugin(NamedTuple):
 
     @property
     def digest(self) -> str:
-        return digest_of(self.target)
+        return _digest(_top_level(self.target))
 
     def facts(self) -> dict[str, str]:
         """Return what a recording keeps of it."""
@@ -120,9 +120,8 @@ def load(
     for name, row in installed(kind).items():
         if only not in (None, name):
             continue
-        problem = row.problem or (f"{name} is a name of telenano's own" if name in taken else "")
-        if not problem:
-            problem = _tried(row, check, loaded.found)
+        own = f"{name} is a name of telenano's own" if name in taken else ""
+        problem = row.problem or own or _tried(row, check, loaded.found)
         if problem:
             loaded.problems[name] = f"{name} of the package {row.package} {row.version} cannot be used: {problem}"
             _problems[kind, name] = loaded.problems[name]
@@ -214,27 +213,27 @@ def _digest(top_level: str) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def digest_of(target: str) -> str:
-    """Return the digest of the files of the package that an entry point leads to, whatever is imported of it."""
-    return _digest(_top_level(target))
-
-
 def _top_level(target: str) -> str:
     return target.partition(":")[0].partition(".")[0].strip()
 
 
 def _files(top_level: str) -> Iterable[tuple[str, Path]]:
     spec = importlib.util.find_spec(top_level)
-    if spec is None:
-        return []
-    if spec.submodule_search_locations:
+    if spec and spec.submodule_search_locations:
         roots = [Path(location) for location in spec.submodule_search_locations]
         found = [(path.relative_to(root).as_posix(), path) for root in roots for path in root.rglob("*")]
         return sorted((name, path) for name, path in found if path.is_file() and "__pycache__" not in path.parts)
-    return [(Path(spec.origin).name, Path(spec.origin))] if spec.origin else []
+    return [(Path(spec.origin).name, Path(spec.origin))] if spec and spec.origin else []
 
 
-def scenario_files() -> dict[str, Path]:
+def function_of(_: str, value: Any) -> Any:
+    """Return an entry that is a function; TypeError for another one."""
+    if not callable(value):
+        raise TypeError(f"is a {type(value).__name__}, must be a function")
+    return value
+
+
+def scenario_files() -> Loaded[Path]:
     """Return the scenarios of installed packages: an entry is the path of a YAML file, or a function that gives it."""
 
     def path_of(name: str, value: Any) -> Path:
@@ -243,7 +242,7 @@ def scenario_files() -> dict[str, Path]:
             raise ValueError(f"{path} is no file")
         return path
 
-    return load("scenarios", path_of).found
+    return load("scenarios", path_of)
 
 
 def refuse(loaded: Loaded[Any], name: Any) -> None:

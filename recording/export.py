@@ -228,7 +228,7 @@ class Payload(NamedTuple):
 
 
 def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
-    loaded = plugins.load("exports", lambda name, value: value if callable(value) else None, FORMATS)
+    loaded = plugins.load("exports", plugins.function_of, FORMATS)
     if kind in loaded.problems:
         raise ConfigError(loaded.problems[kind])
     if kind in loaded.found:

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from presets import DEFAULT_SITE_FILE
-from presets.plugins import all_installed, known_problems, load, scenario_files
+from presets.plugins import KINDS, all_installed, function_of, installed, known_problems, load, scenario_files
 from proto.errors import ConfigError, EndpointError
 from proto.extras import extra_of, how_to_install
 from services.launcher.processors import held, shared_folder
@@ -174,7 +174,6 @@ def extensions() -> list[Finding]:
     rows = all_installed()
     if not rows:
         return []
-    # the models of a node load what packages add to them
     from proto.nodes import SERVICES
     from services.afm_node.config import DRIVERS as INSTRUMENTS
     from services.haptic_node.config import DRIVERS as HANDLES
@@ -182,9 +181,10 @@ def extensions() -> list[Finding]:
 
     for name in SERVICES:
         node_kind(name)
-    # A driver is loaded when a section names it, and here.
     for drivers in (INSTRUMENTS, HANDLES):
         drivers.all()
+    for kind in KINDS:
+        load(kind, lambda _, value: value)
     scenario_files()
     name, texts = "laws and devices", known_problems()
     if not texts:
@@ -196,11 +196,11 @@ def extensions() -> list[Finding]:
 def checks_of_packages() -> list[Finding]:
     """Run the checks that installed packages bring; one that fails is a finding and hinders no other."""
     found: list[Finding] = []
-    for name, check in load("checks", lambda name, check: check if callable(check) else None).found.items():
+    for name, check in load("checks", function_of).found.items():
         try:
             found += [Finding(*finding) for finding in check()]
         except Exception as error:  # noqa: BLE001 - the code of a package may raise anything
-            found.append(Finding(name, "warning", f"its check failed: {type(error).__name__}: {error}"))
+            found.append(Finding(name, "warning", f"check of {installed('checks')[name].package} failed: {error!r}"))
     return found
 
 

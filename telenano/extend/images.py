@@ -33,7 +33,7 @@ def write_images(
     files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
     found = versions()
     facts = ImageFacts(mode, instrument, f"{found['package telenano']}, commit {found['commit']}", sample)
-    formats = plugins.load("images", lambda _, value: value if callable(value) else None, own)
+    formats = plugins.load("images", plugins.function_of, own)
     for name, write in formats.found.items():
         path = out / f"scan.{name}"
         # An image that cannot be taken again is not lost by the code of a package.

@@ -109,7 +109,9 @@ def test_a_scenario_of_a_package_is_known_by_its_name(entries: list[Any], tmp_pa
     # those of the project keep their names
     assert find_scenario("fig12").parent != tmp_path
     assert {"fig12", "soft"} <= set(known_scenarios())
-    with pytest.raises(ConfigError, match=r"unknown scenario 'gone': known are .*fig12, .*soft, touch"):
+    with pytest.raises(ConfigError, match=r"unknown scenario 'away': known are .*fig12, .*soft, touch"):
+        find_scenario("away")
+    with pytest.raises(ConfigError, match=r"gone of the package pack .* cannot be used: ValueError: gone\.yaml is no"):
         find_scenario("gone")
 
 

@@ -179,8 +179,31 @@ def test_checks_of_packages_are_findings_and_one_that_fails_is_one_too(make: Any
     make("checker", {"all.py": sound}, {"checks": lines})
     found = {finding.name: finding for finding in checks_of_packages()}
     assert found["cable"].level == "ok" and found["cable"].advice == ""
-    assert found["broken"].level == "warning" and "ZeroDivisionError" in found["broken"].found
+    assert found["broken"].level == "warning"
+    assert found["broken"].found == "check of checker failed: ZeroDivisionError('division by zero')"
     assert any("bad of the package checker" in text for text in plugins.known_problems())
+
+
+@pytest.mark.parametrize("kind", ["checks", "exports", "images", "readers", "steps", "tasks"])
+def test_an_entry_of_any_kind_that_leads_to_nothing_is_told_with_its_package(make: Any, kind: str) -> None:
+    make("hollow", {}, {kind: "lost = hollow:lost"})
+    (finding,) = extensions()
+    assert finding.level == "warning"
+    assert "lost of the package hollow 1.2 cannot be used: AttributeError" in finding.found
+
+
+def test_an_entry_that_has_to_be_a_function_and_is_none_is_told_with_its_package(make: Any, tmp_path: Path) -> None:
+    make(
+        "numeral",
+        {"all.py": "THREE = 3\n"},
+        {"checks": "three = numeral.all:THREE", "exports": "three = numeral.all:THREE"},
+    )
+    problem = "three of the package numeral 1.2 cannot be used: TypeError: is a int, must be a function"
+    checks_of_packages()
+    assert problem in plugins.known_problems()
+    recording = write_recording(tmp_path / "recorded", [recorded("session/event", example("session/event"), 10**18)])
+    with pytest.raises(ConfigError, match=problem):
+        export_recording(recording, tmp_path / "x", "three")
 
 
 def test_a_driver_that_cannot_be_used_is_told_though_no_section_names_it(make: Any) -> None:
