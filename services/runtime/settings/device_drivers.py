@@ -23,8 +23,8 @@ class DeviceDriver:
     """A driver for one of the two nodes that have a device.
 
     `name` is the value of the node's key `driver`, and the name of the section with the settings of `config`.
-    `build(settings, limits)` returns a device with the shape of `services/<node>/driver.py`, not yet open: limits is
-    `LimitsConfig` of the haptic node, `SafetyParams` of the AFM node. The guard stays in front of it. `simulated`: its
+    `build(settings, limits)` returns a `HapticDevice` or an `AfmDriver`, not yet open: limits are those of the guard,
+    of the AFM node `AfmLimits` (all of `telenano.extend.devices`). The guard stays in front of it. `simulated`: its
     readings follow from what it was sent alone, so that its node can be run again from a recording.
 
     `told` names what build takes by keyword besides: `period_s`, the period of the loop [s]; for an instrument
