@@ -272,6 +272,7 @@ Start = Callable[[Path, pytest.MonkeyPatch], bool]
 STARTED: dict[str, tuple[Start, ...] | str] = {
     "deploy/entrypoint.py": (by_entrypoint,),
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
+    "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "services/haptic_node/devices/firmware.py": "a C compiler",
     "services/haptic_node/devices/servo_process.py": (by_servo,),
     "services/launcher/child_session.py": (by_child_session,),
@@ -279,7 +280,6 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "services/launcher/processes.py": (by_launcher,),
     "services/recorder/provenance.py": "git",
     "services/runtime/untrusted/limited_child.py": (by_reader, by_watched_reader),
-    "studies/loops/sweep.py": (by_sweep,),
     "telenano/cli/commands/node.py": (by_node_command,),
     "telenano/doctor/checks.py": "Python with -I",
 }
