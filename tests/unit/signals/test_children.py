@@ -247,7 +247,7 @@ def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     safe = "pass" if children.safe_path is SAFE else "sweep.children.safe_path = contextlib.nullcontext"
     code = (
         "import contextlib, os\n"
-        "from studies.loops import sweep\n"
+        "from telenano_studies.loops import sweep\n"
         "if __name__ == '__main__':\n"
         f"    {safe}\n"
         "    kind = sweep.Kind(str, abs, dict)\n"

@@ -31,9 +31,10 @@ for name in ("fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"):
 for name in ("getuid", "geteuid", "getgid", "sched_getaffinity", "sched_setscheduler", "sched_getscheduler", "nice",
              "O_NOFOLLOW", "O_CLOEXEC", "SCHED_FIFO", "getppid"):
     delattr(os, name)
+from telenano.cli.lazy_commands import LAZY_COMMANDS, package_commands
 for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "graph", "curve", "scan", "sample",
              "reproduce", "new", "up", "topic", "record"):
-    importlib.import_module(f"telenano.cli.commands.{name}")
+    importlib.import_module((LAZY_COMMANDS.get(name) or package_commands()[name,]).module)
 import json, pathlib, telenano
 session = telenano.open(sys.argv[1])
 tip = session.table("afm/state")
