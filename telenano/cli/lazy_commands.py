@@ -95,7 +95,7 @@ GROUPS = {
 def package_commands() -> dict[tuple[str, ...], LazyCommand]:
     """Return the commands of installed packages by their words, without importing the modules that define them.
 
-    The entry of a package is a dictionary such as `{"bridge lsl": ("telenano_lsl.command:lsl", "One sentence.")}`.
+    The entry of a package is a dictionary such as `{"bridge mine": ("my_package.command:mine", "One sentence.")}`.
     """
     found: dict[tuple[str, ...], LazyCommand] = {}
 

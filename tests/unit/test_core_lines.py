@@ -1,10 +1,16 @@
-"""The core only gets smaller: its lines of Python are at most `core-lines-at-most` of `pyproject.toml`."""
+"""The core only gets smaller, and names nothing that a package brings.
 
+Its lines of Python are at most `core-lines-at-most` of `pyproject.toml`.
+"""
+
+import re
 import subprocess
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from presets.known_packages import KNOWN_PACKAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 # each has its own measure: what they have more of is no burden of who reads the core
@@ -52,3 +58,24 @@ def test_core_is_without_tests_benchmarks_and_packages() -> None:
 def test_one_line_too_many_is_answered_by_what_to_do() -> None:
     assert excess(100, 100) == ""
     assert "101 lines of Python, 1 more than" in excess(101, 100) and "packages/" in excess(101, 100)
+
+
+def names_of_packages() -> tuple[set[str], set[str]]:
+    """Return the names of the drivers, tasks and bridges that packages of the project bring, and of the packages."""
+    drivers, packages = set[str](), set[str]()
+    for path in sorted(ROOT.glob("packages/*/pyproject.toml")):
+        project = tomllib.loads(path.read_text())["project"]
+        packages |= {project["name"], project["name"].replace("-", "_")}
+        entries = project.get("entry-points", {})
+        drivers |= {name for kind in ("devices", "tasks") for name in entries.get(f"telenano.{kind}", {})}
+    return drivers | {row.removeprefix("bridge ") for row in KNOWN_PACKAGES if row.startswith("bridge ")}, packages
+
+
+def test_the_core_names_what_packages_bring_in_one_table_of_suggestions() -> None:
+    names, packages = names_of_packages()
+    named = re.compile(rf"[\"'](?:{'|'.join(names)})[\"']|{'|'.join(packages)}")
+    assert named.search("import telenano_lsl") and named.search('driver == "nanonis"') and not named.search("hd = 1")
+    # the site shows what every package has
+    files = [path for path in core_files() if path.name not in ("known_packages.py", "site_pages.py")]
+    found = {path.relative_to(ROOT).as_posix(): named.findall(path.read_text()) for path in files}
+    assert {name: words for name, words in found.items() if words} == {}
