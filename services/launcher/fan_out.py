@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from proto.nodes import NODES
 from services.launcher.plan import Plan
 from services.runtime.bus.address_book import LONGEST_IPC_PATH
-from services.runtime.bus.local_endpoint import fan_out_endpoint
+from services.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
 from services.signals import children
 
 _STOP_S = 2.0
@@ -35,8 +35,9 @@ def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
         yield
         return
     # It ends when its standard input does, so also with a launcher that is killed.
+    endpoints = endpoints_of(plan)
     process = children.start(
-        [sys.executable, "-m", "services.runtime.bus.fan_out", *endpoints_of(plan)],
+        [sys.executable, "-m", "services.runtime.bus.fan_out", *endpoints],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -51,3 +52,4 @@ def fan_out(plan: Plan, held: Sequence[int] = ()) -> Iterator[None]:
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
+            remove_fan_out(endpoints)

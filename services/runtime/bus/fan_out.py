@@ -9,11 +9,10 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 
 import zmq
 
-from services.runtime.bus.local_endpoint import fan_out_endpoint
+from services.runtime.bus.local_endpoint import fan_out_endpoint, remove_fan_out
 
 # as many as a publisher keeps for a reader that stands still
 _HIGH_WATER_MARK = 22_000
@@ -51,9 +50,7 @@ def main(endpoints: Sequence[str]) -> None:
         for endpoint in endpoints:
             serve(context, endpoint)
         sys.stdin.read()
-    for endpoint in endpoints:
-        with contextlib.suppress(OSError):
-            Path(fan_out_endpoint(endpoint).removeprefix("ipc://")).unlink()
+    remove_fan_out(endpoints)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import os
 import socket
+from collections.abc import Iterable
 from pathlib import Path
 
 RUNTIME_DIRECTORY_VARIABLE = "TELENANO_RUNTIME_DIR"
@@ -72,6 +73,12 @@ def estop_endpoint(endpoint: str) -> str:
 def fan_out_endpoint(endpoint: str) -> str:
     """Return where observers of the node with an ipc endpoint connect, if its rig reads it once for all of them."""
     return endpoint + _FAN_OUT_SUFFIX
+
+
+def remove_fan_out(endpoints: Iterable[str]) -> None:
+    """Remove the sockets at which observers of nodes were served, where the process that served them has ended."""
+    for endpoint in endpoints:
+        Path(fan_out_endpoint(endpoint).removeprefix("ipc://")).unlink(missing_ok=True)
 
 
 def kept_stop_path(endpoint: str) -> Path:

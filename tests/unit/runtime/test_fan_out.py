@@ -112,7 +112,12 @@ def test_an_observer_reads_by_it_where_it_is_and_else_at_the_node(
     node.close(0)
 
 
-def test_a_rig_has_the_process_while_it_runs_and_leaves_nothing(base: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("patience_s", [2.0, 0.0], ids=["ended", "killed"])
+def test_a_rig_has_the_process_while_it_runs_and_leaves_nothing(
+    base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience_s: float
+) -> None:
+    # a process that has no processor for so long is killed, and cannot remove its sockets by itself
+    monkeypatch.setattr("services.launcher.fan_out._STOP_S", patience_s)
     plan = make_plan(UpRequest(scenario="fig12", out=tmp_path / "out"), tmp_path)
     first = fan_out_endpoint(endpoints_of(plan)[0])
     with fan_out(plan):
