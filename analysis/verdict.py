@@ -367,7 +367,7 @@ def _travels(values: Series, height_n: float, noise_n: float) -> list[float] | N
     force_n = values.tolist()
     places = turning_points(force_n, range(len(force_n)), height_n)
     turns = [force_n[place] for place in places]
-    # from the last turn on it goes as far as it gets
+    # The force goes as far as it gets from its last turn on.
     turns += [max(force_n[place:], key=lambda value: abs(value - force_n[place])) for place in places[-1:]]
     return [abs(after - before) for before, after in pairwise(turns)]
 

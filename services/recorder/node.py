@@ -48,7 +48,7 @@ class RecorderBus(ZmqBus):
         super().__init__(publisher, [listener.subscriber for listener in listeners], clock, wake_descriptor, network)
         self._intake = intake
         self._listeners: dict[object, Listener] = {listener.subscriber.socket: listener for listener in listeners}
-        # one poll over a dozen sockets takes 6 us, to ask each takes 19, and there is one for every message or two
+        # A poll over a dozen sockets takes 6 us, to ask each takes 19, and there is one for every message or two.
         self._poller = zmq.Poller()
         for descriptor in (*self._listeners, wake_descriptor, *self._network_descriptors):
             self._poller.register(descriptor, zmq.POLLIN)

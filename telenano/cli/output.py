@@ -30,7 +30,7 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED, EXIT_IN
 from telenano.cli.tables import rows_table, summary_tables
 
 _PIPE_COLUMNS = 140
-# what to do where a rig does not reach its rate
+# This is what a person can do where a rig does not reach its rate.
 NO_ROOM = "the machine is too busy for this rate: end what else runs there, or give a lower realtime.rate_hz"
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 

@@ -185,7 +185,7 @@ def row_of(*columns: Any) -> np.dtype[Any]:
     return np.dtype([("time_s", "f8"), ("step", "i2"), ("age_s", "f8"), *columns])
 
 
-# what the checks of both kinds find in the same way
+# The checks of both kinds of device find the following in the same way.
 
 
 def passes(good: bool) -> Result:

@@ -54,7 +54,7 @@ class DeviceFaults(NamedTuple):
     deadman_is_ignored: bool = False
 
 
-# of the noise
+# The noise of the simulated device is the same in every take.
 _SEED = 1
 _GOOD = DeviceFaults()
 

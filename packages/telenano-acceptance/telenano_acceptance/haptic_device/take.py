@@ -138,7 +138,7 @@ class _Asker:
         self._link, self._clock = link, clock
         self._found = ServoSample()
         self._counter = self._arm_count = 0
-        # where the hand was when the device was engaged last
+        # This is where the hand was when the device was engaged last.
         self._home: Vector | None = None
 
     def newest(self) -> ServoSample:
@@ -150,7 +150,7 @@ class _Asker:
         """Send the command for a place in a step; return the level of stiffness and the force that is asked for."""
         engaged = name in ("hold", "mass", "button", "cable") and self._found.gate <= GATE_ACTIVE + 1
         if self._found.gate in FAULTS:
-            # what is refused has been recorded; the rest of the minute is worth recording as well
+            # The refusal has been recorded; the rest of the minute is worth recording as well.
             self._arm_count += 1
         if not engaged:
             self._home = None
