@@ -35,6 +35,7 @@ from recording.site_clock import Timeline
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.launcher.child_session import reason_of, run_session
 from studies.loops.lockstep import Trajectory, simulate
+from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano_studies.loops.cells import (
     WALL_DISTANCE_M,
     Cell,
@@ -57,9 +58,6 @@ TOLERANCE_SHARE = 0.05
 SEEDS = 8
 # The rig needs so long to come up and down around the session.
 _OVERHEAD_S = 120.0
-# With this exit code of `telenano up` the session ran, and something is missing in its recording; the hold decides
-# whether that matters.
-_NOT_WHOLE = 3
 
 
 class StudyError(TelenanoError):
@@ -203,7 +201,8 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
         done = run_session(command, document["duration_s"] + _OVERHEAD_S)
     except TimeoutError as error:
         raise StudyError(f"{error}, see {folder}") from error
-    if done.returncode not in (0, _NOT_WHOLE):
+    # The hold decides whether it matters what the recording lacks.
+    if done.returncode not in (0, EXIT_INCOMPLETE):
         raise StudyError(f"the rig did not run: {reason_of(done.stdout, done.stderr)}")
     return read_course(recording)
 

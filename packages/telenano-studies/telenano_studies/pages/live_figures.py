@@ -15,6 +15,7 @@ from recording.reader import Recording
 from services.afm_node.config import AfmConfig
 from services.launcher.child_session import reason_of, run_session
 from services.runtime.settings.scenario import load_scenario
+from telenano.cli.exit_codes import EXIT_INCOMPLETE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,8 +69,8 @@ def run_scenario(name: str, out: Path, progress: Callable[[int, int], object] = 
         )
     except TimeoutError as error:
         raise RigError(f"{name}: {error}, see {folder}") from error
-    # The exit code 3 means that the recording lacks something; the figure shows it.
-    if done.returncode not in (0, 3) or not (folder / RECORDING_NAME).exists():
+    # The figure shows what the recording lacks.
+    if done.returncode not in (0, EXIT_INCOMPLETE) or not (folder / RECORDING_NAME).exists():
         raise RigError(f"{name}: the rig did not run: {reason_of(done.stdout, done.stderr)}")
     progress(usual, usual)
     return folder / RECORDING_NAME
