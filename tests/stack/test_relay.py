@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from ledger import record
 from relayed_sites import PORT, RelayedSites
+from stack_rig import judged
 from two_sites import Site, needs_namespaces, sniff
 
 needs_router = pytest.mark.skipif(shutil.which("nft") is None, reason="the command `nft` (nftables) is not installed")
@@ -93,7 +94,8 @@ def test_a_session_over_a_relay_is_whole_and_can_be_fetched_again(rig: RelayedSi
     assert rig.master.process.wait(timeout=120) == 0, rig.master.logs()
     summary = rig.master.summary()
     # The first contact may come too late in its hold to be at rest at its end, by what the relay adds.
-    assert summary["verdict"] in ("stable", "settling"), summary["holds"]
+    rests = summary["verdict"] in ("stable", "settling")
+    assert rests or not judged(summary, "the session over a relay"), summary["holds"]
     assert summary["recording"]["complete"] is True, summary["recording"]
     # The command that an interrupted fetch advises needs nothing that runs beside it.
     (fetched,) = (rig.master.out / "far").iterdir()
