@@ -1,8 +1,16 @@
-"""The command of this package, which telenano lists without importing what it needs."""
+"""The commands of this package, which telenano lists without importing what they need."""
 
 COMMANDS = {
     "device accept": (
         "telenano_acceptance.accept_command:accept",
         "Lead through a motion of a minute, and tell of each of its checks: pass, fail, retake or cannot say.",
+    ),
+    "device monitor": (
+        "telenano_acceptance.look_commands:monitor",
+        "Read a device undriven, and tell age of its samples, losses and bad frames.",
+    ),
+    "device probe": (
+        "telenano_acceptance.look_commands:probe",
+        "Ask a handle, an instrument or what a driver drives who it is.",
     ),
 }

@@ -1,4 +1,4 @@
-"""`telenano device monitor`, and how a device is read undriven: of this project, or of an installed package."""
+"""`telenano device probe` and `monitor`: who a device is and what it says, undriven."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -8,19 +8,75 @@ from typing import Annotated, Any
 
 import typer
 
-from presets.plugins import fault_of_package, installed
-from proto.errors import ConfigError, TelenanoError, known_names
-from telenano.cli.commands.device_impedance import SIMULATED, SetOption, probe_impedance
-from telenano.cli.options import JsonOption
-from telenano.cli.output import print_answer, report_errors
+from presets.plugins import fault_of_package
+from proto.errors import known_names
+from services.afm_node.config import DRIVERS as INSTRUMENTS
+from services.afm_node.config import AfmConfig
+from services.afm_node.instrument import driver_of_file
+from services.haptic_node.config import DRIVERS as HANDLES
+from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig, LimitsConfig
+from services.runtime.settings.config import validate
+from services.runtime.settings.device_drivers import missing_driver
+from telenano.cli.output import print_answer
+from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, flag_overrides, report_errors
+from telenano.extend.devices import MODE_OFF, DriveCommand
 
 _PERIOD_S = 1e-3
+_ABILITIES = (
+    "position mode",
+    "force mode",
+    "force sensor",
+    "force is estimated",
+    "e-stop input",
+    "back-drivable",
+    "current is sensed",
+    "emulated",
+)
 
 PortOption = Annotated[str | None, typer.Option("--port", metavar="DEVICE", help="Serial port of a handle.")]
 BaudOption = Annotated[int, typer.Option("--baud", min=115_200, help="Bits a second of the serial port.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the device, such as haptic_node.coupling.margin."),
+]
 
 # what reads a device once, undriven, and returns what it said
 Tick = Callable[[], dict[str, Any]]
+
+
+def probe(
+    port: PortOption = None,
+    baud: BaudOption = 1_000_000,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", metavar="FILE", help="stage.yaml of the instrument.")
+    ] = None,
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--device",
+            metavar="DRIVER",
+            help="Driver of a device: simulated_impedance, or one of an installed package.",
+        ),
+    ] = None,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Ask a handle (--port), an instrument (--calibration) or what a driver drives (--device) who it is.
+
+    An instrument is retracted; a device gets no force. The driver is that of a device that takes a force, or one of an
+    installed package, for either node.
+    """
+    with report_errors(as_json):
+        if (port is not None) + (calibration is not None) + (kind is not None) != 1:
+            raise ConfigError(
+                "give --port for a handle, or --calibration for an instrument, or --device simulated_impedance or the"
+                " driver of a package"
+            )
+        if kind is not None:
+            facts = _probe_driver(kind, settings or [])
+        else:
+            facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
+    _print_facts(facts, as_json=as_json)
 
 
 def monitor(
@@ -44,90 +100,125 @@ def monitor(
                 "give --calibration for an instrument, with --port for a handle, or --device for a driver of a package"
             )
         if device is not None:
-            with errors_of_package():
-                facts = _watch(*_opened_of_package(device, settings or []), duration)
+            with _errors_of_package():
+                facts = _watch(*_opened_of_package(_driver_of_package(device), settings or []), duration)
         elif port is not None:
             facts = _watch(*_opened_handle(port, baud, calibration or Path()), duration)
         else:
-            facts = _watch(*_opened_instrument(calibration or Path()), duration)
-    print_facts(facts, as_json=as_json)
+            driver = _instrument_of(calibration or Path())
+            driver.open()
+            facts = _watch(driver, _reads_instrument(driver), duration)
+    _print_facts(facts, as_json=as_json)
 
 
-def print_facts(facts: Mapping[str, Any], *, as_json: bool) -> None:
-    """Print what was found of a device."""
+def _print_facts(facts: Mapping[str, Any], *, as_json: bool) -> None:
     print_answer(facts, [{"": name, "found": value} for name, value in facts.items()], as_json=as_json)
 
 
-def instrument_of(calibration: Path) -> Any:
-    """Return the driver of an instrument by its calibration file, to be looked at while it stays retracted."""
-    from services.afm_node.config import AfmConfig
-    from services.afm_node.instrument import driver_of_file
+def _probe_handle(port: str, baud: int) -> dict[str, Any]:
+    from services.haptic_node.devices import wire
+    from services.haptic_node.devices.serial_driver import SerialHandle
 
-    return driver_of_file(calibration, AfmConfig(attended=True))
-
-
-def package_rows() -> list[dict[str, Any]]:
-    """Return the drivers that installed packages bring, and whether what each needs is here.
-
-    That is what a check of `telenano doctor` with the name of the driver found.
-    """
-    from telenano.doctor.report import checks_of_packages
-
-    found, problems = _package_drivers()
-    checked = {finding.name: finding for finding in checks_of_packages()}
-    rows = []
-    for name, row in installed("devices").items():
-        finding = checked.get(name)
-        rows.append(
-            {
-                "driver": name,
-                "device": found[name].what if name in found else "",
-                "node": found[name].node if name in found else "",
-                "package": f"{row.package} {row.version}",
-                "found": problems[name] if name not in found else finding.found if finding else "can be used",
-                "advice": finding.advice if finding else "",
-            }
-        )
-    return rows
+    driver = SerialHandle(port, baud, None, LimitsConfig())
+    try:
+        hello = driver.identify()
+    finally:
+        driver.close()
+    return {
+        "model": hello.model,
+        "device_id": f"{hello.device_id:016x}",
+        "firmware": f"{hello.firmware >> 8}.{hello.firmware & 0xFF}",
+        "protocol": f"{hello.major}.{hello.minor}"
+        + ("" if hello.major == wire.MAJOR else " (not that of this program)"),
+        "abilities": ", ".join(name for bit, name in enumerate(_ABILITIES) if hello.flags & (1 << bit)),
+        "max_rate_hz": hello.max_rate_hz,
+        "nominal_m_per_count": hello.nominal_m_per_count,
+        "nominal_n_per_count": hello.nominal_n_per_count,
+        "nominal_drive_n_per_count": hello.nominal_drive_n_per_count,
+    }
 
 
-def probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
+def _probe_instrument(calibration: Path) -> dict[str, Any]:
+    driver = _instrument_of(calibration)
+    try:
+        driver.open()
+        sample = driver.exchange(driver.safe_position_m)
+        return {
+            "identity": driver.identity,
+            "base_m": sample.base_m,
+            "input_v": sample.bridge_voltage_v,
+            "force_n": sample.force_n,
+            "declared_latency_s": driver.latency_s,
+        }
+    finally:
+        driver.close()
+
+
+def _probe_driver(name: str, settings: list[str]) -> dict[str, Any]:
     """Open what a driver drives, undriven, and return what it declares; of one that takes a force its coupling too."""
-    if name != SIMULATED:
-        driver = _driver_of_package(name)
-        if driver.wire is None:
-            return probe_package(name, settings)
-    with errors_of_package():
-        return probe_impedance(name, settings)
+    driver = None if name == SIMULATED_IMPEDANCE else _driver_of_package(name)
+    with _errors_of_package():
+        if driver is None or driver.wire is not None:
+            return _probe_impedance(name, settings)
+        return _probe_package(driver, settings)
 
 
-def probe_package(name: str, settings: list[str]) -> dict[str, Any]:
-    """Open the driver of a package without driving its device, and return what it declares and reads."""
-    with errors_of_package():
-        device, tick = _opened_of_package(name, settings)
+def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
+    """Open a device without force and return what it declares, with the coupling and its two bounds."""
+    from services.haptic_node.devices.servo_process import wire_of
+
+    chosen = flag_overrides([f"haptic_node.driver={kind}", *settings])
+    config = validate(HapticConfig, chosen.get("haptic_node", {}), "--set", "haptic_node")
+    if kind == SIMULATED_IMPEDANCE:
+        found = config.impedance.capabilities()
+    else:
+        section = getattr(config, kind)
+        wire = wire_of(kind, {} if section is None else section.model_dump(mode="json"))
         try:
-            read = tick()
-            if hasattr(device, "capabilities"):
-                declared = device.capabilities._asdict()
-            else:
-                declared = {
-                    "calibration": device.calibration_identity,
-                    "declared_latency_s": device.latency_s,
-                    "safe_position_m": device.safe_position_m,
-                    "lateral_stage": device.stage is not None,
-                    "vibration": device.vibration is not None,
-                }
-            report = device.report
-            state = (
-                {} if report is None else {"status": report.status, "sample_age_s": report.age_s, "said": report.text}
-            )
-            return {**declared, **read, **state}
+            found = wire.open()
         finally:
-            device.close()
+            wire.close()
+    bounds = config.coupling.bounds(found)
+    return {
+        "identity": found.identity,
+        "max_force_n": found.max_force_n,
+        "declared_stiffness_n_per_m": found.max_stiffness_n_per_m,
+        "declared_damping_n_s_per_m": found.max_damping_n_s_per_m,
+        "workspace_m": f"{found.workspace_min_m:g} to {found.workspace_max_m:g} towards the sample",
+        "servo_rate_hz": found.rate_hz,
+        "drive_delay_s": found.drive_delay_s,
+        "buttons": ", ".join(found.buttons),
+        "coupling": bounds.sentence(),
+        "coupling_stiffness_n_per_m": bounds.stiffness_n_per_m,
+        "passive_bound_n_per_m": bounds.passive_n_per_m,
+        "stable_bound_n_per_m": bounds.stable_n_per_m,
+    }
+
+
+def _probe_package(driver: Any, settings: list[str]) -> dict[str, Any]:
+    """Open the driver of a package without driving its device, and return what it declares and reads."""
+    device, tick = _opened_of_package(driver, settings)
+    try:
+        read = tick()
+        if hasattr(device, "capabilities"):
+            declared = device.capabilities._asdict()
+        else:
+            declared = {
+                "calibration": device.calibration_identity,
+                "declared_latency_s": device.latency_s,
+                "safe_position_m": device.safe_position_m,
+                "lateral_stage": device.stage is not None,
+                "vibration": device.vibration is not None,
+            }
+        report = device.report
+        state = {} if report is None else {"status": report.status, "sample_age_s": report.age_s, "said": report.text}
+        return {**declared, **read, **state}
+    finally:
+        device.close()
 
 
 @contextmanager
-def errors_of_package() -> Iterator[None]:
+def _errors_of_package() -> Iterator[None]:
     """Turn what the code of a package raises into a sentence that names the package and the place in it."""
     try:
         yield
@@ -138,49 +229,34 @@ def errors_of_package() -> Iterator[None]:
         raise TelenanoError(fault_of_package(error) or f"{type(error).__name__}: {error}") from error
 
 
-def _package_drivers() -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the drivers for both nodes by name, and what is wrong with the others."""
-    from services.afm_node.config import DRIVERS as INSTRUMENTS
-    from services.haptic_node.config import DRIVERS as HANDLES
-
-    handles, instruments = HANDLES.all(), INSTRUMENTS.all()
-    return {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
-
-
 def _driver_of_package(name: str) -> Any:
     """Return the driver of a package; ConfigError says why there is none, and which package would have it."""
-    from services.runtime.settings.device_drivers import missing_driver
-
-    found, problems = _package_drivers()
+    handles, instruments = HANDLES.all(), INSTRUMENTS.all()
+    found = {**handles.found, **instruments.found}
     if name not in found:
-        why = problems.get(name) or missing_driver(name) or known_names(name, (SIMULATED, *found))
-        raise ConfigError(f"--device {name}: {why}")
+        why = {**handles.problems, **instruments.problems}.get(name) or missing_driver(name)
+        raise ConfigError(f"--device {name}: {why or known_names(name, (SIMULATED_IMPEDANCE, *found))}")
     return found[name]
 
 
-def _opened_of_package(name: str, settings: list[str]) -> tuple[Any, Tick]:
-    from services.afm_node.config import AfmConfig
-    from services.haptic_node.config import HapticConfig
-    from services.runtime.settings.config import flag_overrides, validate
-
-    driver = _driver_of_package(name)
-    given = flag_overrides([f"{driver.node}.driver={name}", *settings])
-    if other := sorted(set(given) - {driver.node}):
-        raise ConfigError(f"--set {other[0]}: the driver {name} has keys {driver.node}.{name}.* only")
+def _opened_of_package(driver: Any, settings: list[str]) -> tuple[Any, Tick]:
+    name, node = driver.name, driver.node
+    given = flag_overrides([f"{node}.driver={name}", *settings])
+    if other := sorted(set(given) - {node}):
+        raise ConfigError(f"--set {other[0]}: the driver {name} has keys {node}.{name}.* only")
     config: Any
-    if driver.node == "haptic_node":
-        config = validate(HapticConfig, given[driver.node], "--set", driver.node)
+    if node == "haptic_node":
+        config = validate(HapticConfig, given[node], "--set", node)
         limits, told = config.limits, {"coupling": config.coupling}
     else:
-        config = validate(AfmConfig, given[driver.node], "--set", driver.node)
+        config = validate(AfmConfig, given[node], "--set", node)
         limits, told = config.to_params().safety, {"attended": True}
     device = driver.device(getattr(config, name), limits, period_s=_PERIOD_S, **told)
     device.open()
-    return device, _reads_handle(device) if driver.node == "haptic_node" else _reads_instrument(device)
+    return device, _reads_handle(device) if node == "haptic_node" else _reads_instrument(device)
 
 
 def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
-    from services.haptic_node.config import LimitsConfig
     from services.haptic_node.devices.calibration import read_calibration
     from services.haptic_node.devices.serial_driver import SerialHandle
 
@@ -199,16 +275,12 @@ def _opened_handle(port: str, baud: int, calibration: Path) -> tuple[Any, Tick]:
     return driver, tick
 
 
-def _opened_instrument(calibration: Path) -> tuple[Any, Tick]:
-    driver = instrument_of(calibration)
-    driver.open()
-    return driver, _reads_instrument(driver)
+def _instrument_of(calibration: Path) -> Any:
+    """Return the driver of an instrument by its calibration file, to be looked at while it stays retracted."""
+    return driver_of_file(calibration, AfmConfig(attended=True))
 
 
 def _reads_handle(device: Any) -> Tick:
-    from services.haptic_node.driver import DriveCommand
-    from services.haptic_node.safety import MODE_OFF
-
     def tick() -> dict[str, Any]:
         device.write(DriveCommand(MODE_OFF, 0.0, 0.0))
         reading = device.read(-1.0, _PERIOD_S)

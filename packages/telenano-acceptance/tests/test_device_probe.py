@@ -1,18 +1,25 @@
-"""`telenano device probe --device` names each driver's device with its coupling and both bounds."""
+"""`telenano device probe`: who a handle is, what each driver drives, with its coupling and both bounds."""
 
 import json
 import shutil
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import library_doubles
 import pytest
+import yaml
 from test_haply_service import Served
 from typer.testing import CliRunner
 
+from services.afm_node.devices.t7_model import calibration_of
+from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 from telenano.cli.root import app
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 
 IDENTITIES = {
     "simulated_impedance": "simulated inverse3: mass and damping are chosen, not measured",
@@ -62,3 +69,43 @@ def test_probe_asks_for_one_kind_of_device() -> None:
     done = CliRunner().invoke(app, ["device", "probe"])
     assert done.exit_code == 2
     assert "--device simulated_impedance or the driver of a package" in " ".join(done.output.split())
+
+
+@needs_compiler
+def test_probe_tells_who_a_handle_is(tmp_path: Path) -> None:
+    from services.haptic_node.devices.emulated_handle import EmulatedHandle
+    from services.haptic_node.devices.handle_on_pty import HandleOnPty
+
+    port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), tmp_path / "handle")
+    running = threading.Event()
+    running.set()
+    thread = threading.Thread(target=lambda: port.run(running.is_set))
+    thread.start()
+    try:
+        until = time.monotonic() + 120.0
+        done = CliRunner().invoke(app, ["device", "probe", "--port", str(tmp_path / "handle"), "--json"])
+        # a machine that is busy may hold the board up for longer than the three seconds of the handshake
+        while done.exit_code and time.monotonic() < until:
+            done = CliRunner().invoke(app, ["device", "probe", "--port", str(tmp_path / "handle"), "--json"])
+    finally:
+        running.clear()
+        thread.join()
+        port.pull_out()
+    found = json.loads(done.stdout)
+    assert (found["device_id"], found["protocol"], found["firmware"]) == ("0102030405060708", "1.0", "1.0")
+    assert found["abilities"] == "position mode, force sensor, current is sensed, emulated"
+
+
+def test_what_is_not_there_is_a_sentence_and_exit_code_2(tmp_path: Path) -> None:
+    missing = CliRunner().invoke(app, ["device", "probe", "--port", str(tmp_path / "none")])
+    assert missing.exit_code == 2
+    assert "there is no such port" in missing.output
+    neither = CliRunner().invoke(app, ["device", "probe"])
+    assert neither.exit_code == 2
+    assert "--port for a handle, or --calibration for an instrument" in neither.output
+    # a port that nothing listens at: the connection is refused at once
+    stage = tmp_path / "stage.yaml"
+    stage.write_text(yaml.safe_dump(calibration_of(6.25e6, 40.0, port=1)))
+    silent = CliRunner().invoke(app, ["device", "probe", "--calibration", str(stage)])
+    assert silent.exit_code == 2
+    assert "127.0.0.1:1: LabJack T7" in silent.output

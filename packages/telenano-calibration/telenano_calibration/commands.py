@@ -5,4 +5,8 @@ COMMANDS = {
         "telenano_calibration.command:app",
         "Calibrate read-out and stiffness: simulated, or of own measurements.",
     ),
+    "device calibrate": (
+        "telenano_calibration.device_command:app",
+        "Measure a device, and write its calibration file.",
+    ),
 }

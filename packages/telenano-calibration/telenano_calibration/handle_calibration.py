@@ -7,8 +7,8 @@ from typing import NamedTuple
 from services.haptic_node.devices import wire
 from services.haptic_node.devices.port import OpenPort, SerialPort
 from services.haptic_node.devices.serial_driver import ASK_EVERY_NS, HANDSHAKE_NS, identity_text
-from services.haptic_node.driver import DeviceError
-from services.numerics.line_fit import mean_of
+from telenano.extend.devices import DeviceError
+from telenano_calibration.line_fit import mean_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
 _LOOK_S = 1e-3

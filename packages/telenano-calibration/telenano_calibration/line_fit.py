@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from proto.errors import TelenanoError
+from telenano.extend.commands import TelenanoError
 
 # A point does not lie on a line when it is off by more than this share of the span of all points.
 MOST_RESIDUAL = 0.02

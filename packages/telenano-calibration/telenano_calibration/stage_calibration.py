@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
-from services.afm_node.driver import AfmDriver, DeviceError
-from services.numerics.line_fit import CalibrationError, LineFit, fit_line, mean_of
+from telenano.extend.devices import AfmDriver
+from telenano.extend.instruments import DeviceError
+from telenano_calibration.line_fit import CalibrationError, LineFit, fit_line, mean_of
 
 # The tip touches when the deflection departs by more than so many times the noise of the free cantilever.
 _DEPARTURE = 8.0

@@ -9,9 +9,8 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from proto.errors import ConfigError
-from telenano.cli.commands.device_files import write_document
-from telenano.cli.output import report_errors
+from telenano.extend.commands import ConfigError, report_errors
+from telenano.extend.controllers import write_document
 
 _PERIOD_S = 1e-3
 
@@ -84,7 +83,7 @@ def calibrate_stage(
 
 def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
     from services.afm_node.devices.register_map import read_map
-    from services.afm_node.devices.stage_calibration import fit_travel
+    from telenano_calibration.stage_calibration import fit_travel
 
     if len(outputs) < 2:
         raise ConfigError("give --output twice or more: the travel is the slope between readings of the gauge")
@@ -108,7 +107,7 @@ def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
 
 
 def _measure_deflection(document: dict[str, Any], step_v: float, press_m: float) -> None:
-    from services.afm_node.devices.stage_calibration import press
+    from telenano_calibration.stage_calibration import press
 
     driver, mover, calibration = _opened(document)
     try:
@@ -137,8 +136,8 @@ def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:
     from services.afm_node.devices.converter_calibration import InstrumentCalibration
     from services.afm_node.devices.modbus_driver import ModbusAfm
     from services.afm_node.devices.register_map import read_map
-    from services.afm_node.devices.stage_calibration import Mover
     from services.runtime.settings.config import parse_yaml, validate
+    from telenano_calibration.stage_calibration import Mover
 
     text = yaml.safe_dump(document).encode()
     calibration = validate(InstrumentCalibration, parse_yaml(text, "the options"), "the options")

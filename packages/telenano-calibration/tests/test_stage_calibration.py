@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import pytest
 import yaml
 from stage_line import PARAMS, StageLine, calibration
+from telenano_calibration.line_fit import CalibrationError
+from telenano_calibration.stage_calibration import Mover, fit_travel, press
 from typer.testing import CliRunner
 
-from services.afm_node.devices.stage_calibration import Mover, fit_travel, press
 from services.afm_node.devices.t7_model import M_PER_V, T7Model
-from services.numerics.line_fit import CalibrationError
-from telenano.cli.commands.device import app
+from telenano.cli.root import app
 
 V_PER_M = 6.25e6
 ZERO_V = 0.0123
@@ -116,7 +116,7 @@ def test_command_asks_measures_and_writes_a_file_that_the_driver_takes(tmp_path:
             assert time.monotonic() < end
             time.sleep(0.05)
         out = tmp_path / "stage.yaml"
-        arguments = ["calibrate", "stage", "--host", "127.0.0.1", "--port", str(port), "--out", str(out)]
+        arguments = ["device", "calibrate", "stage", "--host", "127.0.0.1", "--port", str(port), "--out", str(out)]
         arguments += ["--output", "1", "--output", "3", "--output", "5", "--range", "0.1", "--stiffness", "40"]
         arguments += ["--stiffness-error", "1.5", "--step", "0.02"]
         readings = "\n" + "".join(f"{M_PER_V * volts:.6g}\n" for volts in (1, 3, 5)) + "\n"
@@ -128,7 +128,7 @@ def test_command_asks_measures_and_writes_a_file_that_the_driver_takes(tmp_path:
         document = yaml.safe_load(out.read_text())
         assert document["stage"]["m_per_v"] == pytest.approx(M_PER_V, rel=1e-3)
         assert document["deflection"]["standard_error_v_per_m"] > 0.0
-        probed = CliRunner().invoke(app, ["probe", "--calibration", str(out), "--json"])
+        probed = CliRunner().invoke(app, ["device", "probe", "--calibration", str(out), "--json"])
         assert probed.exit_code == 0, probed.output
     finally:
         process.kill()

@@ -1,4 +1,4 @@
-"""`telenano device`: the real devices of a rig, and emulated ones to try without."""
+"""`telenano device`: the devices that are there, and emulated ones to try without."""
 
 import asyncio
 import logging
@@ -7,45 +7,27 @@ import os
 import select
 import signal
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
-import yaml
 
+from presets.plugins import installed
 from proto.errors import ConfigError
 from proto.extras import how_to_install
-from telenano.cli.commands.device_calibrate import calibrate_stage
 from telenano.cli.commands.device_files import run_ahead, section_of, write_document
-from telenano.cli.commands.device_impedance import KindOption, SetOption
-from telenano.cli.commands.device_monitor import (
-    BaudOption,
-    PortOption,
-    instrument_of,
-    monitor,
-    package_rows,
-    print_facts,
-    probe_driver,
-)
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import print_json, print_rows, report_errors
 
 app = command_group()
 simulate = command_group()
 guard = command_group()
-calibrate = command_group()
-calibrate.command("stage")(calibrate_stage)
-app.command()(monitor)
-app.add_typer(calibrate, name="calibrate", help="Measure a device, and write its calibration file.")
 app.add_typer(simulate, name="simulate", help="Run an emulated device in this terminal.")
 app.add_typer(guard, name="guard", help="Retract the tip of an AFM controller when the rig is silent.")
 
 _BY_ID = Path("/dev/serial/by-id")
+_STANDARD_GRAVITY_M_PER_S2 = 9.80665
 
-CalibrationOption = Annotated[
-    Path | None, typer.Option("--calibration", metavar="FILE", help="stage.yaml of the instrument.")
-]
 WriteOption = Annotated[
     Path | None,
     typer.Option("--calibration", metavar="FILE", help="Write a calibration file that fits the emulated device."),
@@ -88,156 +70,32 @@ def serial_ports() -> list[dict[str, Any]]:
     ]
 
 
-@app.command()
-def probe(
-    port: PortOption = None,
-    baud: BaudOption = 1_000_000,
-    calibration: CalibrationOption = None,
-    kind: KindOption = None,
-    settings: SetOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Ask a handle (--port), an instrument (--calibration) or what a driver drives (--device) who it is.
+def package_rows() -> list[dict[str, Any]]:
+    """Return the drivers that installed packages bring, and whether what each needs is here.
 
-    An instrument is retracted; a device gets no force. The driver is that of a device that takes a force, or one of an
-    installed package, for either node.
+    That is what a check of `telenano doctor` with the name of the driver found.
     """
-    with report_errors(as_json):
-        if (port is not None) + (calibration is not None) + (kind is not None) != 1:
-            raise ConfigError(
-                "give --port for a handle, or --calibration for an instrument, or --device simulated_impedance or the"
-                " driver of a package"
-            )
-        if kind is not None:
-            facts = probe_driver(kind, settings or [])
-        else:
-            facts = _probe_handle(port, baud) if port is not None else _probe_instrument(calibration or Path())
-    print_facts(facts, as_json=as_json)
+    from services.afm_node.config import DRIVERS as INSTRUMENTS
+    from services.haptic_node.config import DRIVERS as HANDLES
+    from telenano.doctor.report import checks_of_packages
 
-
-def _probe_handle(port: str, baud: int) -> dict[str, Any]:
-    from services.haptic_node.config import LimitsConfig
-    from services.haptic_node.devices import wire
-    from services.haptic_node.devices.serial_driver import SerialHandle
-
-    driver = SerialHandle(port, baud, None, LimitsConfig())
-    try:
-        hello = driver.identify()
-    finally:
-        driver.close()
-    names = (
-        "position mode",
-        "force mode",
-        "force sensor",
-        "force is estimated",
-        "e-stop input",
-        "back-drivable",
-        "current is sensed",
-        "emulated",
-    )
-    return {
-        "model": hello.model,
-        "device_id": f"{hello.device_id:016x}",
-        "firmware": f"{hello.firmware >> 8}.{hello.firmware & 0xFF}",
-        "protocol": f"{hello.major}.{hello.minor}"
-        + ("" if hello.major == wire.MAJOR else " (not that of this program)"),
-        "abilities": ", ".join(name for bit, name in enumerate(names) if hello.flags & (1 << bit)),
-        "max_rate_hz": hello.max_rate_hz,
-        "nominal_m_per_count": hello.nominal_m_per_count,
-        "nominal_n_per_count": hello.nominal_n_per_count,
-        "nominal_drive_n_per_count": hello.nominal_drive_n_per_count,
-    }
-
-
-def _probe_instrument(calibration: Path) -> dict[str, Any]:
-    driver = instrument_of(calibration)
-    try:
-        driver.open()
-        sample = driver.exchange(driver.safe_position_m)
-        return {
-            "identity": driver.identity,
-            "base_m": sample.base_m,
-            "input_v": sample.bridge_voltage_v,
-            "force_n": sample.force_n,
-            "declared_latency_s": driver.latency_s,
-        }
-    finally:
-        driver.close()
-
-
-@calibrate.command("handle")
-def calibrate_handle(
-    port: Annotated[str, typer.Option("--port", metavar="DEVICE", help="Serial port of the handle.")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Calibration file to write, such as handle.yaml.")],
-    gauges: Annotated[
-        list[float], typer.Option("--gauge", metavar="M", help="Position of the arm [m], towards the sample (repeat).")
-    ],
-    masses: Annotated[
-        list[float],
-        typer.Option("--mass", metavar="KG", help="Mass that pulls towards the sample [kg] (repeat)."),
-    ],
-    stiffness: Annotated[
-        float, typer.Option("--stiffness", min=1e-3, metavar="N/M", help="Gain of the device's servo [N/m].")
-    ],
-    max_force: Annotated[
-        float, typer.Option("--max-force", min=1e-6, metavar="N", help="Most force that the drive may give [N].")
-    ],
-    saturation: Annotated[
-        float, typer.Option("--saturation", min=1e-6, metavar="N", help="Force at which the sensor saturates [N].")
-    ],
-    baud: BaudOption = 1_000_000,
-    duration: Annotated[float, typer.Option("--duration", min=0.2, metavar="S", help="Time for a point [s].")] = 1.0,
-) -> None:
-    """Measure a handle at gauges and with masses, step by step, and write its calibration file; it is never driven.
-
-    A point off the line by more than 2 % is refused.
-    """
-    with report_errors(as_json=False):
-        from services.haptic_node.devices.handle_calibration import STANDARD_GRAVITY_M_PER_S2, RawPoint, sample_raw
-        from services.numerics.line_fit import fit_line
-
-        hello = None
-        points: list[RawPoint] = []
-        for text in [*(f"put the arm at {x:g} m" for x in gauges), *(f"let {m:g} kg pull at the arm" for m in masses)]:
-            typer.prompt(f"{text}, hands off, then Enter", default="", show_default=False)
-            hello, point = sample_raw(port, baud, duration)
-            points.append(point)
-        placed, loaded = points[: len(gauges)], points[len(gauges) :]
-        position = fit_line("position", [p.position for p in placed], [p.position_error for p in placed], gauges)
-        forces = [mass * STANDARD_GRAVITY_M_PER_S2 for mass in masses]
-        force = fit_line("force", [p.force for p in loaded], [p.force_error for p in loaded], forces)
-        if hello is None:
-            raise ConfigError("give two gauges and two masses at least")
-        document: dict[str, object] = {
-            "schema": 1,
-            "device_id": f"{hello.device_id:016x}",
-            "calibrated": datetime.now(UTC).replace(microsecond=0),
-            "position": {
-                "zero_raw": round(position.zero),
-                "m_per_count": position.scale,
-                "standard_error_m_per_count": position.scale_error,
-            },
-            "force": {
-                "zero_raw": round(force.zero),
-                "n_per_count": force.scale,
-                "standard_error_n_per_count": force.scale_error,
-                "saturation_n": saturation,
-            },
-            "drive": {"n_per_count": hello.nominal_drive_n_per_count},
-            "servo": {"stiffness_n_per_m": stiffness},
-            "max_force_n": max_force,
-        }
-        _check_and_write(out, document)
-        typer.echo(f"position: {position.scale:.4g} m for a count, standard error {position.scale_error:.2g}")
-        typer.echo(f"force: {force.scale:.4g} N for a count, standard error {force.scale_error:.2g}")
-
-
-def _check_and_write(path: Path, document: dict[str, object]) -> None:
-    from services.haptic_node.devices.calibration import HandleCalibration
-    from services.runtime.settings.config import parse_yaml, validate
-
-    validate(HandleCalibration, parse_yaml(yaml.safe_dump(document).encode(), str(path)), str(path))
-    write_document(path, document)
+    handles, instruments = HANDLES.all(), INSTRUMENTS.all()
+    found, problems = {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
+    checked = {finding.name: finding for finding in checks_of_packages()}
+    rows = []
+    for name, row in installed("devices").items():
+        finding = checked.get(name)
+        rows.append(
+            {
+                "driver": name,
+                "device": found[name].what if name in found else "",
+                "node": found[name].node if name in found else "",
+                "package": f"{row.package} {row.version}",
+                "found": problems[name] if name not in found else finding.found if finding else "can be used",
+                "advice": finding.advice if finding else "",
+            }
+        )
+    return rows
 
 
 @simulate.command("handle")
@@ -309,8 +167,6 @@ def simulate_handle(
 
 def handled(handle: Any, line: str) -> str:
     """Do at an emulated handle what a line says, and return what was done, or what would be right."""
-    from services.haptic_node.devices.handle_calibration import STANDARD_GRAVITY_M_PER_S2
-
     word, _, text = line.strip().partition(" ")
     try:
         value = float(text)
@@ -321,7 +177,7 @@ def handled(handle: Any, line: str) -> str:
     if word == "gauge":
         handle.place(value)
         return f"the arm stands at {value:g} m until it is driven"
-    handle.load(value * STANDARD_GRAVITY_M_PER_S2)
+    handle.load(value * _STANDARD_GRAVITY_M_PER_S2)
     return f"{value:g} kg pull at the arm until it is driven"
 
 

@@ -68,7 +68,7 @@ import yaml
 from typer.testing import CliRunner
 from services.launcher.plan import UpRequest, make_plan
 from proto.errors import ConfigError
-from telenano.cli.commands.device import app
+from telenano.cli.root import app
 from telenano.doctor.devices import check_instrument
 from telenano.extend.controllers import serve_requests
 
@@ -105,7 +105,7 @@ def serve():
 
 threading.Thread(target=serve, daemon=True).start()
 assert ready.wait(30.0)
-done = CliRunner().invoke(app, ["probe", "--calibration", str(file), "--json"])
+done = CliRunner().invoke(app, ["device", "probe", "--calibration", str(file), "--json"])
 found["probe"] = json.loads(done.stdout)
 found["doctor"] = list(check_instrument(file))
 print(json.dumps(found))

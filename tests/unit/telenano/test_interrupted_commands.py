@@ -88,8 +88,7 @@ ELSEWHERE = {
 }
 _COMMANDS_WITH_RESULTS = """
 import studies
-from presets.known_packages import KNOWN_PACKAGES
-from telenano.cli.lazy_commands import LAZY_COMMANDS, load
+from telenano.cli.lazy_commands import LAZY_COMMANDS, load, load_row, package_commands
 
 def walk(path, command):
     for name, child in getattr(command, "commands", {}).items():
@@ -97,8 +96,10 @@ def walk(path, command):
     if any("--out" in parameter.opts for parameter in command.params):
         yield " ".join(path)
 
-for name in (*LAZY_COMMANDS, *(words for words in KNOWN_PACKAGES if " " not in words)):
+for name in LAZY_COMMANDS:
     print(*walk((name,), load(name)), sep="\\n")
+for path, row in package_commands().items():
+    print(*walk(path, load_row(path[-1], row, path)), sep="\\n")
 """
 
 

@@ -116,10 +116,10 @@ for model, document in ((ControllerConfig, {"filtered": {"filter_s": -1.0}}), (A
         found["refused"] += [".".join(map(str, fault["loc"])) for fault in error.errors()]
 
 from typer.testing import CliRunner
-from telenano.cli.commands.device import app
+from telenano.cli.root import app
 
 def said(*words):
-    done = CliRunner().invoke(app, [*words, "--json"])
+    done = CliRunner().invoke(app, ["device", *words, "--json"])
     return {"code": done.exit_code, **json.loads(done.stdout)}
 
 found["list"] = said("list")["packages"]
