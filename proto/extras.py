@@ -1,14 +1,12 @@
 """How what is missing is installed: by the extra of this distribution that has it, from where it was installed."""
 
 import re
+import sys
+from pathlib import Path
 
 DISTRIBUTION = "telenano"
 # These distributions have another name than their module.
-_DISTRIBUTIONS = {
-    "serial": "pyserial",
-    "yaml": "pyyaml",
-    "zmq": "pyzmq",
-}
+_DISTRIBUTIONS = {"serial": "pyserial", "yaml": "pyyaml", "zmq": "pyzmq"}
 _EXTRA = re.compile(r"extra == ['\"]([^'\"]+)['\"]")
 
 
@@ -19,10 +17,12 @@ def how_to_install(extra: str) -> str:
 
 
 def how_to_add_package(package: str) -> str:
-    """Return the command that adds a package of the project: a folder of the checkout, or a wheel of the release."""
+    """Return the command that adds a package of the project: to a checkout, or as a wheel of the release."""
     from importlib.metadata import version
 
     editable, source = _source()
+    if editable and Path(sys.prefix) == Path(source, ".venv"):
+        return f"make -C '{source}' setup"
     if editable:
         return f"pip install -e '{source}/packages/{package}'"
     # A file and no name, because the index may have a stranger's package of that name.

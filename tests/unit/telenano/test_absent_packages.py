@@ -13,6 +13,7 @@ from telenano_microscopy.force_curve import read_measured
 from typer.testing import CliRunner
 
 from presets import plugins
+from proto import extras
 from proto.errors import ConfigError
 from services.afm_node import config as afm
 from services.afm_node.instrument import calibration_of_file
@@ -36,6 +37,10 @@ print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules if name.
 """
 
 
+def told(package: str) -> str:
+    return f"{package}: {extras.how_to_add_package(package)}"
+
+
 @pytest.fixture
 def bare(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let no package be installed."""
@@ -57,11 +62,11 @@ def test_no_node_imports_a_package_that_its_section_does_not_name() -> None:
 
 @pytest.mark.usefixtures("bare")
 def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=f"the driver gwyscope is in the package {PACKAGE}: pip install -e '"):
+    with pytest.raises(ConfigError, match=f"the driver gwyscope is in the package {told(PACKAGE)}"):
         validate(afm.AfmConfig, {"driver": "gwyscope"}, "file", "afm_node")
     file = tmp_path / "gwyscope.yaml"
     file.write_text("controller: gwyscope\n")
-    with pytest.raises(ConfigError, match=f"gwyscope.yaml: controller: gwyscope: .* {PACKAGE}: pip install -e '"):
+    with pytest.raises(ConfigError, match=f"gwyscope.yaml: controller: gwyscope: .* {told(PACKAGE)}"):
         calibration_of_file(file)
     file.write_text("controller: somebodys\n")
     with pytest.raises(ConfigError, match="no driver is installed that has calibration files of this name"):
@@ -91,14 +96,16 @@ def test_a_command_that_needs_a_package_names_it_and_its_command(
     monkeypatch.setattr(lazy_commands, "package_commands", dict)
     done = CliRunner().invoke(app, words.split())
     assert done.exit_code == 2
-    assert f"is in the package {package}: pip install -e '" in " ".join(done.stderr.split())
+    assert f"is in the package {told(package)}" in " ".join(done.stderr.split())
 
 
 def test_a_package_that_needs_another_one_names_it_and_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "telenano_acceptance.haptic_device.person", None)
     done = CliRunner().invoke(app, ["device", "simulate", "haply", "--person"])
     assert done.exit_code == 2
-    assert "telenano-acceptance is not installed: pip install -e '" in " ".join(done.stderr.split())
+    assert f"telenano-acceptance is not installed: {extras.how_to_add_package('telenano-acceptance')}" in " ".join(
+        done.stderr.split()
+    )
 
 
 def test_the_benchmark_names_the_package_of_the_studies_that_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,14 +113,29 @@ def test_the_benchmark_names_the_package_of_the_studies_that_it_needs(monkeypatc
     monkeypatch.setitem(sys.modules, "telenano_studies.study_options", None)
     done = CliRunner().invoke(app, ["benchmark", "--quick"])
     assert done.exit_code == 2
-    assert "telenano-studies is not installed: pip install -e '" in " ".join(done.stderr.split())
+    assert f"telenano-studies is not installed: {extras.how_to_add_package('telenano-studies')}" in " ".join(
+        done.stderr.split()
+    )
+
+
+@pytest.mark.parametrize("environment", [".venv", "another"])
+def test_a_checkout_adds_a_package_as_its_environment_was_made(
+    environment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "_source", lambda: (True, "/a/telenano"))
+    monkeypatch.setattr(sys, "prefix", f"/a/telenano/{environment}")
+    expected = {
+        ".venv": "make -C '/a/telenano' setup",
+        "another": "pip install -e '/a/telenano/packages/telenano-studies'",
+    }
+    assert extras.how_to_add_package("telenano-studies") == expected[environment]
 
 
 @pytest.mark.usefixtures("bare")
 def test_a_file_that_needs_a_package_names_it_and_its_command(tmp_path: Path) -> None:
     for name, read in (("a.gwy", read_surface), ("a.sxm", read_surface), ("a.jpk-force", read_measured)):
         (tmp_path / name).touch()
-        with pytest.raises(ConfigError, match=rf"{name}: .* by the package telenano-afm-files: pip install -e '"):
+        with pytest.raises(ConfigError, match=rf"{name}: .* by the package {told('telenano-afm-files')}"):
             read(tmp_path / name)
 
 
