@@ -31,6 +31,7 @@ KNOWN_PACKAGES = {
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
     "law margins": "telenano-studies",
+    "link probe": "telenano-networks",
     "particles": "telenano-assembly",
     "reader other": "telenano-afm-files",
     "reproduce": "telenano-studies",

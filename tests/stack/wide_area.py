@@ -37,10 +37,10 @@ from typing import Any
 import numpy as np
 import telenano_studies.option_values
 import yaml
+from telenano_networks.network_trace import QUANTILES
 from tun_cable import DEVICE
 from two_sites import MASTER, SLAVE, Cable, TwoSites
 
-from analysis.network_trace import QUANTILES
 from recording.reader import Recording
 from services.runtime.settings.config import flatten
 

@@ -1,6 +1,7 @@
 """`telenano link probe`: what the network between two sites does, as a trace, a figure and settings."""
 
 import contextlib
+import json
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ import typer
 import yaml
 
 from presets import TWO_SITES_FILE
-from proto.errors import RigError, TelenanoError
+from proto.errors import RigError
 from proto.network_messages import LinkNetwork
 from proto.nodes import LINK
 from services.console.command_client import send_control
@@ -18,10 +19,10 @@ from services.delay_node.node import TRAIN
 from services.runtime.loop.commands import Command
 from services.runtime.wiring.observer import RIG_HINT
 from telenano.cli.commands.topic import open_observer
-from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import print_json, print_rows, report_errors
-from telenano.cli.progress import progress
+from telenano.cli.output import print_rows
 from telenano.cli.sample_options import results_in
+from telenano.extend.commands import JsonOption, SiteFileOption, TelenanoError, print_json, progress, report_errors
+from telenano_networks.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
 
 _TOPIC = "link/network"
 _SECTION = "delay_node.yaml"
@@ -46,8 +47,6 @@ def probe(
     Run it at the master while both sites run (`telenano up --site ...`, also before the session begins).
     """
     with report_errors(as_json):
-        from analysis.network_trace import DIRECTIONS, trace_figure, traces_of, write_traces
-
         reports = (
             list(_recorded(recording)) if recording is not None else _measured(site_file, duration, shown=not as_json)
         )
@@ -66,7 +65,8 @@ def probe(
                 direction: {**trace.summary(), **_line(direction, reports)} for direction, trace in traces.items()
             }
             document = {"network": network, "replay": section, "files": str(out)}
-            (folder / "probe.json").write_text(_json_text(document), encoding="utf-8")
+            text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+            (folder / "probe.json").write_text(text, encoding="utf-8")
     if as_json:
         print_json(document)
         return
@@ -113,9 +113,3 @@ def _measured(site_file: Path, duration_s: float, *, shown: bool) -> list[LinkNe
                 found[message.src, message.seq] = message
             show(time.monotonic() - begin)
     return sorted(found.values(), key=lambda message: message.t_ns)
-
-
-def _json_text(document: dict[str, Any]) -> str:
-    import json
-
-    return json.dumps(document, indent=2, allow_nan=False) + "\n"

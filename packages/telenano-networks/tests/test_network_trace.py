@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from telenano_networks.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 
-from analysis.network_trace import DIRECTIONS, QUANTILES, longest_run, traces_of, write_traces
 from proto.errors import TelenanoError
 from proto.messages import Array, LinkClock
 from proto.network_messages import LinkNetwork

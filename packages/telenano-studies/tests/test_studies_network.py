@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from telenano_networks.network_trace import DIRECTIONS, NetworkTrace, write_traces
 from telenano_studies.loops.network import measured_network
 from typer.testing import CliRunner
 
-from analysis.network_trace import DIRECTIONS, NetworkTrace, write_traces
 from proto.errors import ConfigError
 from telenano.cli.root import app
 

@@ -14,7 +14,6 @@ from services.delay_node.profiles import PROFILES, profile_named
 from services.runtime.bus.address_book import load_site
 from services.runtime.settings.config import flatten
 from services.runtime.wiring.observer import RIG_HINT, Observer, messages_of
-from telenano.cli.commands.link_probe import probe
 from telenano.cli.commands.session import send_command
 from telenano.cli.commands.topic import open_observer
 from telenano.cli.options import JsonOption, SiteFileOption, command_group
@@ -103,9 +102,6 @@ def profile_rows(found: dict[str, Any]) -> list[dict[str, Any]]:
 def clear(site_file: SiteFileOption = DEFAULT_SITE_FILE, as_json: JsonOption = False) -> None:
     """Remove every impairment from the link."""
     _change(["profile=clean"], site_file, as_json=as_json)
-
-
-app.command()(probe)
 
 
 def _change(settings: Sequence[str], site_file: Path, *, as_json: bool) -> None:

@@ -11,6 +11,7 @@ from figure_layout import faults
 from matplotlib.figure import Figure
 from telenano_experiments.benchmark import results
 from telenano_experiments.benchmark_page import benchmark_figure
+from telenano_networks.network_trace import NetworkTrace, trace_figure
 from telenano_studies.loops.cells import Cell, CellResult
 from telenano_studies.loops.merits import FIGURES, SAMPLES, Merit, Network, figures_of
 from telenano_studies.loops.push_study import Row
@@ -20,7 +21,6 @@ from telenano_studies.pages.stability_page import _edges, _up_to
 from telenano_studies.push_command import push_figure
 from typer.testing import CliRunner
 
-from analysis.network_trace import NetworkTrace, trace_figure
 from services.controller.config import LAWS as ALL_LAWS
 from telenano.cli.root import app
 
