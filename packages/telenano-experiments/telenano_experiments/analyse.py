@@ -13,7 +13,7 @@ import numpy as np
 from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
 from telenano_experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
-from telenano_experiments.effects import Effects, Factor, Test, as_rows, effects
+from telenano_experiments.effects import Effects, Factor, as_rows, effects
 from telenano_experiments.psychophysics.methods import replay
 from telenano_experiments.table import ANSWER, CONDITION, FIXED, Row, Tables
 
@@ -25,7 +25,6 @@ class Choice(NamedTuple):
 
     Args:
         measures: The measures; empty for all.
-        test: mixed, which falls back by its rule, or anova.
         correction: The correction for multiple comparisons, one of `CORRECTIONS`.
         confidence: The confidence of all intervals.
         categories: Numeric factors that are not to be slopes.
@@ -33,7 +32,6 @@ class Choice(NamedTuple):
     """
 
     measures: tuple[str, ...] = ()
-    test: Test = "mixed"
     correction: str = "holm"
     confidence: float = 0.95
     categories: tuple[str, ...] = ()
@@ -116,7 +114,7 @@ def analyse(
         factors[str(task)], measures[str(task)] = found, chosen
         for name in chosen:
             cells += _cells(of_task, str(task), name, found, choice.confidence)
-            result = effects(of_task, name, found, choice.test, choice.correction, choice.confidence, choice.within)
+            result = effects(of_task, name, found, choice.correction, choice.confidence, choice.within)
             if result.terms and _is_yes_or_no(of_task[name].dropna()):
                 remark = "yes and no are taken as 1 and 0, so that differences are of shares"
                 result = result._replace(remarks=(*result.remarks, remark))
@@ -128,9 +126,8 @@ def analyse(
             name = f"threshold of {rows_of_task[0]['factor']}"
             tracks = pd.DataFrame(rows_of_task).rename(columns={factor.name: factor.column for factor in found})
             cells += _cells(tracks.rename(columns={"threshold": name}), task, name, found, choice.confidence)
-            # One value for each participant and condition leaves no residual beside effects of each participant's own.
             tested[task, name] = effects(
-                tracks, "threshold", found, "anova", choice.correction, choice.confidence, choice.within
+                tracks, "threshold", found, choice.correction, choice.confidence, choice.within
             )
     return Analysis(
         _counts(tables, rows), factors, measures, cells, _terms_corrected(tested, choice.correction), thresholds, choice

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 import typer
 
-from proto.errors import ConfigError
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import console, print_json, report_errors
 from telenano.cli.sample_options import results_in
@@ -34,12 +33,6 @@ def analyse(
     within: Annotated[
         str, typer.Option("--within", metavar="FACTOR", help="Compare levels of the others at each level of this one.")
     ] = "",
-    test: Annotated[
-        str,
-        typer.Option(
-            "--test", metavar="mixed|anova", help="Mixed-effects model, or repeated-measures analysis of variance."
-        ),
-    ] = "mixed",
     correction: Annotated[
         str,
         typer.Option(
@@ -65,11 +58,9 @@ def analyse(
         from telenano_experiments.folder_tables import about_experiment, adaptive_factors, tables_of
         from telenano_experiments.table import write_tables
 
-        if test not in ("mixed", "anova"):
-            raise ConfigError(f"--test {test}: must be mixed or anova")
         options = figure_options(formats, style)
         tables = tables_of(folder)
-        choice = Choice(tuple(measure or ()), test, correction, confidence, tuple(category or ()), within)  # type: ignore[arg-type]
+        choice = Choice(tuple(measure or ()), correction, confidence, tuple(category or ()), within)
         check_choice(tables, choice)
         target = out or folder / FOLDER
         # whatever becomes of the analysis, the table of the trials is there

@@ -253,7 +253,7 @@ def _page(
             page.paragraph(f"{task}, {measure}: {remark}.")
     document = analysis.as_dict()
     heads = {
-        "terms": ("Factors and interactions", ("epsilon", "test")),
+        "terms": ("Factors and interactions", ()),
         "slopes": ("Change with numeric factors, for each unit of the factor", ()),
         "pairs": ("Levels against one another, over participants' means", ()),
         "thresholds": ("Thresholds", ("answers", "function", "method")),

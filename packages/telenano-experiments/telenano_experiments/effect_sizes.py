@@ -1,4 +1,4 @@
-"""What a test comes to: corrected p values, differences and effect sizes with their intervals, and sphericity."""
+"""What a test comes to: corrected p values, differences and effect sizes with their intervals."""
 
 import math
 import warnings
@@ -37,25 +37,6 @@ def mean_interval(values: Matrix, confidence: float = 0.95) -> tuple[float, floa
         return mean, math.nan, math.nan
     half = half_width(float(np.std(values, ddof=1)), count, confidence)
     return mean, mean - half, mean + half
-
-
-def sphericity(cells: Matrix, factors: Sequence[tuple[int, bool]]) -> float:
-    """Return the Greenhouse–Geisser ε of a term (Psychometrika 24 (1959) 95).
-
-    Args:
-        cells: The values of participants (rows) in all conditions, the last factor changing fastest.
-        factors: The number of levels of each factor, and whether it is in the term.
-    """
-    contrast = np.ones((1, 1))
-    for levels, is_in_term in factors:
-        centred = np.eye(levels) - 1.0 / levels
-        # orthonormal contrasts: what is left of all differences when the mean is taken away
-        own = np.linalg.svd(centred)[0][:, : levels - 1].T if is_in_term else np.full((1, levels), levels**-0.5)
-        contrast = np.kron(contrast, own)
-    scores = cells @ contrast.T
-    covariance = np.atleast_2d(np.cov(scores, rowvar=False))
-    squares = float((covariance**2).sum())
-    return float(np.trace(covariance)) ** 2 / (len(contrast) * squares) if squares > 0.0 else 1.0
 
 
 def compared(left: Matrix, right: Matrix, paired: Matrix | None, confidence: float) -> Compared | None:

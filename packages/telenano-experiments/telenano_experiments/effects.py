@@ -1,28 +1,26 @@
-"""Tests and effect sizes of one measure: a mixed-effects model, or a repeated-measures analysis of variance.
+"""Tests and effect sizes of one measure: the repeated-measures F of every effect, with its own error term.
 
-The mixed model has the factors and their two-way interactions as fixed effects. A numeric factor is a slope, others are
-sum-coded, so each term is an average over the others. Random effects are chosen by a rule, from the first model that
-converges: (1) an intercept and an effect of each factor for each participant, uncorrelated (D. J. Barr and others, J.
-Mem. Lang. 68 (2013) 255); (2) an intercept alone; (3) none: the analysis of variance of participants' means.
+The values are the means of each participant in each condition, and every effect, main or interaction, is tested
+against how much participants differ in that effect (`repeated_measures`). A numeric factor is a slope: its effect is
+one contrast, and so is its part of an interaction. Other factors, and those made categories, are all differences of
+their levels, with the correction of Huynh and Feldt for sphericity.
 
-Tests of the mixed model are F tests. Their denominator has the degrees of freedom of the participants where each
-participant has an effect of that factor of their own, and those of the residuals where not (J. C. Pinheiro and D. M.
-Bates, Mixed-Effects Models in S and S-PLUS (2000), section 2.4.2).
+A participant without a value in some condition is in no test, because what is missing would be taken for an effect.
 """
 
 import itertools
 import math
-import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano_experiments.effect_sizes import Matrix, compared, corrected, partial_eta2, sphericity
+from telenano_experiments.effect_sizes import compared, corrected, partial_eta2
+from telenano_experiments.repeated_measures import Matrix, RepeatedF, average, contrasts, product, repeated_f
 
-Test = Literal["mixed", "anova"]
-# one after the other, until a search for the greatest likelihood ends
-_SEARCHES = ("bfgs", "lbfgs", "powell")
+MODEL = "repeated-measures F of participants' means, each effect with its own error term, Huynh–Feldt"
+# fewer people, beyond one for each group, than a test needs
+LEAST_PEOPLE = 3
 # F ratios beyond it come of rounding alone
 _NO_SCATTER = 1e20
 
@@ -35,7 +33,7 @@ class Factor(NamedTuple):
         column: Its column in the table.
         unit: Its unit, empty where it has none.
         levels: Its levels, in ascending order.
-        is_numeric: Whether it is a slope in the mixed model.
+        is_numeric: Whether its effect is a slope.
         is_within: Whether each participant has more than one of its levels.
     """
 
@@ -48,10 +46,12 @@ class Factor(NamedTuple):
 
 
 class Term(NamedTuple):
-    """A factor or an interaction, tested as a whole, with partial η² and its interval."""
+    """A factor or an interaction, tested as a whole, with partial η² and its interval.
+
+    The degrees of freedom are those before the correction for sphericity, which multiplies both by `epsilon`.
+    """
 
     term: str
-    test: str
     f: float
     df1: float
     df2: float
@@ -59,7 +59,7 @@ class Term(NamedTuple):
     partial_eta2: float
     partial_eta2_low: float
     partial_eta2_high: float
-    epsilon: float | None = None
+    epsilon: float
     p_corrected: float | None = None
 
 
@@ -100,7 +100,7 @@ class Effects(NamedTuple):
 
     Args:
         model: The model in words.
-        remarks: Where the rule went on to a simpler model, and what was left out.
+        remarks: Who and what was left out.
         terms: Factors and interactions.
         slopes: Numeric factors.
         pairs: Levels against one another.
@@ -117,7 +117,6 @@ def effects(
     frame: Any,
     measure: str,
     factors: Sequence[Factor],
-    test: Test = "mixed",
     correction: str = "holm",
     confidence: float = 0.95,
     within: str = "",
@@ -128,7 +127,6 @@ def effects(
         frame: A pandas DataFrame with a row a trial: `participant`, the measure, the columns of the factors.
         measure: The column of the measure; booleans are 0 and 1.
         factors: The factors; one at a single level of which the measure has values is left out, with a remark.
-        test: The test to begin with.
         correction: The correction of the comparisons of levels, one of CORRECTIONS.
         confidence: The confidence of all intervals.
         within: The factor within whose levels those of the others are compared; empty compares over all of them.
@@ -139,11 +137,9 @@ def effects(
     data = frame[["participant", measure, *(factor.column for factor in factors)]].dropna()
     remarks: list[str] = []
     try:
-        return _tested(
-            data, measure, _with_values(data, factors, remarks), test, correction, confidence, within, remarks
-        )
+        return _tested(data, measure, _with_values(data, factors, remarks), correction, confidence, within, remarks)
     except (ArithmeticError, ValueError) as error:
-        # numpy, scipy and statsmodels raise these of data from which nothing follows
+        # numpy and scipy raise these of data from which nothing follows
         return Effects("none", (*remarks, f"the values cannot be fitted ({error}): nothing is tested"))
 
 
@@ -165,7 +161,6 @@ def _tested(
     data: Any,
     measure: str,
     factors: Sequence[Factor],
-    test: Test,
     correction: str,
     confidence: float,
     within: str,
@@ -178,207 +173,119 @@ def _tested(
     values = data[measure].to_numpy(float)
     if float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max(initial=0.0)):
         return Effects("none", (*remarks, "every trial has the same value: nothing is tested"))
-    fitted = _mixed(data, values, factors, remarks) if test == "mixed" else None
-    if fitted is not None:
-        terms, slopes = _terms_of(fitted, confidence), _slopes_of(fitted, confidence)
-        model = fitted.words
-    else:
-        terms, slopes = _anova(data, measure, factors, remarks, confidence), ()
-        model = "repeated-measures analysis of variance of participants' means, Greenhouse–Geisser"
+    cells = _cells(data, measure, factors, remarks)
+    terms, slopes = _terms(cells, factors, remarks, confidence) if cells is not None else ((), ())
     pairs = _pairs(data, measure, factors, confidence, within)
     ps = corrected([pair.p for pair in pairs], correction)
     pairs = tuple(pair._replace(p_corrected=p) for pair, p in zip(pairs, ps, strict=True))
-    return Effects(model, tuple(remarks), terms, slopes, pairs)
+    return Effects(MODEL if terms or pairs else "none", tuple(remarks), terms, slopes, pairs)
 
 
-class _Column(NamedTuple):
-    """A factor as columns of the design: sum-coded contrasts, or the number itself in standard deviations."""
+class _Cells(NamedTuple):
+    """The means of participants (rows) in all conditions within them, and the group of each participant."""
 
-    factor: Factor
-    fixed: Matrix
-    random: Matrix
-    scale: float
+    means: Matrix
+    groups: tuple[int, ...]
 
 
-class _Fitted(NamedTuple):
-    words: str
-    terms: tuple[tuple[tuple[_Column, ...], slice], ...]
-    estimate: Matrix
-    covariance: Matrix
-    scale: float
-    own_effects: bool
-    people: int
-    residual_df: int
-
-
-def _mixed(data: Any, values: Matrix, factors: Sequence[Factor], remarks: list[str]) -> _Fitted | None:
-    """Fit the first model of the rule that converges; None where none does."""
-    columns = [_column(data[factor.column], factor) for factor in factors]
-    terms = [(column,) for column in columns] + list(itertools.combinations(columns, 2))
-    blocks, slices, start = [np.ones((len(data), 1))], [], 1
-    for term in terms:
-        blocks.append(_products([column.fixed for column in term]))
-        slices.append(slice(start, start := start + blocks[-1].shape[1]))
-    design = np.hstack(blocks)
-    if np.linalg.matrix_rank(design) < design.shape[1]:
-        remarks.append("the conditions do not tell all effects apart, so the mixed model was not fitted")
-        return None
-    scale = float(values.std())
-    groups = data["participant"].to_numpy()
-    shared = len(np.unique(groups)), len(data) - design.shape[1] - len(np.unique(groups)) + 1
-    within = [column for column in columns if column.factor.is_within]
-    standard = (values - values.mean()) / scale
-    for own in (True, False) if within else (False,):
-        words = "random intercept" + (f" and effects of {_names(within)}" if own else "") + " for each participant"
-        result, why = _fit_mixed(standard, design, groups, within if own else [])
-        if result is not None:
-            fixed = design.shape[1]
-            covariance = np.asarray(result.cov_params())[:fixed, :fixed]
-            pairs = tuple(zip(terms, slices, strict=True))
-            estimate = np.asarray(result.fe_params, dtype=float)
-            return _Fitted(
-                f"linear mixed-effects model (REML), {words}", pairs, estimate, covariance, scale, own, *shared
-            )
-        remarks.append(f"the mixed model with {words} did not converge ({why})")
-    return None
-
-
-def _fit_mixed(values: Matrix, design: Matrix, groups: Any, own: Sequence[_Column]) -> tuple[Any, str]:
-    """Return the fitted model, or None and why it cannot be used."""
-    from statsmodels.regression.mixed_linear_model import MixedLM, VCSpec
-
-    labels = sorted(set(groups))
-    parts = [[column.random[groups == label] for label in labels] for column in own]
-    names = [[[f"{j}" for j in range(part.shape[1])] for part in of_factor] for of_factor in parts]
-    spec = VCSpec([column.factor.name for column in own], names, parts) if own else None
-    intercept, why = np.ones((len(values), 1)), ""
-    for search in _SEARCHES:
-        with warnings.catch_warnings():
-            # what matters of them is judged below, and named
-            warnings.simplefilter("ignore")
-            try:
-                model = MixedLM(values, design, groups, exog_re=intercept, exog_vc=spec)
-                result = model.fit(reml=True, method=search)
-                errors = np.asarray(result.bse_fe, dtype=float)
-            except (ArithmeticError, ValueError) as error:
-                why = str(error)
-                continue
-        if not result.converged:
-            why = "the search for the greatest likelihood did not end"
-        elif not np.all(np.isfinite(errors)) or np.any(errors <= 0.0):
-            why = "standard errors are not finite"
-        else:
-            return result, ""
-    return None, why
-
-
-def _terms_of(fitted: _Fitted, confidence: float) -> tuple[Term, ...]:
-    from scipy import stats
-
-    found = []
-    for columns, part in fitted.terms:
-        estimate, covariance = fitted.estimate[part], fitted.covariance[part, part]
-        df1, df2 = len(estimate), _denominator(fitted, columns)
-        f = float(estimate @ np.linalg.solve(covariance, estimate)) / df1
-        eta = partial_eta2(f, df1, df2, confidence)
-        name = _names([column for column in columns], " × ")
-        found.append(Term(name, "F test of the mixed model", f, df1, df2, float(stats.f.sf(f, df1, df2)), *eta))
-    return tuple(found)
-
-
-def _slopes_of(fitted: _Fitted, confidence: float) -> tuple[Slope, ...]:
-    from scipy import stats
-
-    found = []
-    for columns, part in fitted.terms:
-        if len(columns) > 1 or not columns[0].factor.is_numeric:
-            continue
-        ratio = fitted.scale / columns[0].scale
-        slope = float(fitted.estimate[part][0]) * ratio
-        error = math.sqrt(float(fitted.covariance[part, part][0, 0])) * ratio
-        df = _denominator(fitted, columns)
-        half = float(stats.t.ppf(0.5 + 0.5 * confidence, df)) * error
-        p = 2.0 * float(stats.t.sf(abs(slope) / error, df))
-        found.append(Slope(columns[0].factor.name, slope, slope - half, slope + half, df, p))
-    return tuple(found)
-
-
-def _denominator(fitted: _Fitted, columns: Sequence[_Column]) -> float:
-    """Return the degrees of freedom of the denominator: of participants, or of residuals."""
-    between = [column for column in columns if not column.factor.is_within]
-    if between and len(between) == len(columns):
-        groups = math.prod(len(column.factor.levels) for column in between)
-        return float(max(fitted.people - groups, 1))
-    if fitted.own_effects and len(columns) == 1:
-        contrasts = 1 if columns[0].factor.is_numeric else len(columns[0].factor.levels) - 1
-        return float(contrasts * (fitted.people - 1))
-    return float(max(fitted.residual_df, 1))
-
-
-def _column(values: Any, factor: Factor) -> _Column:
-    if factor.is_numeric:
-        numbers = values.to_numpy(float)
-        scale = float(numbers.std())
-        standard = ((numbers - numbers.mean()) / scale)[:, None]
-        return _Column(factor, standard, standard, scale)
-    dummies = np.stack([(values == level).to_numpy(float) for level in factor.levels], axis=1)
-    return _Column(factor, dummies[:, :-1] - dummies[:, -1:], dummies, 1.0)
-
-
-def _products(parts: Sequence[Matrix]) -> Matrix:
-    """Return the products of every column of one part with every column of the next."""
-    result = parts[0]
-    for part in parts[1:]:
-        result = (result[:, :, None] * part[:, None, :]).reshape(len(result), -1)
-    return result
-
-
-def _names(columns: Sequence[_Column], between: str = ", ") -> str:
-    return between.join(column.factor.name for column in columns)
-
-
-def _anova(
-    data: Any, measure: str, factors: Sequence[Factor], remarks: list[str], confidence: float
-) -> tuple[Term, ...]:
-    """Return the terms of the repeated-measures analysis of variance, of participants who have every condition."""
-    from scipy import stats
-    from statsmodels.stats.anova import AnovaRM
-
+def _cells(data: Any, measure: str, factors: Sequence[Factor], remarks: list[str]) -> _Cells | None:
+    """Return the cells of participants who have every condition; None, with a remark, where they are too few."""
     within = [factor for factor in factors if factor.is_within]
-    if len(within) < len(factors):
-        left = ", ".join(factor.name for factor in factors if not factor.is_within)
-        remarks.append(f"{left}: differs between participants and is not in the analysis of variance")
-    if not within:
-        return ()
-    names = {factor.column: f"f{number}" for number, factor in enumerate(within)}
-    renamed = data.rename(columns={measure: "y", **names}).assign(y=lambda found: found["y"].astype(float))
-    cells = renamed.pivot_table(index="participant", columns=list(names.values()), values="y", aggfunc="mean")
-    whole = cells.dropna()
-    if whole.shape[1] < math.prod(len(factor.levels) for factor in within) or len(whole) < 2:
-        remarks.append("fewer than two participants have every condition: no analysis of variance")
-        return ()
-    if len(whole) < len(cells):
-        remarks.append(f"{len(cells) - len(whole)} participants without every condition are not in it")
-    long = whole.stack(list(names.values()), future_stack=True).rename("y").reset_index()
-    rows = AnovaRM(long, "y", "participant", within=list(names.values())).fit().anova_table
-    found = []
-    for label, row in rows.iterrows():
-        parts = str(label).split(":")
-        f, df1, df2 = (float(row[key]) for key in ("F Value", "Num DF", "Den DF"))
-        sizes = [(len(factor.levels), names[factor.column] in parts) for factor in within]
-        epsilon = sphericity(whole.to_numpy(float), sizes)
-        title = " × ".join(factor.name for factor in within if names[factor.column] in parts)
-        if not f < _NO_SCATTER:
-            remarks.append(f"every participant has the same difference: {title} is not tested")
-            continue
-        p = float(stats.f.sf(f, epsilon * df1, epsilon * df2))
-        eta = partial_eta2(f, df1, df2, confidence)
-        found.append(Term(title, "repeated measures, Greenhouse–Geisser", f, df1, df2, p, *eta, epsilon))
-    return tuple(found)
+    between = [factor for factor in factors if not factor.is_within]
+    means = _means(data, measure, within)
+    people = list(dict.fromkeys(person for person, _ in means))
+    conditions = list(itertools.product(*(factor.levels for factor in within)))
+    missing = {person: [row for row in conditions if (person, row) not in means] for person in people}
+    whole = [person for person in people if not missing[person]]
+    if len(whole) < len(people):
+        gaps = "; ".join(
+            f"{person}: {_condition(within, rows[0])}{_and_more(rows)}" for person, rows in missing.items() if rows
+        )
+        remarks.append(f"participants without a value in every condition are in no test ({gaps})")
+    kinds = list(itertools.product(*(factor.levels for factor in between)))
+    first = data.drop_duplicates("participant").set_index("participant")
+    groups = tuple(kinds.index(tuple(first.at[person, factor.column] for factor in between)) for person in whole)
+    empty = [kind for number, kind in enumerate(kinds) if number not in groups]
+    if whole and empty:
+        remarks.append(f"no participant has every condition at {_condition(between, empty[0])}: nothing is tested")
+        return None
+    needed = LEAST_PEOPLE + len(kinds) - 1
+    if len(whole) < needed:
+        have = f"{len(whole)} participant{' has' if len(whole) == 1 else 's have'}"
+        remarks.append(f"{have} a value in every condition, and a test needs {needed}: no effect is tested")
+        return None
+    return _Cells(np.array([[means[person, row] for row in conditions] for person in whole]), groups)
+
+
+def _means(data: Any, measure: str, factors: Sequence[Factor]) -> dict[tuple[str, tuple[Any, ...]], float]:
+    """Return the mean of each participant in each condition that they have."""
+    columns = [factor.column for factor in factors]
+    grouped = data.assign(_y=data[measure].astype(float)).groupby(["participant", *columns], sort=True)["_y"].mean()
+    keys = (key if isinstance(key, tuple) else (key,) for key in grouped.index)
+    return {(str(key[0]), key[1:]): float(mean) for key, mean in zip(keys, grouped, strict=True)}
+
+
+def _condition(factors: Sequence[Factor], levels: Sequence[Any]) -> str:
+    return ", ".join(f"{factor.name} = {level}" for factor, level in zip(factors, levels, strict=True))
+
+
+def _and_more(rows: Sequence[Any]) -> str:
+    return f" and {len(rows) - 1} more" if len(rows) > 1 else ""
+
+
+def _terms(
+    cells: _Cells, factors: Sequence[Factor], remarks: list[str], confidence: float
+) -> tuple[tuple[Term, ...], tuple[Slope, ...]]:
+    """Return the tests of all factors and interactions, and the slopes of numeric factors."""
+    terms, slopes = [], []
+    number_of_cells = math.prod(len(factor.levels) for factor in factors)
+    for number in range(1, len(factors) + 1):
+        for chosen in itertools.combinations(factors, number):
+            title = " × ".join(factor.name for factor in chosen)
+            found = _test(cells, factors, chosen)
+            f, epsilon, p = (float(part) for part in (found.f, found.epsilon, found.p))
+            if not f < _NO_SCATTER:
+                remarks.append(f"every participant has the same difference: {title} is not tested")
+                continue
+            eta = partial_eta2(f, epsilon * found.df1, epsilon * found.df2, confidence)
+            terms.append(Term(title, f, found.df1, found.df2, p, *eta, epsilon))
+            if number == 1 and chosen[0].is_numeric:
+                slopes.append(_slope(chosen[0], found, number_of_cells, p, confidence))
+    return tuple(terms), tuple(slopes)
+
+
+def _test(cells: _Cells, factors: Sequence[Factor], chosen: Sequence[Factor]) -> RepeatedF:
+    sides = []
+    for is_within in (True, False):
+        rows = [
+            (
+                contrasts(factor.levels if factor.is_numeric else len(factor.levels))
+                if factor in chosen
+                else average(len(factor.levels))
+            )
+            for factor in factors
+            if factor.is_within is is_within
+        ]
+        sides.append(product(rows))
+    return repeated_f(cells.means, sides[0], cells.groups, sides[1])
+
+
+def _slope(factor: Factor, found: RepeatedF, conditions: int, p: float, confidence: float) -> Slope:
+    """Return the slope that a contrast of unit length over the levels comes to, for each unit of the factor."""
+    from scipy import stats
+
+    levels = np.asarray(factor.levels, dtype=float)
+    length = math.sqrt(float(((levels - levels.mean()) ** 2).sum()) * conditions / len(levels))
+    slope, error = float(found.estimate.item()) / length, math.sqrt(float(found.variance.item())) / length
+    half = float(stats.t.ppf(0.5 + 0.5 * confidence, found.df2)) * error
+    return Slope(factor.name, slope, slope - half, slope + half, found.df2, p)
 
 
 def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float, within: str) -> tuple[Pair, ...]:
-    """Compare the levels of each factor, where `within` is one of them those of the others at each of its levels."""
+    """Compare the levels of each factor, where `within` is one of them those of the others at each of its levels.
+
+    A participant counts who has a value in every condition that is compared, and each condition as much as the next.
+    """
     held = next((factor for factor in factors if factor.name == within), None)
     if held is not None:
         others = [factor for factor in factors if factor is not held]
@@ -389,15 +296,22 @@ def _pairs(data: Any, measure: str, factors: Sequence[Factor], confidence: float
         )
     found = []
     for factor in factors:
-        means = data.assign(_y=data[measure].astype(float)).pivot_table(
-            index="participant", columns=factor.column, values="_y", aggfunc="mean"
-        )
-        # a level of this factor may have no value at the one level of `within`
-        means = means.reindex(columns=factor.levels)
+        others = [other for other in factors if other.is_within and other is not factor]
+        rows = list(itertools.product(*(other.levels for other in others)))
+        cells = _means(data, measure, [factor, *others])
+        people = sorted({person for person, _ in cells})
+        means = {
+            (person, level): math.fsum(cells[person, (level, *row)] for row in rows) / len(rows)
+            for person in people
+            for level in factor.levels
+            if all((person, (level, *row)) in cells for row in rows)
+        }
         for against, level in itertools.combinations(factor.levels, 2):
-            left, right = means[level].dropna().to_numpy(float), means[against].dropna().to_numpy(float)
-            both = means[[level, against]].dropna()
-            paired = both[level].to_numpy(float) - both[against].to_numpy(float) if factor.is_within else None
+            left, right = (
+                np.array([means[who, at] for who in people if (who, at) in means]) for at in (level, against)
+            )
+            both = [who for who in people if (who, level) in means and (who, against) in means]
+            paired = np.array([means[who, level] - means[who, against] for who in both]) if factor.is_within else None
             pair = compared(left, right, paired, confidence)
             if pair is not None:
                 found.append(Pair(factor.name, level, against, *pair))

@@ -14,6 +14,7 @@ from services.runtime.settings.config import read_yaml
 from telenano.cli.options import JsonOption, command_group
 from telenano.cli.output import fail, print_answer, print_document, print_json, print_rows, report_errors
 from telenano_experiments.analyse_command import analyse
+from telenano_experiments.plan_command import plan as plan_for_power
 from telenano_experiments.plans import find_experiment
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 app = command_group()
 people = command_group()
 app.command()(analyse)
+app.command("plan")(plan_for_power)
 app.add_typer(people, name="people", help="Note what is known of participants: consent, handedness, exclusion.")
 
 _FILE = "experiment.yaml"
