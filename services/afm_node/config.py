@@ -36,6 +36,7 @@ from services.afm_node.physics.step import AfmParams
 from services.afm_node.physics.torsion import TorsionConfig
 from services.afm_node.programs.lateral import LateralParams
 from services.afm_node.programs.settings import InstrumentRequest
+from services.afm_node.programs.table import PROGRAMS
 from services.afm_node.section_config import (
     MOST_CONTRADICTION,
     CantileverConfig,
@@ -176,6 +177,8 @@ class _OwnSections(Settings):
         if self.driver == "modbus" and self.modbus is None:
             raise ValueError("driver: modbus needs a section modbus with calibration")
         DRIVERS.require_section(self, self.driver)
+        if self.begin is not None and self.begin.program not in PROGRAMS:
+            raise ValueError(f"begin.program: must be one of {', '.join(PROGRAMS)}, and is {self.begin.program}")
         if self.model == "dynamic":
             self._check_dynamic()
         if self.sample is not None and self.sample.particles is not None:

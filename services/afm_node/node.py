@@ -163,17 +163,28 @@ class AfmNode(DeviceNode):
         if control.command == "set":
             return self._set(control)
         if control.command == "arm":
-            if self._programs.name:
-                raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
-            refusal = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=True).arm_refusal
+            return self._arm()
+        return super().on_control(control)
+
+    def _arm(self) -> str:
+        """Arm the tip and begin what the scenario begins then: both, or neither where one of the two is refused."""
+        if self._programs.name:
+            raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
+        begin, text = self._config.begin, "armed: the tip follows fresh commands"
+        if begin is not None and self._memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
+            try:
+                # The guard judges below whether it lets the tip go, and no program steps before that.
+                text = self._request(begin, safety.MODE_RETRACTED)
+            except RefusedError as error:
+                raise RefusedError(f"not armed: {error}") from error
+        refusal = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=True).arm_refusal
+        if refusal != safety.ARM_NOT_REFUSED:
+            self._programs.end()
             if refusal == safety.ARM_REFUSED_ALREADY_ARMED:
                 return "armed already"
-            if refusal != safety.ARM_NOT_REFUSED:
-                raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
-            self._report_reach()
-            begin = self._config.begin
-            return "armed: the tip follows fresh commands" if begin is None else self._request(begin)
-        return super().on_control(control)
+            raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
+        self._report_reach()
+        return text
 
     def _withdraw(self) -> str:
         """Retract the tip as at the end of a session: nobody has stopped it, and it stays retracted until armed."""
@@ -194,7 +205,7 @@ class AfmNode(DeviceNode):
         if pointer is not self._memory.pointer:
             sentences.append(f"the tip goes to x = {pointer.x_m:g} m, y = {pointer.y_m:g} m while it follows")
         if request.program is not None:
-            sentences.append(self._request(request))
+            sentences.append(self._request(request, self._memory.guard.mode))
             self._memory.told_ns = 0
         # Nothing refuses from here on.
         self._memory.pointer = pointer
@@ -203,13 +214,12 @@ class AfmNode(DeviceNode):
             change()
         return "; ".join(sentences)
 
-    def _request(self, request: InstrumentRequest) -> str:
+    def _request(self, request: InstrumentRequest, mode: int) -> str:
         # Pause and abort are for the program that runs, whatever it is.
         program = "" if request.program in CHANGES else request.program or ""
         if text := refusal(self._config.driver, "", program):
             raise RefusedError(f"program: {text}")
-        mode, place = self._memory.guard.mode, self._memory.place
-        return self._programs.request(request, mode, place, device_lost=self.is_lost)
+        return self._programs.request(request, mode, self._memory.place, device_lost=self.is_lost)
 
     def _report_reach(self) -> None:
         """Report how the sample lies, and that a hand cannot touch it where the base does not reach it."""
@@ -253,7 +263,7 @@ class AfmNode(DeviceNode):
         memory, is_lost = self._memory, self.is_lost
         elapsed_s = min(max(now_ns - memory.stepped_ns, 1) * 1e-9, self._longest_step_s)
         memory.stepped_ns = now_ns
-        if self._programs.name:
+        if self._programs.name and not arm:
             step = self._instrument.step_program(memory, self._programs, elapsed_s, estop, is_lost)
             if line := step.wanted.line:
                 lines = self._programs.report().lines

@@ -4,14 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from services.controller.lateral import (
-    DepthParams,
-    DiscParams,
-    FeelParams,
-    GuideParams,
-    LateralParams,
-    MotionParams,
-)
+from services.controller.lateral import DepthParams, DiscParams, FeelParams, GuideParams, LateralParams, MotionParams
 from services.runtime.settings.config import Settings, filled
 
 MODES = ("direct", "rate", "position")

@@ -8,12 +8,7 @@ from proto.nodes import is_meant
 from services.haptic_node import safety
 from services.haptic_node.config import HapticConfig, changed_operator
 from services.haptic_node.coupling import GATE_ACTIVE, GATE_READY, GATE_REST, GATES
-from services.haptic_node.driver import (
-    DeviceReading,
-    DeviceReport,
-    DriveCommand,
-    HapticDevice,
-)
+from services.haptic_node.driver import DeviceReading, DeviceReport, DriveCommand, HapticDevice
 from services.haptic_node.operator_config import InteractiveConfig
 from services.haptic_node.parts import HapticMemory, Tick, parts_of
 from services.haptic_node.physics.disturbances import DisturbedHaptic
@@ -174,6 +169,8 @@ class HapticNode(DeviceNode):
         if control.command == "arm":
             if self._switch_pressed:
                 raise RefusedError("not armed: the device itself reports an emergency stop")
+            if self._memory.estop_requested:
+                raise RefusedError("not armed: an emergency stop came in this period of the device")
             self._memory.arm_requested = True
             return "armed: the motor follows fresh commands"
         if control.command == "set" and "operator" in control.parameters:

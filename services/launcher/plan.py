@@ -28,13 +28,7 @@ from services.afm_node.devices.capabilities import refusal
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings, changes_text
 from services.runtime.bus.address_book import AddressBook, load_site
-from services.runtime.settings.config import (
-    Settings,
-    environment_overrides,
-    flag_overrides,
-    merge,
-    validate,
-)
+from services.runtime.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
 from services.runtime.settings.option import Option
 from services.runtime.settings.scenario import LoadedScenario, Scenario, scenario_document
 from services.runtime.wiring.main import node_kind

@@ -29,12 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.physics.contact.electrostatic import electrostatic_force_n
-from services.afm_node.physics.contact.force_grid import (
-    Passages,
-    grid_force,
-    grid_slopes,
-    passed,
-)
+from services.afm_node.physics.contact.force_grid import Passages, grid_force, grid_slopes, passed
 from services.afm_node.physics.dynamic_plant import FAR_STEPS, KICKS_PER_PERIOD, DynamicPlant, Viscosity
 from services.numerics.compiled import always_compiled, compiled
 

@@ -10,11 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.afm_node.physics.cantilever import Plant
-from services.afm_node.physics.contact.force_grid import (
-    ForceGrid,
-    Passages,
-    build_force_grid,
-)
+from services.afm_node.physics.contact.force_grid import ForceGrid, Passages, build_force_grid
 
 BOLTZMANN_J_PER_K = 1.380649e-23
 # draws of thermal noise in a period, and the standard normal numbers that they take

@@ -16,14 +16,7 @@ from services.haptic_node.devices import wire
 from services.haptic_node.devices.calibration import HandleCalibration
 from services.haptic_node.devices.port import OpenPort, Port, SerialPort
 from services.haptic_node.devices.sample_clock import RecentMinimum, SampleClock
-from services.haptic_node.driver import (
-    Capabilities,
-    DeviceError,
-    DeviceReading,
-    DeviceReport,
-    DriveCommand,
-    Status,
-)
+from services.haptic_node.driver import Capabilities, DeviceError, DeviceReading, DeviceReport, DriveCommand, Status
 from services.haptic_node.safety import MODE_FORCE, MODE_NAMES, MODE_OFF, MODE_POSITION
 
 _MS = 1_000_000
