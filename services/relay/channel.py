@@ -11,6 +11,7 @@ import contextlib
 import os
 import socket
 import struct
+from collections.abc import Callable
 from typing import Any
 
 from services.runtime.relay.protocol import (
@@ -112,14 +113,17 @@ async def dial(host: str, port: int, own: KeyPair, relay_public: bytes, request:
     return channel
 
 
-async def meet(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, own: KeyPair) -> tuple[bytes, Channel]:
+async def meet(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, own: KeyPair, refuse: Callable[[bytes], None]
+) -> tuple[bytes, Channel]:
     """Challenge whoever has connected to this relay; return the public key that is claimed, and the channel.
 
-    The first frame that is received proves the key.
+    The first frame that is received proves the key. `refuse` raises RejectedError for a key that is not worth a proof.
     """
     challenge = os.urandom(CHALLENGE_BYTES)
     writer.write(MAGIC + challenge)
     public = await reader.readexactly(PUBLIC_BYTES)
+    refuse(public)
     return public, Channel(reader, writer, SharedKeys(own, public, TO_RELAY), challenge, is_relay=True)
 
 

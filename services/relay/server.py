@@ -24,7 +24,8 @@ DEFAULT_PORT = 5750
 # Strangers: connections that have not shown a key yet, in all and from one address. A class of ten rigs behind one
 # address makes some 500 connections when it begins.
 _MOST_STRANGERS, _MOST_FROM_ADDRESS = 1024, 512
-# Connections of one address that show no listed key: a burst and so many a second. A listed key gives its one back.
+# Connections of one address that show no listed key: a burst and so many a second. A listed key gives its one back, and
+# beyond that a connection has to claim one before its proof is looked at.
 _BURST, _PER_S = 600.0, 20.0
 # What is refused to one address or key for one reason is logged so often at the most [s].
 _REMIND_S = 60.0
@@ -128,22 +129,19 @@ class Relay:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         address = str((writer.get_extra_info("peername") or ("gone",))[0])
-        if not self._admit(address):
-            text = f"connections from {address} are refused: too many of them have shown no key that is listed here"
-            self.refused["flood"] += 1
-            self._tell("flood", address, text)
-            abort(writer)
-            return
+        is_calm = self._admit(writer, address)
         tend(writer)
         channel = None
         try:
-            self._strangers[writer] = address
             async with asyncio.timeout(HELLO_S):
-                key, name, channel, request = await self._identify(reader, writer, address)
+                key, name, channel, request = await self._identify(reader, writer, address, is_calm=is_calm)
             self._open[channel] = key
             await self._answer(Site(name, key, channel, frozenset()), request)
         except RejectedError as error:
             self.refused[error.cause] += 1
+            if error.cause == "flood":
+                text = f"connections from {address} are refused: too many of them have shown no key that is listed here"
+                self._tell("flood", address, text)
         except Gone:
             self.refused["handshake"] += channel is None
         finally:
@@ -152,19 +150,19 @@ class Relay:
                 self._open.pop(channel, None)
             abort(writer)
 
-    def _admit(self, address: str) -> bool:
-        """Return whether one more connection of an address is looked at; the oldest stranger gives way to it."""
+    def _admit(self, writer: asyncio.StreamWriter, address: str) -> bool:
+        """Add a stranger, to whom the oldest gives way; return whether its address has not had too many of them."""
         now_s = asyncio.get_running_loop().time()
         if len(self._arrivals) >= _MOST_ADDRESSES:
             self._arrivals.clear()
-        admitted = self._arrivals.setdefault(address, Budget(_PER_S, _BURST, now_s)).take(1.0, now_s)
         crowd = [writer for writer, found in self._strangers.items() if found == address]
         if len(crowd) < _MOST_FROM_ADDRESS:
             crowd = list(self._strangers) if len(self._strangers) >= _MOST_STRANGERS else []
-        for oldest in crowd[:1] if admitted else ():
+        for oldest in crowd[:1]:
             del self._strangers[oldest]
             abort(oldest)
-        return admitted
+        self._strangers[writer] = address
+        return self._arrivals.setdefault(address, Budget(_PER_S, _BURST, now_s)).take(1.0, now_s)
 
     def _tell(self, reason: str, who: str, text: str) -> None:
         """Log a refusal, with how many there were for that reason so far, unless it was logged lately."""
@@ -176,9 +174,13 @@ class Relay:
             self._log.warning(f"{text} ({reason}, {self.refused[reason]} in all)")
 
     async def _identify(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str, *, is_calm: bool
     ) -> tuple[str, str, Channel, dict[str, Any]]:
-        public, channel = await meet(reader, writer, self.own)
+        def refuse(public: bytes) -> None:
+            if not is_calm and self._authorize(key_text(public))[1]:
+                raise RejectedError("flood")
+
+        public, channel = await meet(reader, writer, self.own, refuse)
         request = await channel.receive()
         name, reason = self._authorize(key_text(public))
         if reason:
@@ -188,7 +190,7 @@ class Relay:
             raise RejectedError(reason)
         # A key that is listed gives its place among the strangers of its address back.
         self._strangers.pop(writer, None)
-        if (arrivals := self._arrivals.get(address)) is not None:
+        if is_calm and (arrivals := self._arrivals.get(address)) is not None:
             arrivals.take(-1.0, asyncio.get_running_loop().time())
         return public.hex(), name, channel, request
 

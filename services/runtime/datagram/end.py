@@ -53,6 +53,9 @@ _REPORT_NS = 500_000_000
 # Due work waits for so long for a turn in which nothing has arrived; a node that is asked in every turn has many of
 # those.
 _PUT_OFF_NS = 20_000_000
+# A process that took no turn for the first time stood still. What waited for it says nothing of the line until it has
+# taken all of that, for the second time at most: one that is slower is a queue itself.
+_STOOD_STILL_NS, _BEHIND_NS = 2 * _MAINTAIN_NS, 2_000_000_000
 # After so long without an acknowledgement only a few datagrams are sent, to find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
 # The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
@@ -142,6 +145,7 @@ class DatagramEnd:
         self._recent_place = 0
         # The newest datagram that arrived: its own time of sending, and when it came.
         self._heard = (0, 0)
+        self._turned_ns, self._behind_until_ns = now, 0
         self._sent_ns = now
         self._acknowledged_ns = now - 2 * _UNHEARD_NS
         self._expected = 0
@@ -226,8 +230,13 @@ class DatagramEnd:
         """Return the messages of the datagrams that have arrived, judged as the subscriber judges its own."""
         found: list[Received] = []
         now = self._clock.monotonic_ns()
+        if now - self._turned_ns > _STOOD_STILL_NS:
+            self._behind_until_ns = now + _BEHIND_NS
+        self._turned_ns = now
         if signalled or not self.drained:
             waiting = self._take()
+            if self.drained:
+                self._behind_until_ns = 0
             if waiting and self._play_out is None:
                 found = self.subscriber.take(waiting)
         if self._held and now >= self._held[0][0]:
@@ -316,6 +325,7 @@ class DatagramEnd:
         """Note what an authentic datagram of a size [bytes] tells beside its samples."""
         report = body.report
         monotonic_ns = now_ns - self._clock.epoch_offset_ns
+        is_behind = monotonic_ns < self._behind_until_ns or monotonic_ns - self._turned_ns > _STOOD_STILL_NS
         self._reception.record(monotonic_ns, self.incoming.capacity)
         if opener is not self._agreement.opener:
             return
@@ -327,13 +337,13 @@ class DatagramEnd:
             self.incoming.carried_while_full = body.carried
         if number == opener.window.newest:
             self._agreement.opened(opener)
-            self._heard = (report.sent_ns, now_ns)
+            self._heard = self._heard if is_behind else (report.sent_ns, now_ns)
             if self._relay is None and (self._peer is None or address[:2] != self._peer[:2]):
                 self._follow(address)
             if report.heard_sent_ns and report.expected != self._expected:
                 self._expected, self._acknowledged_ns = report.expected, monotonic_ns
                 self._acknowledged_counts = (report.expected, report.arrived)
-        if report.heard_sent_ns:
+        if report.heard_sent_ns and not is_behind:
             exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
             self.outgoing.record_heard(exchange, report)
             self.offset.record(exchange)

@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import math
+import os
+from collections import deque
 from collections.abc import AsyncIterator, Callable
 from datetime import date
 from pathlib import Path
@@ -20,7 +22,7 @@ from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.loop.log import StructuredLog
-from services.runtime.relay.protocol import raw_key
+from services.runtime.relay.protocol import PUBLIC_BYTES, raw_key
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.sealed import RejectedError
 from telenano.doctor.relay import check_relay
@@ -197,15 +199,56 @@ def test_a_node_of_the_other_site_is_reached_though_both_only_dial(tmp_path: Pat
     asyncio.run(run())
 
 
-def test_ten_rigs_behind_one_address_are_joined_without_a_refusal(tmp_path: Path) -> None:
+class Flood:
+    """Strangers of the same address that connect without end, 200 at a time: silent ones, and some that claim a key."""
+
+    def __init__(self, port: int) -> None:
+        self.count = 0
+        self._task = asyncio.create_task(self._run(port))
+
+    async def _run(self, port: int) -> None:
+        opened: deque[asyncio.StreamWriter] = deque()
+        try:
+            while True:
+                _, writer = await asyncio.open_connection(HOST, port)
+                if self.count % 2:
+                    writer.write(os.urandom(PUBLIC_BYTES))
+                self.count += 1
+                opened.append(writer)
+                if len(opened) > 200:
+                    opened.popleft().transport.abort()
+        finally:
+            for writer in opened:
+                writer.transport.abort()
+
+    async def end(self) -> None:
+        assert not self._task.done()
+        self._task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._task
+
+
+@pytest.mark.parametrize("flooded", [False, True], ids=["alone", "among strangers"])
+def test_ten_rigs_behind_one_address_are_joined_without_a_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flooded: bool
+) -> None:
     # Each has 25 connections, as a rig with a page has, and each is two at the relay, which refuses none of them. One
     # that this process serves too late, as it is all of the rigs, is tried again.
+    if flooded:
+        # The strangers have used up what their address may before the first rig comes.
+        monkeypatch.setattr(server, "_BURST", 5.0)
+        monkeypatch.setattr(server, "_PER_S", 1.0)
+
     async def run() -> None:
         async with contextlib.AsyncExitStack() as stack:
             rigs = [await stack.enter_async_context(bench(tmp_path / "rig0"))]
             for number in range(1, 10):
                 rigs.append(await stack.enter_async_context(bench(tmp_path / f"rig{number}", rigs[0])))
             relay = await rigs[0].start_relay()
+            if flooded:
+                flood = Flood(rigs[0].port)
+                stack.push_async_callback(flood.end)
+                await until(lambda: relay.refused["flood"] > 5)
             for rig in rigs:
                 rig.relay = relay
             await asyncio.gather(*(rig.together() for rig in rigs))
@@ -224,7 +267,8 @@ def test_ten_rigs_behind_one_address_are_joined_without_a_refusal(tmp_path: Path
             ]
             await asyncio.gather(*said)
             # a handshake that this process had no time for is no limit of the relay
-            assert {reason for reason, count in relay.refused.items() if count} <= {"handshake"}
+            strangers = {"flood", "unlisted", "malformed"} if flooded else set()
+            assert {reason for reason, count in relay.refused.items() if count} <= {"handshake", *strangers}
 
     asyncio.run(run())
 
@@ -235,17 +279,23 @@ def test_a_refusal_is_logged_at_both_ends_once(
     monkeypatch.setattr(server, "_BURST", 2.0)
     monkeypatch.setattr(server, "_PER_S", 0.01)
 
+    async def pushed_out(*_: Any, **__: Any) -> None:
+        raise RejectedError("flood")
+
     async def run() -> None:
         async with bench(tmp_path) as rig:
             await rig.together()
-            strangers = [await asyncio.open_connection(HOST, rig.port) for _ in range(4)]
+            flood = Flood(rig.port)
+            await until(lambda: rig.relay.refused["flood"] > 2)
+            await flood.end()
+            # so many of them that a site has not said who it is before it has to give way
+            monkeypatch.setattr(rig.relay, "_identify", pushed_out)
+            before = rig.relay.refused["flood"]
             async with echo(HOST, rig.afm_port):
                 for _ in range(3):
                     waiting = asyncio.create_task(echoed("127.77.0.2", rig.afm_port, b"hello"))
-                    await until(lambda: rig.relay.refused["flood"] > 2)
+                    await until(lambda: rig.relay.refused["flood"] > before + 2)
                     waiting.cancel()
-            for _, writer in strangers:
-                writer.close()
 
     asyncio.run(run())
     told = caplog.text
@@ -442,7 +492,7 @@ def test_strangers_are_few_and_the_oldest_gives_way(tmp_path: Path, monkeypatch:
     asyncio.run(run())
 
 
-def test_who_is_silent_is_let_go_and_connections_that_come_too_fast_are_refused(
+def test_who_is_silent_is_let_go_and_who_comes_too_fast_has_to_claim_a_listed_key(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "HELLO_S", 0.5)
@@ -453,13 +503,20 @@ def test_who_is_silent_is_let_go_and_connections_that_come_too_fast_are_refused(
         async with bench(tmp_path) as rig:
             relay = await rig.start_relay()
             opened = [await asyncio.open_connection(HOST, rig.port) for _ in range(10)]
-            await until(lambda: relay.refused["flood"] == 6)
             greeted = [await asyncio.wait_for(_all_of(reader), PATIENCE_S) for reader, _ in opened]
-            # four were greeted and let go after their time, the others at once
-            assert sorted(map(len, greeted)) == [0] * 6 + [24] * 4
+            assert list(map(len, greeted)) == [24] * 10
             for _, writer in opened:
                 writer.close()
-            await until(lambda: relay.refused["handshake"] == 4)
+            await until(lambda: relay.refused["handshake"] == 10)
+            # A stranger with a key is not answered, and a site is; who claims its key has to prove that all the same.
+            with pytest.raises(Gone):
+                await rig.said_to("stranger", want="look")
+            assert (await rig.said_to("slave", want="look"))["ok"]
+            reader, writer = await asyncio.open_connection(HOST, rig.port)
+            writer.write(raw_key(rig.keys["slave"]) + b"\x00\x20" + bytes(32))
+            assert len(await asyncio.wait_for(_all_of(reader), PATIENCE_S)) == 24
+            writer.close()
+            assert +relay.refused == {"handshake": 10, "flood": 1, "forged": 1}
 
     asyncio.run(run())
 

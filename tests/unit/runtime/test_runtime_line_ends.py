@@ -138,31 +138,44 @@ def test_a_report_has_the_state_of_the_line(ends: Pair) -> None:
         assert report.limit_bit_per_s == 6_000_000
 
 
-@pytest.mark.parametrize("each_ms", [64, 4, pytest.param(2, marks=pytest.mark.endurance)])
-def test_an_end_that_stood_still_and_catches_up_is_not_taken_for_a_full_line(
-    ends: Pair, monkeypatch: pytest.MonkeyPatch, each_ms: int
-) -> None:
+def after_standing_still(ends: Pair, monkeypatch: pytest.MonkeyPatch, still_ms: int, each_ms: int) -> Outgoing:
+    """Let the slave's end stand still, then take so many datagrams a millisecond; return what it is sent."""
     ends.joined()
     monkeypatch.setattr(datagram_bench, "STEP_NS", MS)
-    ends.turns(1500)
-    # What waited is taken so many datagrams a millisecond: in 8, 170 and 500 ms.
+    ends.turns(500)
     monkeypatch.setattr(end, "_BATCH", each_ms)
-    master, outgoing = ends.master, ends.master.end.outgoing
-    taken = ends.slave.end.arrivals.arrived
-    for _ in range(500):
+    master, taken = ends.master, ends.slave.end.arrivals.arrived
+    for _ in range(still_ms):
         for side in ends.sides:
             side.clock.advance_ns(MS)
         master.send()
         master.take()
     assert ends.slave.end.arrivals.arrived == taken
-    # An end that needs half a second for half a second looks like a line for a while; the rate is back 3 s later.
-    ends.turns(1500 if each_ms > 2 else 3600)
-    if each_ms > 2:
-        assert (outgoing.control.mode, outgoing.unsent) == ("free", 0)
-    before = outgoing.unsent
-    ends.turns(300)
-    assert outgoing.unsent == before
-    assert ends.slave.seqs[-1] == master.seq - 1
+    return master.end.outgoing
+
+
+@pytest.mark.parametrize(("each_ms", "still_ms"), [(64, 2000), (4, 500), (2, 200), (2, 500), (2, 2000)])
+def test_an_end_that_stood_still_and_catches_up_is_not_taken_for_a_full_line(
+    ends: Pair, monkeypatch: pytest.MonkeyPatch, each_ms: int, still_ms: int
+) -> None:
+    after_standing_still(ends, monkeypatch, still_ms, each_ms)
+    # What waited is taken within as long as the end stood still, or as it was sent anything: a second.
+    ends.turns(1500)
+    for side in ends.sides:
+        assert (side.end.outgoing.control.mode, side.end.outgoing.unsent) == ("free", 0)
+    assert ends.slave.seqs[-1] == ends.master.seq - 1
+    queue_s = [report.queue_s for topic, report in ends.slave.outlet.sent if topic == "link/network"]
+    assert max(found for found in queue_s if found is not None) < 1e-3
+
+
+def test_an_end_that_does_not_catch_up_is_sent_less(ends: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    outgoing = after_standing_still(ends, monkeypatch, 500, 1)
+    ends.turns(1800)
+    assert outgoing.unsent == 0
+    # It takes no more than comes, so that what waited would wait for ever.
+    ends.turns(3000)
+    assert outgoing.unsent > 500
+    assert ends.slave.seqs[-1] > ends.master.seq - 100
 
 
 def test_a_train_measures_what_the_line_carries_though_the_process_stood_still_for_a_moment() -> None:
