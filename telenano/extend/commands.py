@@ -3,7 +3,7 @@
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError, TelenanoError
 from services.runtime.settings.config import flag_overrides
-from telenano.cli.commands.device_files import run_ahead, section_of
+from telenano.cli.commands.device_files import run_ahead, section_of, write_document
 from telenano.cli.options import DurationOption, JsonOption, SiteFileOption, command_group
 from telenano.cli.output import print_document, print_json, report_errors
 from telenano.cli.progress import progress
@@ -23,4 +23,5 @@ __all__ = [
     "report_errors",
     "run_ahead",
     "section_of",
+    "write_document",
 ]

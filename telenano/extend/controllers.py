@@ -1,25 +1,17 @@
-"""What stands in the place of an AFM controller, and in front of one: an emulated instrument, a server, a guard."""
+"""What stands behind an emulated AFM controller: a simulated instrument, and converters in front of it."""
 
 import logging
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from services.afm_node.devices.request_server import Pushed, serve_requests
-from services.afm_node.devices.retract_guard import Guarded, RetractGuard, SilenceJudge
 from services.afm_node.driver import AfmDriver
 from telenano.cli.commands.device_files import section_of, write_document
 
 __all__ = [
-    "Guarded",
-    "Pushed",
-    "RetractGuard",
-    "SilenceJudge",
     "SimulatedAfm",
-    "serve_requests",
     "simulated_afm",
     "t7_in_front_of",
-    "write_document",
 ]
 
 

@@ -13,8 +13,7 @@ import yaml
 from stack_rig import ROOT
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient
-
-from services.afm_node.devices.request_answer import Incoming
+from telenano_afm_controllers.request_answer import Incoming
 
 PATIENCE_S = 60.0
 

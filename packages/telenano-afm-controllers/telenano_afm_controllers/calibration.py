@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from telenano.extend.instruments import ControllerCalibration
+from telenano_afm_controllers.piezo_calibration import ControllerCalibration
 
 
 class GwyscopeCalibration(ControllerCalibration):

@@ -41,8 +41,9 @@ def simulate_gwyscope(
 ) -> None:
     """Serve an emulated Gwyscope with stage and cantilever behind it. Ctrl-C ends it, with z at 0."""
     with report_errors(as_json=False, interrupted="the emulated Gwyscope has ended, with z at 0"):
-        from telenano.extend.controllers import serve_requests, simulated_afm
+        from telenano.extend.controllers import simulated_afm
         from telenano_afm_controllers import gwyscope_model, gwyscope_wire
+        from telenano_afm_controllers.request_server import serve_requests
 
         afm = simulated_afm(scenario)
         model = gwyscope_model.GwyscopeModel(afm.driver, tick_s=tick, noise_v=noise, now_ns=time.monotonic_ns())
@@ -79,8 +80,9 @@ def simulate_nanonis(
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
-        from telenano.extend.controllers import Pushed, serve_requests, simulated_afm, t7_in_front_of
+        from telenano.extend.controllers import simulated_afm, t7_in_front_of
         from telenano_afm_controllers import nanonis_model, nanonis_wire
+        from telenano_afm_controllers.request_server import Pushed, serve_requests
 
         afm = simulated_afm(scenario)
         model = nanonis_model.NanonisModel(afm.driver, tap_s=tap, now_ns=time.monotonic_ns())
@@ -207,7 +209,7 @@ def guard_gwyscope(
 
 
 def _guard(guarded: Any, controller: str, listen: tuple[str, int]) -> None:
-    from telenano.extend.controllers import RetractGuard
+    from telenano_afm_controllers.retract_guard import RetractGuard
 
     name, _, number = controller.rpartition(":")
     if not (name and number.isdigit() and 0 < int(number) < 65536):
@@ -232,6 +234,6 @@ def _write_fitting(
     path: Path | None, calibration_of: Callable[..., dict[str, object]], afm: "SimulatedAfm", host: str, port: int
 ) -> None:
     if path is not None:
-        from telenano.extend.controllers import write_document
+        from telenano.extend.commands import write_document
 
         write_document(path, calibration_of(afm.volts_per_m, afm.stiffness_n_per_m, host, port))

@@ -13,9 +13,11 @@ from itertools import pairwise
 from typing import Any
 
 from telenano.extend.devices import AfmLimits
-from telenano.extend.instruments import DeviceError, RequestDriver, Talk
+from telenano.extend.instruments import DeviceError
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration
+from telenano_afm_controllers.request_answer import Talk
+from telenano_afm_controllers.request_driver import RequestDriver
 
 GUARD_QUESTION = "telenano_guard"
 _BUSY = ("scanning_line", "scanning_adaptive", "scanning_script", "ramp_running")

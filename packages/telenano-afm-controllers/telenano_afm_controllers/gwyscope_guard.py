@@ -2,10 +2,10 @@
 
 import math
 
-from telenano.extend.instruments import WireError
 from telenano_afm_controllers import gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration
 from telenano_afm_controllers.gwyscope_driver import GUARD_QUESTION
+from telenano_afm_controllers.request_answer import WireError
 
 # requests that only ask or set up, and leave the tip where it is
 _STILL = ("read", "get", "stop", "set_scan", "set_standby_storage", "get_scan_ndata", "get_scan_data", "get_out")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from telenano.extend.instruments import LARGEST_BYTES, WireError
+from telenano_afm_controllers.request_answer import LARGEST_BYTES, WireError
 
 _NAME = b"GS\0"
 _SIZE = struct.Struct("<I")

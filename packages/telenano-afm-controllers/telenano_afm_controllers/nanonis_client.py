@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.instruments import DeviceError, Incoming, WireError
+from telenano.extend.instruments import DeviceError
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
+from telenano_afm_controllers.request_answer import Incoming, WireError
 
 _READ_BYTES = 65536
 _Z_SIGNAL = "Z (m)"

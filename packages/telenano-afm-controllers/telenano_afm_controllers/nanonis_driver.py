@@ -16,20 +16,12 @@ from typing import Any
 import numpy as np
 
 from telenano.extend.devices import AfmLimits
-from telenano.extend.instruments import (
-    LARGEST_BYTES,
-    DeviceError,
-    Incoming,
-    Line,
-    OwnImage,
-    OwnLine,
-    RequestDriver,
-    Talk,
-    WireError,
-)
+from telenano.extend.instruments import DeviceError, Line, OwnImage, OwnLine
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.calibration import NanonisCalibration
 from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
+from telenano_afm_controllers.request_answer import LARGEST_BYTES, Incoming, Talk, WireError
+from telenano_afm_controllers.request_driver import RequestDriver
 
 GUARD_COMMAND = "Telenano.Guard"
 _Z_SIGNAL, _X_SIGNAL, _Y_SIGNAL = "Z (m)", "X (m)", "Y (m)"

@@ -2,10 +2,10 @@
 
 import math
 
-from telenano.extend.instruments import WireError
 from telenano_afm_controllers import nanonis_wire
 from telenano_afm_controllers.calibration import NanonisCalibration
 from telenano_afm_controllers.nanonis_driver import GUARD_COMMAND
+from telenano_afm_controllers.request_answer import WireError
 
 # commands that only set up, and leave the tip where it is
 _STILL = ("SafeTip.", "FolMe.", "Util.", "TCPLog.", "ZCtrl.Limits", "ZCtrl.TipLift", "ZCtrl.SwitchOff", "Scan.Speed")

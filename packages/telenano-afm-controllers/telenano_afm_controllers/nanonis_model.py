@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from telenano.extend.devices import AfmDriver, AfmSample
-from telenano.extend.instruments import WireError
 from telenano_afm_controllers import nanonis_wire
+from telenano_afm_controllers.request_answer import WireError
 
 PORTS = (6501, 6502, 6503, 6504)
 LOG_PORT = 6590

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.extend.instruments import LARGEST_BYTES, WireError
+from telenano_afm_controllers.request_answer import LARGEST_BYTES, WireError
 
 HEADER = struct.Struct(">32siHH")
 _ERROR = struct.Struct(">Ii")

@@ -1,15 +1,11 @@
 """Calibration of an AFM controller that takes its z piezo in metres; that of a driver adds to it what it needs."""
 
-from pathlib import Path
-from typing import Literal, Self, TypeVar
+from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field, model_validator
 
-from services.afm_node.devices.converter_calibration import CantileverCalibration, Readings
-from services.afm_node.felt import ChannelName
-from services.afm_node.physics.part import AfmSample
-from services.afm_node.safety import SafetyParams
-from services.runtime.settings.config import Settings, read_yaml, validate
+from telenano.extend.devices import AfmLimits, AfmSample, Settings
+from telenano.extend.instruments import CantileverCalibration, ChannelName, Readings
 
 _REACH_M = 1e-3
 
@@ -150,7 +146,7 @@ class ControllerCalibration(Settings):
         sample = AfmSample(self.base_m(z_m), zeta, force, value, 0.0, False, contact, False)
         return Readings(sample, abs(value) < self.deflection.limit)
 
-    def check(self, limits: SafetyParams) -> list[str]:
+    def check(self, limits: AfmLimits) -> list[str]:
         """Return what does not fit between this file and the limits of the node; empty if all does."""
         faults = []
         for name, position_m in (("base_min_m", limits.base_min_m), ("base_max_m", limits.base_max_m)):
@@ -166,11 +162,3 @@ class ControllerCalibration(Settings):
                 f" sample than safety.retract_position_m = {limits.retract_position_m} m"
             )
         return faults
-
-
-C = TypeVar("C", bound=ControllerCalibration)
-
-
-def read_controller(path: Path, model: type[C]) -> C:
-    """Read the calibration file of a controller; ConfigError names file and key, and a file of another controller."""
-    return validate(model, read_yaml(path), str(path))

@@ -9,13 +9,10 @@ from abc import abstractmethod
 from collections import deque
 from typing import Any, TypeVar
 
-from services.afm_node.devices import modbus_line
-from services.afm_node.devices.modbus_line import Line
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
-from services.afm_node.devices.request_answer import Cut, Incoming, Talk
-from services.afm_node.devices.tcp_driver import STALE_CYCLES, TcpDriver
-from services.afm_node.driver import DeviceError, DeviceReport
-from services.afm_node.safety import SafetyParams
+from telenano.extend.devices import AfmLimits, AfmReport
+from telenano.extend.instruments import STALE_CYCLES, DeviceError, Line, TcpDriver, modbus_line
+from telenano_afm_controllers.piezo_calibration import ControllerCalibration
+from telenano_afm_controllers.request_answer import Cut, Incoming, Talk
 
 _MS = 1_000_000
 
@@ -45,7 +42,7 @@ class RequestDriver(TcpDriver[K]):
     def __init__(
         self,
         calibration: K,
-        limits: SafetyParams,
+        limits: AfmLimits,
         cut: Cut,
         model: str,
         *,
@@ -198,10 +195,10 @@ class RequestDriver(TcpDriver[K]):
     def _judge(self, now_ns: int) -> None:
         age_s = self._age_s(now_ns)
         if not self._ready:
-            self._report = DeviceReport("lost", age_s, True, self._text)
+            self._report = AfmReport("lost", age_s, True, self._text)
             return
         is_fresh = age_s <= STALE_CYCLES * (self.tick_s + 2.0 * self._period_s)
         sample, in_range = self._readings
-        self._report = DeviceReport(
+        self._report = AfmReport(
             "ok" if is_fresh else "stale", age_s, in_range, self._text, input_v=sample.bridge_voltage_v
         )

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from services.afm_node.devices.request_answer import Cut, Incoming, WireError
+from telenano_afm_controllers.request_answer import Cut, Incoming, WireError
 
 _WATCH_S = 0.001
 _READ_BYTES = 65536

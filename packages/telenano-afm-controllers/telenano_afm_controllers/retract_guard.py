@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from services.afm_node.devices.request_answer import Incoming, WireError
+from telenano_afm_controllers.request_answer import Incoming, WireError
 
 _POLL_S = 0.002
 _RETRY_NS = 200_000_000

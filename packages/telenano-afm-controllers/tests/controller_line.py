@@ -9,8 +9,8 @@ from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from telenano_afm_controllers.nanonis_guard import GuardedNanonis
+from telenano_afm_controllers.retract_guard import SilenceJudge
 
-from telenano.extend.controllers import SilenceJudge
 from telenano.extend.testing import afm_config, afm_node, instrument_of, merge, validate
 
 MS = 1_000_000

@@ -15,17 +15,12 @@ from controller_line import MS, PARAMS, ControllerRig, Gwyscope
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
+from telenano_afm_controllers.piezo_calibration import ControllerCalibration
+from telenano_afm_controllers.request_answer import Incoming, WireError
+from telenano_afm_controllers.retract_guard import SilenceJudge
 
 from telenano.extend.commands import ConfigError
-from telenano.extend.controllers import SilenceJudge
-from telenano.extend.instruments import (
-    ControllerCalibration,
-    DeviceError,
-    Incoming,
-    WireError,
-    modbus_line,
-    read_controller,
-)
+from telenano.extend.instruments import DeviceError, modbus_line, read_controller
 from telenano.extend.testing import RefusedError, afm_config, afm_node, instrument_of
 
 NEAR_M = -70e-9

@@ -13,9 +13,10 @@ from controller_line import MS, PARAMS, ControllerRig, Gwyscope, Nanonis
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
+from telenano_afm_controllers.request_answer import Incoming, WireError
 
 from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import DeviceError, Incoming, WireError, modbus_line, refusal
+from telenano.extend.instruments import DeviceError, modbus_line, refusal
 from telenano.extend.testing import RefusedError, afm_node, instrument_of
 
 NEAR_M = -70e-9

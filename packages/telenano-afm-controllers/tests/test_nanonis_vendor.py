@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from telenano_afm_controllers import nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import NanonisClient, Raster, image
+from telenano_afm_controllers.request_server import Pushed, serve_requests
 
-from telenano.extend.controllers import Pushed, serve_requests
 from telenano.extend.instruments import DeviceError
 from telenano.extend.testing import afm_config, instrument_of
 

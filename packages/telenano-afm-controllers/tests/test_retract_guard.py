@@ -10,9 +10,9 @@ from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration
 from telenano_afm_controllers.gwyscope_driver import GUARD_QUESTION
 from telenano_afm_controllers.gwyscope_guard import GuardedGwyscope
+from telenano_afm_controllers.request_answer import Incoming
+from telenano_afm_controllers.retract_guard import RetractGuard
 
-from telenano.extend.controllers import RetractGuard
-from telenano.extend.instruments import Incoming
 from telenano.extend.testing import instrument_of
 
 PATIENCE_S = 30.0

@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 import yaml
 
-from telenano.extend.commands import ConfigError, command_group, report_errors
-from telenano.extend.controllers import write_document
+from telenano.extend.commands import ConfigError, command_group, report_errors, write_document
 from telenano_calibration.stage_command import calibrate_stage
 
 app = command_group()

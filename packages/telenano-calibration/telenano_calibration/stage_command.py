@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from telenano.extend.commands import ConfigError, report_errors
-from telenano.extend.controllers import write_document
+from telenano.extend.commands import ConfigError, report_errors, write_document
 
 _PERIOD_S = 1e-3
 

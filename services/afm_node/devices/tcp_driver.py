@@ -7,13 +7,12 @@ beginning. After that the base stays retracted until the guard of the node has i
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from proto.errors import cause
 from services.afm_node.devices import modbus_line
-from services.afm_node.devices.converter_calibration import InstrumentCalibration, Readings
+from services.afm_node.devices.converter_calibration import Readings
 from services.afm_node.devices.modbus_line import Connect, Line, TcpConnector, go_on_connecting
-from services.afm_node.devices.piezo_calibration import ControllerCalibration
 from services.afm_node.driver import DeviceError, DeviceReport
 from services.afm_node.physics.part import AfmSample
 from services.afm_node.safety import SafetyParams
@@ -21,7 +20,28 @@ from services.afm_node.safety import SafetyParams
 STALE_CYCLES = 3
 _CLOSE_S, _RECONNECT_S, _POLL_S = 0.1, 0.3, 1e-3
 
-C = TypeVar("C", bound=InstrumentCalibration | ControllerCalibration)
+
+class Address(Protocol):
+    """Where an instrument is reached."""
+
+    @property
+    def host(self) -> str: ...
+
+    @property
+    def port(self) -> int: ...
+
+
+class Calibration(Protocol):
+    """What a calibration has for every driver: where the instrument is, and what a recording names the file by."""
+
+    @property
+    def network(self) -> Address: ...
+
+    @property
+    def identity(self) -> str: ...
+
+
+C = TypeVar("C", bound=Calibration)
 
 
 class TcpDriver(ABC, Generic[C]):

@@ -25,9 +25,9 @@ PACKAGE = """
 from pathlib import Path
 from typing import Literal
 from telenano.extend.devices import DeviceDriver
-from telenano.extend.instruments import (
-    AfmCapabilities, ControllerCalibration, ControllerSettings, RequestDriver, read_controller
-)
+from telenano.extend.instruments import AfmCapabilities, ControllerSettings, read_controller
+from telenano_afm_controllers.piezo_calibration import ControllerCalibration
+from telenano_afm_controllers.request_driver import RequestDriver
 
 class Calibration(ControllerCalibration):
     controller: Literal["line_afm"]
@@ -70,7 +70,7 @@ from services.launcher.plan import UpRequest, make_plan
 from proto.errors import ConfigError
 from telenano.cli.root import app
 from telenano.doctor.devices import check_instrument
-from telenano.extend.controllers import serve_requests
+from telenano_afm_controllers.request_server import serve_requests
 
 assert "telenano_line_afm" not in sys.modules
 with socket.socket() as free:
