@@ -129,11 +129,19 @@ class RequestDriver(TcpDriver[K]):
             self._place = self._centre
 
     def check_z(self, z_m: float, asked_ns: int) -> None:
-        """Compare z with all that was sent since two ticks ago; DeviceError where somebody else has moved it."""
+        """Compare z with all that was sent since two ticks ago.
+
+        Raises:
+            DeviceError: Somebody else has moved it, or the driver has noted nothing that it sent.
+        """
         since_ns = asked_ns - round((2.0 * self.tick_s + 4.0 * self._period_s) * 1e9)
         while len(self._history) > 1 and self._history[1][0] < since_ns:
             self._history.popleft()
         sent, tolerance_m = [value_m for _, value_m in self._history], self.calibration.z.tolerance_m
+        if not sent:
+            raise DeviceError(
+                "compares z with what was sent, and notes none: its talk appends each z to `_history` first"
+            )
         if not min(sent) - tolerance_m <= z_m <= max(sent) + tolerance_m:
             raise DeviceError(
                 f"somebody else has moved the tip: z is {z_m:.6g} m, and {sent[-1]:.6g} m was sent; the tip is"

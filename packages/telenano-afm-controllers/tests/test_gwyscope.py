@@ -218,6 +218,14 @@ def test_an_image_by_the_node_is_that_of_the_sample_with_a_gain_that_the_latency
         assert np.corrcoef(found.height_m.to_numpy(), truth)[0, 1] > 0.9
 
 
+def test_a_driver_that_compares_z_and_notes_none_is_told_what_is_missing(line: Gwyscope) -> None:
+    # one that is ready has sent the z of the safe state, and noted it
+    line.driver.check_z(line.driver.calibration.z.retract_m, line.now_ns)
+    line.driver._history.clear()
+    with pytest.raises(DeviceError, match="notes none: its talk appends each z to `_history` first"):
+        line.driver.check_z(line.driver.calibration.z.retract_m, line.now_ns)
+
+
 def test_every_item_that_the_driver_sends_has_the_type_that_the_server_asserts(line: Gwyscope) -> None:
     """The model raises on a wrong one, as the server ends; and so it does for a number that is no float."""
     with pytest.raises(AssertionOfTheServerError, match="zpiezo is a int"):
