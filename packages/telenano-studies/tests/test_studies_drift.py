@@ -12,6 +12,7 @@ TIRED = (
 )
 
 
+@pytest.mark.check("compiles the closed loop of passivity on a spring")
 @pytest.mark.parametrize("round_trip_ms", [20.0, 120.0])
 def test_the_hand_of_passivity_does_not_walk(round_trip_ms: float) -> None:
     drift = drift_m(Cell(law="passivity", round_trip_ms=round_trip_ms, **SPRING))

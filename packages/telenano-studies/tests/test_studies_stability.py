@@ -348,6 +348,7 @@ def test_a_cluster_without_a_worker_is_said_to_have_none_and_waited_for(monkeypa
         ]
 
 
+@pytest.mark.check("compiles a study's closed loop over the sample")
 @pytest.mark.parametrize(("mode", "verdict"), [(MODE_HOLD, "stable"), (MODE_RETRACTING, "guarded")])
 def test_pause_in_the_commands_is_no_verdict_but_a_retraction_is(mode: int, verdict: str) -> None:
     cell = Cell(law="virtual_impedance", environment="contact", round_trip_ms=20.0, stiffness_n_per_m=40.0)

@@ -119,6 +119,7 @@ def test_a_particle_yields_to_more_than_this_load_and_carries_the_tip_below(load
         assert bool(max(c.apex_m for c in seen) > 450e-9) is not yields
 
 
+@pytest.mark.check("thousands of small steps of a push, or their compilation")
 @pytest.mark.parametrize(("radius_nm", "most_nn"), [(50, 207.24), (10, 19.319)])
 def test_a_tip_at_a_constant_height_pushes_with_this_force_at_most(radius_nm: float, most_nn: float) -> None:
     way = line(-3.0 * (radius_nm + 10e0) * 1e-9, 0.0, step=0.02e-9)

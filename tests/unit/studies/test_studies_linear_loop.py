@@ -96,6 +96,7 @@ def test_no_root_is_missed(law: str, round_trip_ms: float) -> None:
     assert zeros_inside(loop, -100.0, 40.0, 2.0 * math.pi * 16.0) == found
 
 
+@pytest.mark.check("compiles a study's closed loop on a spring")
 @pytest.mark.parametrize(("law", "round_trip_ms"), [("virtual_impedance", 40.0), ("virtual_impedance", 52.0)])
 def test_the_first_root_grows_as_the_laws_own_steps_do(law: str, round_trip_ms: float) -> None:
     cell = Cell(law=law, environment="spring", stiffness_n_per_m=20.0, round_trip_ms=round_trip_ms)

@@ -49,6 +49,7 @@ def test_fig12_is_stable_without_delay_and_at_50_ms_as_theory_has_it(law: str, e
     no_withdrawn_tip(late)
 
 
+@pytest.mark.check("compiles the closed loop of passivity over the sample")
 @pytest.mark.parametrize("round_trip_ms", [0.0, 20.0, 100.0])
 def test_passivity_needs_a_longer_first_hold_in_fig12_at_any_delay(round_trip_ms: float) -> None:
     """The damper of the base is in free motion as well, and the tip meets the sample late, whatever the link."""
