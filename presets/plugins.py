@@ -138,19 +138,24 @@ def _tried(row: Plugin, check: Callable[[str, Any], T | None], found: dict[str, 
         # What a package prints at its import is no part of what a command prints.
         with contextlib.redirect_stdout(sys.stderr):
             value = check(row.name, EntryPoint(row.name, row.target, f"telenano.{row.kind}").load())
-    except KeyboardInterrupt as error:
-        # A signal at a command has a class of its own; this one the package may have raised itself.
-        if type(error) is not KeyboardInterrupt:
-            raise
-        return "its import raises KeyboardInterrupt"
-    except SystemExit as error:
-        return f"its import ends the whole program (SystemExit: {error})"
     # The code of a package may raise anything, of which not all is an `Exception`.
     except BaseException as error:  # noqa: BLE001
-        return f"{type(error).__name__}: {error}"
+        return fault_of_import(error)
     if value is not None:
         found[row.name] = value
     return ""
+
+
+def fault_of_import(error: BaseException) -> str:
+    """Return in words what the import of a package raised; raise a signal at a command, which is none of it."""
+    if isinstance(error, SystemExit):
+        return f"its import ends the whole program (SystemExit: {error})"
+    if not isinstance(error, KeyboardInterrupt):
+        return f"{type(error).__name__}: {error}"
+    # A signal at a command has a class of its own; this one the package may have raised itself.
+    if type(error) is not KeyboardInterrupt:
+        raise error
+    return "its import raises KeyboardInterrupt"
 
 
 def all_installed() -> list[Plugin]:

@@ -16,7 +16,7 @@ import numpy as np
 from presets import plugins
 from presets.known_packages import KNOWN_PACKAGES
 from proto import TOPICS
-from proto.errors import ConfigError, ExistsError, RecordingError, probably_meant
+from proto.errors import ConfigError, ExistsError, RecordingError, TelenanoError, probably_meant
 from proto.extras import how_to_add_package, how_to_install
 from proto.messages import Record
 from recording.channel_filter import ALL, Selection
@@ -76,7 +76,7 @@ def _export(recording: Recording, target: Path, kind: str, selection: Selection)
     if kind == "mcap-json":
         return write_viewer_mcap(recording, target, selection, _as_json)
     if kind not in FORMATS:
-        return _of_package(kind)(recording, target, selection)
+        return _written_by_package(_of_package(kind), recording, target, kind, selection)
     if kind == "hdf5":
         h5py = _package("h5py", "hdf5")
         with whole_file(target, replace=False) as file:
@@ -238,6 +238,20 @@ def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]
         raise ConfigError(f"the format {kind} is in the package {package}: {how_to_add_package(package)}")
     known = (*FORMATS, *loaded.found)
     raise ConfigError(f"{kind!r} is no format{probably_meant(kind, known)}; known are {', '.join(known)}")
+
+
+def _written_by_package(write: Any, recording: Recording, target: Path, kind: str, selection: Selection) -> CopyResult:
+    package = plugins.installed("exports")[kind].package
+    try:
+        if isinstance(done := write(recording, target, selection), CopyResult):
+            return done
+        fault = f"the package {package} returned {type(done).__name__}, and must return a CopyResult"
+    except (TelenanoError, OSError):
+        raise
+    # The code of a package may raise anything.
+    except Exception as error:  # noqa: BLE001
+        fault = plugins.fault_of_package(error) or f"the package {package} failed: {type(error).__name__}: {error}"
+    raise RecordingError(f"{target}: is not exported as {kind}: {fault}; choose one of {', '.join(FORMATS)}")
 
 
 def write_viewer_mcap(

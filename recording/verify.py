@@ -281,12 +281,7 @@ class _Check:
             self._findings.append(Finding(check=check, level=level, file=path, channel=channel, text=text))
 
 
-def _between(
-    earlier: Recording,
-    later: Recording,
-    before: _Check,
-    after: _Check,
-) -> Iterator[Finding]:
+def _between(earlier: Recording, later: Recording, before: _Check, after: _Check) -> Iterator[Finding]:
     """Yield what is missing between two files, by the `seq` of the messages."""
     pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
     for channel, first in after.first.items():

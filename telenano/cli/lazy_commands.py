@@ -5,7 +5,7 @@ import gc
 import importlib
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Annotated, Any, NamedTuple
 
@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from presets import plugins
 from presets.known_packages import KNOWN_PACKAGES
-from proto.errors import probably_meant
+from proto.errors import ConfigError, probably_meant
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
 
@@ -22,16 +22,13 @@ from services.signals import interrupts
 _UsageError: Any = typer.BadParameter.__base__
 
 
-# A missing module of these is a fault of the installation, not a missing extra.
-_OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
-
-
 class LazyCommand(NamedTuple):
-    """Where a command or a group of them is defined, and its line in the list of commands."""
+    """Where a command or a group of them is defined, its line in the list of commands, and the entry that adds it."""
 
     module: str
     attribute: str
     about: str
+    entry: plugins.Plugin | None = None
 
 
 # The commands of telenano itself, each in the module of its name; groups are the `app` of theirs.
@@ -73,22 +70,10 @@ GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "graph", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
-    "Study": (
-        "experiment",
-        "study",
-        "benchmark",
-        "law",
-        "curve",
-        "scan",
-        "sample",
-        "particles",
-        "push",
-        "assemble",
-        "calibrate",
-        "reproduce",
-    ),
+    "Study": ("experiment", "study", "benchmark", "law", "curve", "scan", "sample", "particles", "push", "assemble",
+              "calibrate", "reproduce"),
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),
-}
+}  # fmt: skip
 
 
 @cache
@@ -99,15 +84,15 @@ def package_commands() -> dict[tuple[str, ...], LazyCommand]:
     """
     found: dict[tuple[str, ...], LazyCommand] = {}
 
-    def checked(_: str, rows: Any) -> Any:
-        new = {}
+    def checked(name: str, rows: Any) -> Any:
+        new, entry = {}, plugins.installed("commands")[name]
         for words, (target, about) in rows.items():
             path, (module, _, attribute) = tuple(words.split()), target.partition(":")
             if not path or not attribute:
                 raise ValueError(f"{words!r}: {target!r} is not words and module:function")
             if path in found or (path[0] in LAZY_COMMANDS and len(path) == 1):
                 raise ValueError(f"there is a command {words!r} already")
-            new[path] = LazyCommand(module, attribute, about)
+            new[path] = LazyCommand(module, attribute, about, entry)
         found.update(new)
         return rows
 
@@ -121,18 +106,34 @@ def load(name: str) -> Any:
 
 
 def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
-    """Import the command of a row; a group takes in those that packages have for it."""
+    """Import the command of a row; a group takes in those that packages have for it.
+
+    Raises:
+        ConfigError: The row of a package leads to no command.
+    """
     # What an import makes stays: looking through it for garbage, again and again, takes a sixth of its time.
     collects = gc.isenabled()
     gc.disable()
     try:
-        found = getattr(importlib.import_module(row.module), row.attribute)
+        return _made(name, getattr(importlib.import_module(row.module), row.attribute), row.about, path)
+    except BaseException as error:
+        entry, top = row.entry, row.module.partition(".")[0]
+        # Where a package of the project lacks a library, another sentence says how that is installed.
+        is_library = isinstance(error, ModuleNotFoundError) and (error.name or top).partition(".")[0] != top
+        if entry is None or (is_library and entry.package in KNOWN_PACKAGES.values()):
+            raise
+        text = f"{plugins.fault_of_import(error)}; {row.module}:{row.attribute} must be a function or a group of typer"
+        command = f"the command {' '.join(path)!r} of the package {entry.package} {entry.version}"
+        raise ConfigError(f"{command} cannot be used: {text} that can be imported") from error
     finally:
         if collects:
             gc.enable()
+
+
+def _made(name: str, found: Any, about: str, path: tuple[str, ...]) -> Any:
     if isinstance(found, typer.Typer):
         command: Any = typer.main.get_command(found)
-        command.help = command.help or row.about
+        command.help = command.help or about
         return _plain(command, path)
     alone = typer.Typer(
         add_completion=False,
@@ -224,7 +225,8 @@ class OpenGroup(TyperGroup):
             from proto.extras import how_to_add_package
 
             ctx.fail(f"the command {name!r} is in the package {package}: {how_to_add_package(package)}")
-        return ctx.fail(f"no such command {name!r}{probably_meant(name, self.list_commands(ctx))}")
+        near = probably_meant(name, self.list_commands(ctx))
+        return ctx.fail("; ".join([f"no such command {name!r}{near}", *plugins.known_problems()]))
 
 
 class LazyRoot(OpenGroup):
@@ -232,24 +234,17 @@ class LazyRoot(OpenGroup):
 
     own_rows = LAZY_COMMANDS
 
-    def main(
-        self,
-        args: Sequence[str] | None = None,
-        prog_name: str | None = None,
-        complete_var: str | None = None,
-        standalone_mode: bool = True,
-        windows_expand_args: bool = True,
-        **extra: Any,
-    ) -> Any:
+    def main(self, *args: Any, **extra: Any) -> Any:
         """Run a command and exit; a usage error, and what the system refuses, is a sentence as any other error is."""
-        as_json = "--json" in (sys.argv[1:] if args is None else args)
+        words, standalone = args[0] if args else extra.get("args"), extra.pop("standalone_mode", True)
+        as_json = "--json" in (sys.argv[1:] if words is None else words)
         try:
-            code = super().main(args, prog_name, complete_var, False, windows_expand_args, **extra)
-        except (_UsageError, OSError, ModuleNotFoundError, typer.Abort) as error:
-            if not standalone_mode or interrupts.received():
+            code = super().main(*args, **{**extra, "standalone_mode": False})
+        except Exception as error:
+            if not standalone or interrupts.received():
                 raise
             code = _report(error, as_json=as_json)
-        if not standalone_mode:
+        if not standalone:
             return code
         sys.exit(code if isinstance(code, int) else 0)
 
@@ -283,29 +278,33 @@ def _unknown_to_typer() -> Iterator[None]:
 
 
 def _report(error: Any, *, as_json: bool) -> int:
-    """Print what no command has reported; return the exit code."""
+    """Print what no command has reported; return the exit code. What is a fault of the core is raised again."""
     from proto.extras import how_to_add_package, missing
     from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.cli.output import print_error, system_error_text, usage_text
+    from telenano.shared_names import OWN
 
-    if isinstance(error, ModuleNotFoundError):
-        package = (error.name or "").partition(".")[0]
-        if not package or package in _OWN:
-            raise error
-        name = package.replace("_", "-")
+    code: int
+    code, text = EXIT_FAILED, plugins.fault_of_package(error)
+    if isinstance(error, _UsageError):
+        code = error.exit_code
+        if error.format_message().startswith("Usage:"):
+            # A group without a command shows its help.
+            error.show()
+            return code
+        text = usage_text(error)
+    elif isinstance(error, ConfigError):
+        code, text = EXIT_BAD_CONFIGURATION, str(error)
+    elif isinstance(error, typer.Abort):
+        text = "the input ended before the question was answered"
+    elif isinstance(error, OSError):
+        text = system_error_text(error)
+    # A missing module of the core is a fault of the installation, not a missing extra.
+    elif isinstance(error, ModuleNotFoundError) and (top := (error.name or "").partition(".")[0]) not in ("", *OWN):
+        name = top.replace("_", "-")
         own = f"{name} is not installed: {how_to_add_package(name)}" if name in KNOWN_PACKAGES.values() else ""
-        print_error(own or missing(package), as_json=as_json)
-        return EXIT_BAD_CONFIGURATION
-    if isinstance(error, typer.Abort):
-        print_error("the input ended before the question was answered", as_json=as_json)
-        return EXIT_FAILED
-    if isinstance(error, OSError):
-        print_error(system_error_text(error), as_json=as_json)
-        return EXIT_FAILED
-    code: int = error.exit_code
-    if error.format_message().startswith("Usage:"):
-        # A group without a command shows its help.
-        error.show()
-    else:
-        print_error(usage_text(error), as_json=as_json)
+        code, text = EXIT_BAD_CONFIGURATION, own or missing(top)
+    if not text:
+        raise error
+    print_error(text, as_json=as_json)
     return code

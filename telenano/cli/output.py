@@ -15,6 +15,7 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
+from presets.plugins import known_problems
 from proto.errors import (
     ConfigError,
     ExistsError,
@@ -102,7 +103,10 @@ def _suggested(message: str) -> str:
     ):
         return f"{near[1]}; did you mean {near[2] or near[3]}?"
     if choice := re.search(r"'([^']*)' is not one of ('.*')", message):
-        return message + probably_meant(choice[1], re.findall(r"'([^']*)'", choice[2]))
+        meant = probably_meant(choice[1], re.findall(r"'([^']*)'", choice[2]))
+        # What a package adds under this name may be what cannot be used.
+        unusable = (text for text in known_problems() if text.startswith(f"{choice[1]} of the package "))
+        return "; ".join([message + meant, *dict.fromkeys(unusable)])
     return message
 
 

@@ -4,13 +4,14 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import Field, create_model
+from pydantic import Field, create_model, field_validator
 
+from presets.plugins import refuse
 from proto.errors import ConfigError, RefusedError
 from proto.messages import Scalar
 from services.afm_node.driver import AfmDriver
 from services.afm_node.programs.program_settings import Position
-from services.afm_node.programs.table import CHANGES, PROGRAMS, refuse_unusable
+from services.afm_node.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
 from services.runtime.settings.config import Settings, changed_section, nested, validate
 
 _STIFFEST_N_PER_M = 1e9
@@ -58,6 +59,12 @@ class InstrumentRequest(_Programs):
 
     lateral: LateralTarget = Field(LateralTarget(), description="Where the tip is to be.")
 
+    @field_validator("program", mode="before")
+    @classmethod
+    def _usable_program(cls, name: Any) -> Any:
+        refuse(PACKAGE_PROGRAMS, name)
+        return name
+
     def settings_of(self, program: str) -> Any:
         """Return the section of a program."""
         return getattr(self, program)
@@ -70,7 +77,6 @@ def requested(parameters: Mapping[str, Scalar], others: Mapping[str, Scalar] | N
         parameters: The parameters by dotted key.
         others: Keys of the same command that are for something else.
     """
-    refuse_unusable(parameters.get("program"))
     try:
         request = validate(InstrumentRequest, nested(parameters, "session/control"), "session/control", "afm_node")
     except ConfigError as error:

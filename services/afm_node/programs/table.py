@@ -3,7 +3,6 @@
 from typing import Any
 
 from presets.plugins import load
-from proto.errors import RefusedError
 from services.afm_node.programs.curve import Curve
 from services.afm_node.programs.program import Program
 from services.afm_node.programs.push import Push
@@ -36,11 +35,5 @@ def _checked(name: str, value: Any) -> AnyProgram:
     return program
 
 
-_PACKAGES = load("programs", _checked, (*OWN_PROGRAMS, *CHANGES, *OTHER_KEYS))
-PROGRAMS: dict[str, AnyProgram] = {**OWN_PROGRAMS, **_PACKAGES.found}
-
-
-def refuse_unusable(name: Any) -> None:
-    """Raise RefusedError saying what is wrong with the program of a package, where it cannot be used."""
-    if isinstance(name, str) and name in _PACKAGES.problems:
-        raise RefusedError(f"program: {_PACKAGES.problems[name]}")
+PACKAGE_PROGRAMS = load("programs", _checked, (*OWN_PROGRAMS, *CHANGES, *OTHER_KEYS))
+PROGRAMS: dict[str, AnyProgram] = {**OWN_PROGRAMS, **PACKAGE_PROGRAMS.found}

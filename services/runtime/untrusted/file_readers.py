@@ -60,12 +60,14 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
         plugins.refuse(loaded, name)
         reader = loaded.found.get(name, FileReader())
         if function := getattr(reader, what):
+            package = plugins.installed("readers")[name].package
             try:
                 return read_in_child(function, path, *arguments, limits=reader.limits(path.stat().st_size))
             except ImportError as error:
-                package = plugins.installed("readers")[name].package
                 text = f"{path}: needs {error.name} to be read: install {package} with its dependencies"
                 raise ConfigError(text) from error
+            except ValueError as error:
+                raise ValueError(f"{error} (as the package {package} reads it)") from error
     package = KNOWN_PACKAGES["reader other"]
     found = plugins.load("readers", _checked).found
     known = [f".{name.replace('_', '-')}" for name, reader in found.items() if name != _OTHER and getattr(reader, what)]

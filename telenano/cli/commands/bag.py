@@ -17,14 +17,7 @@ from proto.errors import RecordingError, known_names
 from recording.channel_filter import Selection
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
-from telenano.cli.options import (
-    CountOption,
-    ExcludeOption,
-    JsonOption,
-    SiteFileOption,
-    TopicsOption,
-    command_group,
-)
+from telenano.cli.options import CountOption, ExcludeOption, JsonOption, SiteFileOption, TopicsOption, command_group
 from telenano.cli.output import console, print_answer, print_document, print_json, print_rows, report_errors
 
 if TYPE_CHECKING:
@@ -194,8 +187,7 @@ def merge(
     sites: Annotated[
         bool,
         typer.Option(
-            "--sites",
-            help="Of the two sites of one session, the master's first: on its clock, each message once.",
+            "--sites", help="Of the two sites of one session, the master's first: on its clock, each message once."
         ),
     ] = False,
     as_json: JsonOption = False,
@@ -294,11 +286,7 @@ def export(
     out: OutOption,
     to: Annotated[
         str,
-        typer.Option(
-            "--to",
-            metavar="FORMAT",
-            help="parquet, csv (folders), hdf5, mcap-json, or that of a package.",
-        ),
+        typer.Option("--to", metavar="FORMAT", help="parquet, csv (folders), hdf5, mcap-json, or that of a package."),
     ],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
@@ -319,8 +307,7 @@ def diff(
     exclude: ExcludeOption = None,
     tolerance: ToleranceOption = None,
     ignore: Annotated[
-        list[str] | None,
-        typer.Option("--ignore", metavar="FIELD", help="Not this field, such as t_ns (repeatable)."),
+        list[str] | None, typer.Option("--ignore", metavar="FIELD", help="Not this field, such as t_ns (repeatable).")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

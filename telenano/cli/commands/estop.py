@@ -7,10 +7,7 @@ from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOp
 
 
 def estop(
-    target: TargetOption = "*",
-    site: SiteOption = None,
-    site_file: RigFileOption = None,
-    as_json: JsonOption = False,
+    target: TargetOption = "*", site: SiteOption = None, site_file: RigFileOption = None, as_json: JsonOption = False
 ) -> None:
     """Stop the devices at once, whoever else sends commands; exit code 1 if one does not answer."""
     request = EstopRequest(target, site or "", site_file, as_json)

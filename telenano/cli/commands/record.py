@@ -30,11 +30,7 @@ class RecordKeyBindings:
         self._note = _KEYS_TEXT
 
     def __call__(self, node: RecorderNode) -> None:
-        actions: dict[str, Callable[[], None]] = {
-            "s": node.split,
-            "t": node.snapshot,
-            "q": node.context.request_stop,
-        }
+        actions: dict[str, Callable[[], None]] = {"s": node.split, "t": node.snapshot, "q": node.context.request_stop}
         for key in self._keys.pressed():
             try:
                 self._note = _KEYS_TEXT if key in actions else f"unknown key {key!r}: {_KEYS_TEXT}"
