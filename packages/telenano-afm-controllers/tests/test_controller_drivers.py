@@ -43,7 +43,8 @@ def test_it_is_imported_when_a_section_names_it() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
     before, simulated, after = json.loads(done.stdout)
     assert (before, simulated) == ([], False)
-    assert after == [f"telenano_afm_controllers{part}" for part in ("", ".calibration", ".drivers", ".piezo_calibration")]
+    parts = ("", ".calibration", ".drivers", ".piezo_calibration")
+    assert after == [f"telenano_afm_controllers{part}" for part in parts]
 
 
 @pytest.mark.parametrize("kind", KINDS)
