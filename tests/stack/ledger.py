@@ -44,6 +44,8 @@ FAULTS = {
     "500 half-open connections": "a burst and 10 a second are accepted, closed after 5 s, counted",
     "a flood of connections and garbage": "a burst and 10 a second are accepted, refused and counted; every topic "
     "keeps 95 % of its rate, the age of the loop stays within a factor of 2",
+    "garbage at every endpoint that is open to others": "refused and counted; no process ends, the loops keep 95 % of "
+    "their rate, and an emergency stop comes through",
     "a frame of 1 GB announced": "that connection is closed, no memory is taken",
     "the cable is pulled for 5 s": "hand let go, tip holds, then withdraws; connected again without a restart",
     "the cable is pulled for 60 s": "hand let go, tip holds, then withdraws; connected again without a restart",
@@ -68,6 +70,7 @@ FAULTS = {
     "both devices stay latched",
     "an emergency stop while a console is at work": "both devices stop",
     "an emergency stop from the page of the view": "both devices stop; an observer's is refused",
+    "the wall clock is set by an hour, forwards and back": "commands given afterwards are obeyed, a stop too",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
 }
 

@@ -1,0 +1,42 @@
+"""The wall clock is set by an hour in mid-session: whoever gives commands afterwards is obeyed, and so is a stop."""
+
+import os
+import signal
+import time
+
+from ledger import record
+from stack_rig import CONSTANT_PUSH, Rig
+
+from services.runtime.clock import EPOCH_OFFSET_VARIABLE
+
+HOUR_NS = 3600 * 10**9
+COMMANDS = (
+    ("session", "mark", "label=set"),
+    ("session", "set", "forward.delay_s=0.001", "--target", "delay_node@master"),
+    ("estop",),
+    ("session", "arm"),
+    ("session", "start"),
+)
+
+
+def test_commands_of_processes_with_another_clock_are_obeyed(rig: Rig) -> None:
+    rig.start("--duration", "300", "--set", CONSTANT_PUSH)
+    rig.wait_until(rig.running, "a running session")
+    # what a process that starts after such a step reads from the wall clock
+    own_ns = time.time_ns() - time.monotonic_ns()
+    for step_ns in (HOUR_NS, -HOUR_NS):
+        rig.environment[EPOCH_OFFSET_VARIABLE] = str(own_ns + step_ns)
+        for words in COMMANDS:
+            done = rig.telenano(*words)
+            assert done.returncode == 0, (step_ns, words, done.stderr)
+    process_id = rig.process_of("afm_node@slave")
+    assert process_id is not None
+    os.kill(process_id, signal.SIGKILL)
+    rig.wait_until(lambda: rig.log_has("launcher@master", "afm_node@slave was started again"), "the AFM's process")
+    rig.wait_until(lambda: rig.telenano("session", "arm", "--target", "afm_node").returncode == 0, "an armed AFM")
+    code, summary, err = rig.stop()
+    assert code == 0, err + rig.logs()
+    assert summary["recording"]["complete"], summary["recording"]["missing"]
+    assert summary["processes_ended"] == 1
+    commands = f"{2 * len(COMMANDS)} commands and an arm of a node that was started again"
+    record("the wall clock is set by an hour, forwards and back", f"{commands}: each obeyed; the recording is whole")
