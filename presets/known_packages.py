@@ -33,6 +33,7 @@ KNOWN_PACKAGES = {
     "law margins": "telenano-studies",
     "link probe": "telenano-networks",
     "particles": "telenano-assembly",
+    "push": "telenano-assembly",
     "reader other": "telenano-afm-files",
     "reproduce": "telenano-studies",
     "sample import": "telenano-afm-files",

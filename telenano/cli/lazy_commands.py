@@ -53,7 +53,6 @@ _ABOUT = {
     "law": "List, show and check laws, those of packages included.",
     "new": "Make a package with a law, device, sample or program.",
     "sample": "Make or read a surface as a round tip sees it.",
-    "push": "Push one particle, in simulated time or on a rig.",
     "keys": "Make, show and list the keys that identify machines.",
     "relay": "Run a relay between two sites that can only dial out.",
     "device": "List, probe and watch real devices; emulate some.",

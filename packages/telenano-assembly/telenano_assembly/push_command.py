@@ -7,16 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
-from proto.errors import ConfigError, RigError
+from proto.errors import RigError
 from services.afm_node.programs.push import AT_GOAL, PushSettings
-from services.runtime.settings.config import flag_overrides, merge, validate
+from services.runtime.settings.config import merge, validate
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.options import JsonOption, SiteFileOption
-from telenano.cli.output import print_document, report_errors
 from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
-from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption
+from telenano.extend.commands import (
+    DEFAULT_SITE_FILE,
+    ConfigError,
+    JsonOption,
+    SiteFileOption,
+    flag_overrides,
+    print_document,
+    progress,
+    report_errors,
+)
 
 if TYPE_CHECKING:
     from proto.messages import Scalar
