@@ -12,6 +12,7 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from telenano_microscopy.imaging import CHANNELS, Feedback, Line, contact_line, tapping_line
 from telenano_microscopy.scan import Noise, scan
 
 from proto.errors import ConfigError
@@ -20,7 +21,6 @@ from services.afm_node.physics.cantilever import initial_state
 from services.afm_node.physics.contact.friction import FrictionState
 from services.afm_node.physics.dynamic import NO_NOISE, steady_state
 from services.afm_node.physics.sample.surface import Surface, checked, height_at
-from services.afm_node.programs.imaging import CHANNELS, Feedback, Line, contact_line, tapping_line
 from services.afm_node.programs.scan import ScanSettings
 from services.numerics.compiled import always_compiled
 

@@ -90,8 +90,8 @@ def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
     from services.afm_node.config import AfmConfig
     from services.afm_node.programs.settings import requested
-    from services.afm_node.virtual import VirtualInstrument
     from studies.loops.particle_bench import DISTURBED, bench
+    from telenano_assembly.virtual import VirtualInstrument
 
     given = flag_overrides(overrides)
     lie_elsewhere = given.get("sample", {}).get("particles", {}).keys() & {"places", "count", "seed"}

@@ -19,11 +19,11 @@ from services.afm_node.guarded import Step
 from services.afm_node.physics.particles.settings import ParticlesConfig
 from services.afm_node.physics.particles.tip_shape import tip_shape, touch_distance_m
 from services.afm_node.programs.settings import requested
-from services.afm_node.virtual import VirtualInstrument
 from telenano_assembly.drift import Drift, drift_at, moved, offset_at, unknown
 from telenano_assembly.find import Found, find_particles, fixed_places
 from telenano_assembly.plan import Point, Task, UnreachableError, planned, require_room
 from telenano_assembly.recording import AssemblyRecorder
+from telenano_assembly.virtual import VirtualInstrument
 
 Array = npt.NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from services.afm_node.physics.dynamic_plant import NORMALS_PER_PERIOD
 from services.afm_node.physics.dynamic_sim import require_steps
 from services.afm_node.physics.sample.surface import Surface, dilated, height_at
 from services.afm_node.programs.feedback import gain_fault, remaining
-from services.afm_node.programs.imaging import CHANNELS, HEIGHT, Feedback, Line, contact_line, tapping_line
 from services.afm_node.programs.scan import GAIN_NAMES, ScanSettings
+from telenano_microscopy.imaging import CHANNELS, HEIGHT, Feedback, Line, contact_line, tapping_line
 
 Array = npt.NDArray[np.float64]
 

@@ -173,8 +173,8 @@ def _exit_if_interrupted(said: bool, partial: str) -> None:
 
 def _images(result: "ScanResult", mode: str) -> "dict[str, Image]":
     """Return the channels that the mode has, and what the tip sees of the sample."""
-    from services.afm_node.programs.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, LATERAL, PHASE
     from telenano.extend.images import Image
+    from telenano_microscopy.imaging import AMPLITUDE, DISSIPATED, FORCE, HEIGHT, LATERAL, PHASE
 
     width, depth = result.width_m, result.depth_m
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from telenano_microscopy.force_curve import force_curve
+from telenano_microscopy.imaging import ERROR, FORCE, HEIGHT, LATERAL
 from telenano_microscopy.scan import Noise, scan
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.physics.sample.surface import checked, grating
-from services.afm_node.programs.imaging import ERROR, FORCE, HEIGHT, LATERAL
 from services.afm_node.programs.scan import ScanSettings
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "spot_1-1000nm.ibw"

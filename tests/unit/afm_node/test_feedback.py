@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from telenano_microscopy.imaging import Feedback, regulated
 
 from services.afm_node.programs.feedback import (
     CONTACT_MARGIN,
@@ -18,7 +19,6 @@ from services.afm_node.programs.feedback import (
     most_integral_share,
     remaining,
 )
-from services.afm_node.programs.imaging import Feedback, regulated
 
 NAMES = ("--gain", "--proportional")
 # no lag at all, that of Table 2 in a millisecond, a high Q, and one of simulated time: a period of the drive

@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import pytest
+from telenano_assembly.virtual import VirtualInstrument
 
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
@@ -16,7 +17,6 @@ from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.program import Inputs, Instrument
 from services.afm_node.programs.push import Push, PushSettings, PushState
 from services.afm_node.programs.settings import requested
-from services.afm_node.virtual import VirtualInstrument
 from services.runtime.settings.config import validate
 
 ORIGIN, SIDES, LATERAL = Place(0.0, 0.0), (8e-6, 8e-6), LateralParams(5e-5, 2e-5)

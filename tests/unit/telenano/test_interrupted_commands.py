@@ -233,7 +233,7 @@ _WHILE_WRITING = """
 import os, signal, sys
 import telenano_microscopy.force_curve as curves, telenano_microscopy.scan as scans
 from analysis import image_files
-from services.afm_node.programs.imaging import CHANNELS
+from telenano_microscopy.imaging import CHANNELS
 import numpy as np
 
 def with_signals(write):
