@@ -23,14 +23,7 @@ from services.haptic_node.physics.step import step as haptic_step
 from services.numerics.compiled import inlined
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from studies.loops.across import AcrossPath, Array
-from studies.loops.dispatch import (
-    master_receive,
-    master_send,
-    master_start,
-    slave_receive,
-    slave_send,
-    slave_start,
-)
+from studies.loops.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
 from studies.loops.push_hand import PEAK_ACROSS, PEAK_ALONG, TRUE_X, TRUE_Y
 
 # a rate of the hand that is older than the deadline of the loop moves nothing

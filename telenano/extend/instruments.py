@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TypeVar
 
+from proto.errors import TelenanoError
 from services.afm_node.devices import modbus_line
 from services.afm_node.devices.capabilities import Capabilities as AfmCapabilities
 from services.afm_node.devices.capabilities import refusal
@@ -27,6 +28,7 @@ __all__ = [
     "OwnLine",
     "Readings",
     "TcpDriver",
+    "TelenanoError",
     "modbus_line",
     "read_controller",
     "refusal",
