@@ -1,4 +1,4 @@
-"""A recording cannot ask for more than it is: memory by its size, chunks by those that a sound one of its size has."""
+"""A recording cannot ask for more than it is: memory by its size, and each of its chunks a few times."""
 
 import json
 import os
@@ -16,7 +16,8 @@ from made_sessions import BEGAN_NS, Made
 pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the memory is read from /proc")
 ROOT = Path(__file__).parents[2]
 _HANGS_S = 240.0
-# so much more than a sound file of that size takes, and ten times what the file has more [MB]; so often its chunks
+# So much more than a sound file of that size takes, and ten times what the file has more [MB]; so often all its chunks.
+# What is not closed is read for its channels, for its times and for its messages.
 _MORE_MB, _BY_SIZE, _MOST_TIMES = 200.0, 10.0, 3
 _YEAR_NS = 365 * 86_400 * 10**9
 
@@ -88,12 +89,14 @@ def reading(command: str, path: Path, folder: Path) -> dict[str, Any]:
     return found
 
 
-def check(name: str, command: str, sound: Path, twin: dict[str, Any], folder: Path) -> dict[str, Any]:
+def check(name: str, command: str, sound: Path, taken: Callable[[str], dict[str, Any]], folder: Path) -> dict[str, Any]:
     path = folder / "made.mcap"
     CORPUS[name](sound, path)
+    twin, whole = taken(command), taken("whole")
     found = reading(command, path, folder)
     assert found["peak_mb"] <= twin["peak_mb"] + _MORE_MB + _BY_SIZE * path.stat().st_size / 1e6, (found, twin)
-    assert found["chunks"] <= _MOST_TIMES * max(1, twin["chunks"]), (name, command, found, twin)
+    # The chunk of the one message that is out of place is looked at once more.
+    assert found["chunks"] <= _MOST_TIMES * whole["chunks"] + 1, (name, command, found, twin)
     return found
 
 
@@ -101,7 +104,7 @@ def check(name: str, command: str, sound: Path, twin: dict[str, Any], folder: Pa
 def test_a_file_asks_for_no_more_than_it_is(
     sound: Path, taken: Callable[[str], dict[str, Any]], tmp_path: Path, name: str, command: str
 ) -> None:
-    check(name, command, sound, taken(command), tmp_path)
+    check(name, command, sound, taken, tmp_path)
 
 
 @pytest.mark.endurance
@@ -114,6 +117,6 @@ def test_no_command_takes_more_for_any_file_than_it_is(
     for number, name in enumerate(CORPUS):
         folder = tmp_path / str(number)
         folder.mkdir()
-        found[name] = check(name, command, sound, twin, folder)
+        found[name] = check(name, command, sound, taken, folder)
     largest = {key: max(each[key] for each in found.values()) for key in ("peak_mb", "processor_s", "chunks")}
     sys.stdout.write(f"{command}: sound {twin}, largest {largest}\n")
