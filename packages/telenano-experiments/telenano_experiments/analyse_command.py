@@ -96,6 +96,9 @@ def _print(document: dict[str, Any], page: Path) -> None:
     for row in document["models"]:
         for remark in row["remarks"]:
             typer.echo(f"telenano: {row['task']}, {row['measure']}: {remark}", err=True)
+    for row in document["thresholds"]:
+        if row["note"]:
+            typer.echo(f"telenano: {row['task']}, {row['participant']}: {row['factor']}: {row['note']}", err=True)
     typer.echo(document["methods"])
     typer.echo(f"page: {page}")
 
