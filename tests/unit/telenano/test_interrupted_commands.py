@@ -81,8 +81,11 @@ ELSEWHERE = {
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study network": "reads a folder, and writes a few files at once at the end by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
+    "sample import": "reads a file of another maker, and writes one file at the end by `whole_file`",
     "particles": "reads an image, and writes one file at the end by `whole_file`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
+    "device accept": "takes a motion of a minute, and writes all at once at the end by `results_in`",
+    "device image": "waits for the scan of a controller, and writes all at once at the end by `results_in`",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
 }
