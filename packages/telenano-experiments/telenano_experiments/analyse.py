@@ -14,6 +14,7 @@ from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
 from telenano_experiments.effect_sizes import CORRECTIONS, corrected, mean_interval
 from telenano_experiments.effects import Effects, Factor, as_rows, effects
+from telenano_experiments.psychophysics.detection import detection
 from telenano_experiments.psychophysics.methods import replay
 from telenano_experiments.table import ANSWER, CONDITION, FIXED, Row, Tables
 
@@ -48,6 +49,7 @@ class Analysis(NamedTuple):
         cells: A row for each task, measure and condition: count, mean, interval, deviation, quartiles, extremes.
         effects: The tests by task and measure.
         thresholds: A row for each participant and condition of an adaptive factor.
+        detections: d' and criterion of each participant and condition, where a task asks for a detection.
         choice: What was asked for.
     """
 
@@ -57,6 +59,7 @@ class Analysis(NamedTuple):
     cells: list[Row]
     effects: dict[tuple[str, str], Effects]
     thresholds: list[Row]
+    detections: list[Row]
     choice: Choice
 
     def as_dict(self) -> dict[str, Any]:
@@ -73,6 +76,7 @@ class Analysis(NamedTuple):
             **{part: as_rows(self.effects, part) for part in ("terms", "slopes", "pairs")},
             "cells": self.cells,
             "thresholds": self.thresholds,
+            "detections": self.detections,
             "versions": versions(),
         }
 
@@ -129,9 +133,9 @@ def analyse(
             tested[task, name] = effects(
                 tracks, "threshold", found, choice.correction, choice.confidence, choice.within
             )
-    return Analysis(
-        _counts(tables, rows), factors, measures, cells, _terms_corrected(tested, choice.correction), thresholds, choice
-    )
+    detections = _detections(frame, factors, choice.confidence)
+    terms = _terms_corrected(tested, choice.correction)
+    return Analysis(_counts(tables, rows), factors, measures, cells, terms, thresholds, detections, choice)
 
 
 def check_choice(tables: Tables, choice: Choice) -> None:
@@ -245,6 +249,33 @@ def _thresholds(frame: Any, factor: str, settings: Mapping[str, Any]) -> list[Ro
             **dict(zip(names, key, strict=True)), "factor": factor, **method.estimate()._asdict(), **method.summary(),
             "function": method.settings.function.model_dump(), "answers": answers,
         })  # fmt: skip
+    return found
+
+
+def _detections(frame: Any, factors: Mapping[str, Sequence[Factor]], confidence: float) -> list[Row]:
+    """Return d' and criterion of each participant and condition, over all levels of an adaptive factor.
+
+    In a choice of two a signal is the stiffer sample that comes first. Where the touch is to be detected, the time
+    before it is the noise of the same trial: a trial with a false alarm has no signal left to detect.
+    """
+    found = []
+    for task, of_task in frame.groupby("task", sort=True):
+        measured = {str(name) for name in of_task.columns[of_task.notna().any()]}
+        of_two = {"chose_first", "comparison_first"} <= measured
+        names = ("chose_first", "comparison_first") if of_two else ("success", "false_alarm")
+        if not set(names) <= measured:
+            continue
+        varied = factors[str(task)]
+        given = of_task.dropna(subset=list(names))
+        for key, cell in given.groupby(["participant", *(factor.column for factor in varied)], sort=True):
+            yes, second = (cell[name].to_numpy(bool) for name in names)
+            if of_two:
+                counts = int((yes & second).sum()), int(second.sum()), int((yes & ~second).sum()), int((~second).sum())
+            else:
+                counts = int((yes & ~second).sum()), int((~second).sum()), int(second.sum()), len(second)
+            row = detection(*counts, of_two=of_two, confidence=confidence)
+            labels = ("participant", *(factor.name for factor in varied))
+            found.append({"task": task, **dict(zip(labels, key, strict=True)), **row._asdict()})
     return found
 
 

@@ -85,6 +85,7 @@ def _print(document: dict[str, Any], page: Path) -> None:
         "slopes": ("measure", "factor", "slope", "low", "high", "p"),
         "pairs": ("measure", "at", "factor", "level", "against", "difference", "low", "high", "p_corrected", "g"),
         "thresholds": ("participant", *_varied(document), "factor", "threshold", "low", "high", "trials"),
+        "detections": ("participant", *_varied(document), "d_prime", "d_prime_low", "d_prime_high", "criterion"),
     }
     for part, names in columns.items():
         rows = document[part]

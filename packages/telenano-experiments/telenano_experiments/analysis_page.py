@@ -257,6 +257,7 @@ def _page(
         "slopes": ("Change with numeric factors, for each unit of the factor", ()),
         "pairs": ("Levels against one another, over participants' means", ()),
         "thresholds": ("Thresholds", ("answers", "function", "method")),
+        "detections": ("Sensitivity and criterion of each participant", ()),
         "cells": ("Descriptive statistics; intervals are over participants' means", ()),
     }
     for part, (title, left_out) in heads.items():

@@ -229,6 +229,28 @@ def test_thresholds_are_fitted_for_each_participant_and_condition() -> None:
     assert not tested.terms and "a test needs 3" in tested.remarks[0]
 
 
+def test_a_preference_for_the_first_interval_is_told_from_sensitivity() -> None:
+    # right in 30 of 40 alike, once without and once with a preference for the first
+    right = {"P01": (15, 15), "P02": (19, 11)}
+    records = [
+        trial(person, 20 * first + n, {"law": "wave"}, comparison_first=not first, chose_first=(n < hits) is not first)
+        for person, counts in right.items()
+        for first, hits in zip((False, True), counts, strict=True)
+        for n in range(20)
+    ]
+    found = {row["participant"]: row for row in analyse(tidy(records)).detections}
+    assert found["P01"]["criterion"] == pytest.approx(0.0, abs=1e-12) and found["P02"]["criterion_high"] < 0.0
+    assert (
+        found["P01"]["d_prime"] == pytest.approx(0.94, abs=0.06) and found["P02"]["d_prime"] > found["P01"]["d_prime"]
+    )
+
+
+def test_a_touch_that_is_detected_has_the_time_before_it_as_noise() -> None:
+    records = [trial("P01", n, {"law": "wave"}, success=n >= 4, false_alarm=n < 2) for n in range(20)]
+    (found,) = analyse(tidy(records)).detections
+    assert (found["signals"], found["others"]) == (18, 20) and found["d_prime_low"] > 0.0
+
+
 def test_what_cannot_be_analysed_is_said() -> None:
     with pytest.raises(ConfigError, match="no trial counts"):
         analyse(tidy([]))

@@ -1,5 +1,6 @@
 """Simulated observers with a known threshold recover it, by each method and each shape of the function."""
 
+import itertools
 import math
 import os
 import random
@@ -13,6 +14,7 @@ import pytest
 from made_observers import TRUTHS, covered
 from observer import Observer
 from telenano_experiments.psychophysics import exact
+from telenano_experiments.psychophysics.detection import detection
 from telenano_experiments.psychophysics.fit import LEAST_TRIALS, fit
 from telenano_experiments.psychophysics.function import Psychometric
 from telenano_experiments.psychophysics.methods import Method, QuestPlus, make, most_trials, replay
@@ -235,6 +237,25 @@ def test_intervals_of_shorter_tracks_have_the_threshold_and_may_be_open(name: st
     assert found.share >= 0.93 and found.trials >= LEAST_TRIALS
     # up to six of ten are open
     assert found.closed >= 0.35
+
+
+@pytest.mark.parametrize("of_two", [True, False])
+@pytest.mark.parametrize("d_prime", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("criterion", [-0.4, 0.0, 0.4])
+def test_intervals_of_sensitivity_and_criterion_have_them(d_prime: float, criterion: float, of_two: bool) -> None:
+    from scipy import stats
+
+    # all pairs of counts of twenty trials each, by how likely they are
+    apart = d_prime * (math.sqrt(2.0) if of_two else 1.0)
+    rates = [stats.norm.cdf(sign * 0.5 * apart - criterion) for sign in (1.0, -1.0)]
+    likely = [stats.binom.pmf(range(21), 20, rate) for rate in rates]
+    held = [0.0, 0.0]
+    for hits, alarms in itertools.product(range(21), repeat=2):
+        found = detection(hits, 20, alarms, 20, of_two=of_two)
+        chance = float(likely[0][hits] * likely[1][alarms])
+        held[0] += chance * (found.d_prime_low <= d_prime <= found.d_prime_high)
+        held[1] += chance * (found.criterion_low <= criterion <= found.criterion_high)
+    assert min(held) >= 0.93
 
 
 def test_few_answers_have_a_note_and_enough_have_none() -> None:
