@@ -16,14 +16,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 from presets.plugins import known_problems
-from proto.errors import (
-    ConfigError,
-    ExistsError,
-    NoRecordingError,
-    ReportError,
-    TelenanoError,
-    probably_meant,
-)
+from proto.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 from recording.whole_files import new_folder
 from services.runtime.untrusted.printable import printable
 from services.signals import interrupts
@@ -170,6 +163,7 @@ def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, a
 
     If brief, only those lines are printed. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
     """
+    from analysis.interruptions import Interruption, in_words
     from analysis.summary import FORMER_NAMES
 
     if as_json or not brief:
@@ -180,8 +174,10 @@ def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, a
             typer.echo(line)
     if text := clock_warning(summary):
         typer.echo(f"telenano: warning: {text}", err=True)
+    if interrupted := in_words([Interruption(**one) for one in summary.get("interruptions", ())]):
+        typer.echo(f"telenano: warning: this session is not its law alone: {interrupted}", err=True)
     missed, rate_hz = summary.get("overruns", 0), summary.get("rate_hz", {}).get("haptic/state", float("inf"))
-    if missed > 0.05 * rate_hz * summary.get("duration_s", 0.0):
+    if missed > (0.005 if interrupted else 0.05) * rate_hz * summary.get("duration_s", 0.0):
         typer.echo(f"telenano: warning: {missed} deadlines were missed at {rate_hz:.0f} Hz: {NO_ROOM}", err=True)
     for text in summary["recording"].get("odd", ()):
         typer.echo(f"telenano: warning: {text}", err=True)

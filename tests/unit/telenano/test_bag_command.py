@@ -204,13 +204,27 @@ def test_a_session_ends_in_three_lines_what_happened_the_picture_and_what_to_do_
     ]
 
 
-@pytest.mark.parametrize(("overruns", "is_told"), [(350, False), (351, True)])
+LET_GO = {"kind": "hand_let_go", "start_s": 1.5, "end_s": 1.54, "reason": "no command within the deadline"}
+
+
+@pytest.mark.parametrize(
+    ("interruptions", "overruns", "is_told"),
+    # a twentieth of the steps that the hand took, and a two-hundredth where commands came too late
+    [([], 350, False), ([], 351, True), ([LET_GO], 35, False), ([LET_GO], 36, True)],
+)
 def test_the_end_of_a_session_on_a_machine_without_room_names_the_key_that_helps(
-    capsys: pytest.CaptureFixture[str], overruns: int, is_told: bool
+    capsys: pytest.CaptureFixture[str], interruptions: list[dict[str, Any]], overruns: int, is_told: bool
 ) -> None:
-    # a twentieth of the steps that the hand took
     spent = {"overruns": overruns, "rate_hz": {"haptic/state": 700.0, "afm/state": 690.0}, "duration_s": 10.0}
-    print_summary({**SUMMARY, **spent}, "s", brief=True, as_json=False)
+    print_summary({**SUMMARY, **spent, "interruptions": interruptions}, "s", brief=True, as_json=False)
+    if interruptions:
+        first, _, rest = capsys.readouterr().err.partition("\n")
+        assert first == (
+            "telenano: warning: this session is not its law alone: the hand was let go once, at 1.500 s, for 40 ms "
+            "(no command within the deadline)"
+        )
+        assert ("36 deadlines were missed at 700 Hz" in rest) is is_told
+        return
     told = (
         f"telenano: warning: {overruns} deadlines were missed at 700 Hz: the machine is too busy for this "
         "rate: end what else runs there, or give a lower realtime.rate_hz\n"
