@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import pytest
 
 from proto.errors import ConfigError
+from proto.extras import how_to_add_package
 from services.haptic_node.config import DRIVERS, HapticConfig
 from services.runtime.settings import device_drivers
 from services.runtime.settings.config import validate
@@ -142,6 +144,7 @@ def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypa
     # what was found before
     monkeypatch.setattr(DRIVERS, "_asked", {})
     for name in ("haply", "dhd", "hd"):
-        words = f"driver: the driver {name} is in the package telenano-haptic-devices: pip install "
+        how = re.escape(how_to_add_package("telenano-haptic-devices"))
+        words = f"driver: the driver {name} is in the package telenano-haptic-devices: {how}"
         with pytest.raises(ConfigError, match=words):
             validate(HapticConfig, {"driver": name}, "file", "haptic_node")
