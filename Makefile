@@ -12,7 +12,7 @@ IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay
   afm_node:afm:telenano-afm-controllers recorder:recorder \
   session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
   study:studies,dask:telenano-studies,telenano-microscopy
-# the extras that a rig with its page needs
+# A rig with its page needs these extras.
 RIG := launcher view haptic afm controller delay
 # what the project keeps beside its core, each a distribution of its own
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
@@ -45,7 +45,7 @@ setup: $(VENV)/.complete ## Make the virtual environment .venv from the hashed p
 PIP := $(BIN)/python -P -m pip install --quiet --disable-pip-version-check
 install = $(BIN)/uv pip install --quiet --compile-bytecode --python $(BIN)/python $(1) 2>/dev/null || $(PIP) $(1)
 
-# what the rig and its page need, which is less than half of the whole
+# The rig and its page need less than half of the whole.
 $(VENV)/.rig: pyproject.toml deploy/locks/rig.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; }

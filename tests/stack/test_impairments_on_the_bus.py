@@ -8,6 +8,7 @@ import machine
 import pytest
 import yaml
 from impairments import KINDS, cell_of, direction_of, fault_of, outcomes, scenario_over, write_bursts, write_traces
+from stack_rig import SESSIONS
 from telenano_studies.loops.cells import Cell, CellResult
 from telenano_studies.loops.validate import RECORDING_NAME
 
@@ -22,8 +23,6 @@ PERIOD_NS = 1_000_000
 LEAST_TURNS = 0.99
 # What chance lets grow over the 0.9 s that are judged of a session of 1.7 s does not last for the 2.2 s of this one.
 SESSION_S = 3.4
-# sessions until the machine lets one through without such an answer
-SESSIONS = 3
 
 
 def on_the_bus(rig: Any, cell: Cell, kind: dict[str, Any]) -> tuple[CellResult, CellResult]:

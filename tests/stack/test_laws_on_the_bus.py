@@ -6,13 +6,11 @@ from typing import Any
 
 import machine
 import pytest
+from stack_rig import HELD_UP_MS, SESSIONS
 
 # theory for the virtual impedance on a spring of 38 N/m, half a sample period included [ms]
 EDGE_MS = 22.44
 STABLE_MS, UNSTABLE_MS = 18.0, 25.0
-# a loop that stood still for longer than this has been given a blow, beside the edge or across it
-HELD_UP_MS = 15.0
-ATTEMPTS = 3
 
 
 def fault_of(done: Any, delays_ms: tuple[float, ...], ages: list[dict[str, float]]) -> str:
@@ -45,7 +43,7 @@ def fault_of(done: Any, delays_ms: tuple[float, ...], ages: list[dict[str, float
 def test_bus_agrees_with_lockstep(rig: Any, delays_ms: tuple[float, ...]) -> None:
     delays = ",".join(f"{delay:g}" for delay in delays_ms)
     spring = ("--environment", "spring", "--stiffness", "38", "--delay", delays)
-    for attempt in range(ATTEMPTS):
+    for attempt in range(SESSIONS):
         out: Path = rig.folder / f"study{attempt}"
         done = rig.telenano("study", "validate", *spring, "--out", str(out), "--json", patience_s=150.0)
         ages = [json.loads(path.read_text())["loop_age_ms"] for path in out.glob("bus-*/summary.json")]

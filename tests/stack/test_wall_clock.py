@@ -22,7 +22,7 @@ COMMANDS = (
 def test_commands_of_processes_with_another_clock_are_obeyed(rig: Rig) -> None:
     rig.start("--duration", "300", "--set", CONSTANT_PUSH)
     rig.wait_until(rig.running, "a running session")
-    # what a process that starts after such a step reads from the wall clock
+    # A process that starts after such a step reads this from the wall clock.
     own_ns = time.time_ns() - time.monotonic_ns()
     for step_ns in (HOUR_NS, -HOUR_NS):
         rig.environment[EPOCH_OFFSET_VARIABLE] = str(own_ns + step_ns)

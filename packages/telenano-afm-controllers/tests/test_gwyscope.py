@@ -219,7 +219,7 @@ def test_an_image_by_the_node_is_that_of_the_sample_with_a_gain_that_the_latency
 
 
 def test_a_driver_that_compares_z_and_notes_none_is_told_what_is_missing(line: Gwyscope) -> None:
-    # one that is ready has sent the z of the safe state, and noted it
+    # A driver that is ready has sent the z of the safe state, and noted it.
     line.driver.check_z(line.driver.calibration.z.retract_m, line.now_ns)
     line.driver._history.clear()
     with pytest.raises(DeviceError, match="notes none: its talk appends each z to `_history` first"):

@@ -22,7 +22,7 @@ STAIRCASE = {
     "trials": 300,
 }  # fmt: skip
 METHODS: dict[str, dict[str, Any]] = {
-    # of a 2AFC task a staircase of one down would rest at the guess, so it is for yes and no
+    # A staircase of one down would rest at the guess of a 2AFC task, so it is for yes and no.
     "1 down": {**STAIRCASE, "downs": 1, "function": {**LINEAR, "guess": 0.0}},
     "2 down": {**STAIRCASE, "downs": 2, "function": LINEAR},
     "3 down": {**STAIRCASE, "downs": 3, "function": LINEAR},
@@ -38,7 +38,7 @@ METHODS: dict[str, dict[str, Any]] = {
         "trials": 40, "function": RATIOS,
     },
 }  # fmt: skip
-# what answers truly follow: the function that is fitted, another shape, and more lapses than the fit considers
+# The answers truly follow the function that is fitted, another shape, or one with more lapses than the fit considers.
 TRUTHS: dict[str, dict[str, Any]] = {"as fitted": {}, "normal": {"shape": "normal"}, "8 % lapses": {"lapse": 0.08}}
 
 

@@ -61,7 +61,7 @@ def test_effects_that_are_not_there_are_found_in_one_of_twenty_of_few_experiment
 def test_effects_that_are_not_there_are_found_in_five_percent_within_one_and_a_half() -> None:
     for seed in (1, 2, 3):
         for design, people, shares in type_i(2000, DESIGNS, seed):
-            # of four and more levels that are no slope, and six people, the correction is a little too small
+            # The correction is a little too small for six people and four or more levels that are no slope.
             most = 0.025 if design.delays > 3 and not design.is_numeric and people < 12 else 0.015
             assert all(-0.015 <= share - 0.05 <= most for share in shares.values()), (design, people, shares)
 
@@ -75,7 +75,7 @@ def test_the_power_is_that_of_made_up_experiments(design: Design) -> None:
 @pytest.mark.endurance
 def test_the_power_is_that_of_2000_made_up_experiments() -> None:
     for design, term, people, computed, simulated in powers(2000):
-        # of six people the correction of many levels costs power
+        # The correction of many levels costs power where six people take part.
         most = 0.04 if people > 6 else 0.1
         assert -0.04 < computed - simulated < most, (design, term, people)
 
@@ -85,7 +85,7 @@ def test_the_people_of_a_power_are_the_least_that_have_it() -> None:
         needed = term.people(0.8, TRIALS, 0.5, 0.25)
         assert needed is not None and LEAST_PEOPLE < needed < MOST_PEOPLE
         assert term.power(needed, TRIALS, 0.5, 0.25) >= 0.8 > term.power(needed - 1, TRIALS, 0.5, 0.25)
-        # where people differ by far more than the effect no number of trials is enough
+        # No number of trials is enough where people differ by far more than the effect.
         assert term.people(0.8, 10_000, 0.01, 1.0) is None
         assert term.power(LEAST_PEOPLE - 1, TRIALS, 9.0, 0.0) == 0.0
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from makefile import makefile_words
 
 from presets import TWO_SITES_FILE
 from proto.errors import ConfigError
@@ -41,13 +42,6 @@ def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
             here = found.setdefault((match.group(1), match.group(2)), set())
         here.update(re.findall(r"--hash=(sha256:[0-9a-f]{64})", line))
     return {pin: frozenset(hashes) for pin, hashes in found.items()}
-
-
-def makefile_words(variable: str) -> list[str]:
-    """Give the words of a variable of the Makefile."""
-    found = re.search(rf"^{variable} := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(), re.M)
-    assert found is not None
-    return found.group(1).replace("\\\n", " ").split()
 
 
 def makefile_images() -> dict[str, tuple[list[str], list[str]]]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
+from makefile import makefile_words
 
 from presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
 from proto import TOPICS
@@ -193,13 +194,8 @@ def test_a_container_runs_the_image_of_its_node() -> None:
 
 
 def test_the_makefile_has_an_image_for_each_node() -> None:
-    words = re.search(r"^IMAGES := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(), re.M)
-    assert words is not None
-    assert {image.partition(":")[0] for image in words.group(1).replace("\\", "").split()} == {
-        *SERVICES,
-        "session",
-        "study",
-    }
+    images = {image.partition(":")[0] for image in makefile_words("IMAGES")}
+    assert images == {*SERVICES, "session", "study"}
 
 
 def test_the_benchmark_of_containers_starts_every_node() -> None:

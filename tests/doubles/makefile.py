@@ -1,0 +1,13 @@
+"""What the Makefile says, for the tests that compare it with other files."""
+
+import re
+from pathlib import Path
+
+_MAKEFILE = Path(__file__).resolve().parents[2] / "Makefile"
+
+
+def makefile_words(variable: str) -> list[str]:
+    """Return the words of a variable of the Makefile, which may go over several lines."""
+    found = re.search(rf"^{variable} := ((?:.*\\\n)*.*)$", _MAKEFILE.read_text(), re.M)
+    assert found is not None, f"the Makefile has no {variable}"
+    return found.group(1).replace("\\\n", " ").split()
