@@ -107,9 +107,8 @@ def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]
     given = os.environ.get(RIG_VARIABLE, "")
     # Where others connect over a network, the ports are those of the site file, whatever the folder is.
     may_move = not given and not plan.book.spans_machines
-    begun_s = time.monotonic()
-    names, passed = iter(_NAMES if may_move else (given or FIRST_RIG,)), ""
-    name = next(names)
+    names, begun_s = iter(_NAMES if may_move else (given or FIRST_RIG,)), time.monotonic()
+    passed, name = "", next(names)
     while True:
         os.environ[RIG_VARIABLE] = name
         check_runtime_directory(make=True)
@@ -117,12 +116,13 @@ def _named(plan: "Plan", show: Callable[[str], Any]) -> tuple[str, EndpointLock]
             lock = EndpointLock(f"ipc://{rig_directory(name)}/{_LOCK}{site_of(plan.launcher)}")
         except EndpointInUseError as error:
             # Another command may only be looking at a name, or tidying up after one that was killed.
-            patience_s = _ENDING_S if _has_ended(error.holder) else 0.0 if may_move else _GLANCE_S
+            runs = may_move and str(about_rig(name, site_of(plan.launcher)).get("process")) == error.holder
+            patience_s = _ENDING_S if _has_ended(error.holder) else 0.0 if runs else _GLANCE_S
             if time.monotonic() - begun_s < patience_s:
                 time.sleep(_LOOK_S)
                 continue
             passed = passed or f"rig {name} is in use by process {error.holder}"
-            name = next(names, "")
+            name, begun_s = next(names, ""), time.monotonic()
             if not name:
                 hint = "stop it, or give this one another name by --rig NAME"
                 raise RigError(f"{passed}: {hint}; `telenano status --all` lists the rigs") from error

@@ -233,6 +233,20 @@ def test_rigs_that_start_at_the_same_instant_get_names_and_processors_of_their_o
     assert sorted(number for _, own, _ in found for number in own) == list(range(8))
 
 
+def test_a_name_that_another_command_only_looks_at_is_waited_for(tmp_path: Path, base: Path, locks: Path) -> None:
+    plan = plan_of(tmp_path)
+    with holders(tmp_path, locks, 1) as [holder]:
+        assert facts_of(holder)[0] == "main"
+        # as the first rig does where it looks whether the folder was left by one that was killed
+        glance = EndpointLock(f"ipc://{base}/rig-2/rig@master")
+        ended = threading.Timer(0.3, glance.release)
+        ended.start()
+        with own_rig(plan, lambda text: None, locks) as second:
+            assert second.name == "2"
+        ended.join()
+        holder.communicate("\n", timeout=WAIT_S)
+
+
 def test_a_rig_killed_with_its_nodes_leaves_its_name_and_processors_free(
     tmp_path: Path, base: Path, locks: Path
 ) -> None:
