@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from telenano_studies.loops import body as model
+from telenano_studies.loops.body import BodyParams, body_params
 from telenano_studies.loops.cells import Cell, run_cell
 
-from services.afm_node.physics import body as model
-from services.afm_node.physics.body import BodyParams, body_params
 from services.afm_node.safety import SafetyParams
 from services.afm_node.section_config import SafetyConfig
 

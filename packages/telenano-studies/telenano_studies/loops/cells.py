@@ -19,7 +19,6 @@ from pydantic import Field
 from analysis.verdict import Circumstances, judge
 from proto.errors import ConfigError, known_names
 from services.afm_node.config import SAMPLES, AfmConfig
-from services.afm_node.physics.body import body_params
 from services.afm_node.physics.cantilever import Plant
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.physics.disturbed import noisy_params
@@ -38,6 +37,7 @@ from studies.loops.linear_loop import Hand as Hand
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
 from telenano_studies import option_values
+from telenano_studies.loops.body import body_params
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
 
 ENVIRONMENTS = ("spring", "wall", "contact", "body")

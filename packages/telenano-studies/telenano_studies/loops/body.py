@@ -13,8 +13,8 @@ FASTEST_HZ in contact.
 import math
 from typing import NamedTuple
 
-from services.afm_node.physics.part import AfmSample, Part, PlantInputs, register
-from services.numerics.compiled import compiled
+from services.afm_node.physics.part import Part, register
+from telenano.extend.samples import AfmSample, PlantInputs, compiled
 
 FASTEST_HZ = 150.0
 # The fixed point of a step that makes or breaks contact takes at most so many passes; each leaves a quarter of the
