@@ -15,7 +15,6 @@ KNOWN_PACKAGES = {
     "device calibrate": "telenano-calibration",
     "device guard gwyscope": "telenano-afm-controllers",
     "device guard nanonis": "telenano-afm-controllers",
-    "device image": "telenano-afm-controllers",
     "device monitor": "telenano-acceptance",
     "device probe": "telenano-acceptance",
     "device simulate gwyscope": "telenano-afm-controllers",

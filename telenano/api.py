@@ -20,7 +20,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from recording.multi_file import open_recordings
 from recording.quantities import quantity
 from recording.site_clock import Timeline
 from recording.tables import flat, row, uniform
-
-if TYPE_CHECKING:
-    pass
 
 _LOOP = "haptic/state"
 

@@ -22,8 +22,4 @@ COMMANDS = {
         f"{_DEVICE}:approach_nanonis",
         "Let a Nanonis controller approach, switch its z-controller off and lift the tip: for its external input.",
     ),
-    "device image": (
-        f"{_DEVICE}:image_nanonis",
-        "Let a Nanonis controller take an image by its own scan; the tip is withdrawn at the end.",
-    ),
 }

@@ -1,4 +1,4 @@
-"""The commands of this package: controllers emulated, guarded, and asked for an approach or an image."""
+"""The commands of this package: controllers emulated, guarded, and asked for an approach."""
 
 import asyncio
 import signal
@@ -136,42 +136,6 @@ def approach_nanonis(
         finally:
             client.close()
         typer.echo(f"the z-controller is off, and z = {z_m * 1e9:.4g} nm is {lift:g} nm above the surface")
-
-
-def image_nanonis(
-    calibration: Annotated[Path, typer.Option("--calibration", metavar="FILE", help="nanonis.yaml of the controller.")],
-    out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="Folder for scan.gwy, scan.gsf, scan.png; packages add more.")
-    ],
-    setpoint: Annotated[
-        float, typer.Option("--setpoint", metavar="X", help="Set-point, in the unit of the controller's signal.")
-    ],
-    size: Annotated[float, typer.Option("--size", min=1e-3, metavar="NM", help="Side of the image [nm].")] = 150.0,
-    pixels: Annotated[int, typer.Option("--pixels", min=16, max=4096, help="Pixels of a line, in sixteens.")] = 64,
-    lines: Annotated[int, typer.Option("--lines", min=1, max=4096, help="Lines of the image.")] = 64,
-    line_time: Annotated[
-        float, typer.Option("--line-time", min=1e-3, max=1e3, metavar="S", help="Time of a line, each way [s].")
-    ] = 0.5,
-) -> None:
-    """Let a Nanonis controller take an image by its own scan; the tip is withdrawn at the end."""
-    with report_errors(as_json=False):
-        from telenano.extend.images import Image, results_in, write_images
-        from telenano.extend.instruments import read_controller
-        from telenano_afm_controllers.calibration import NanonisCalibration
-        from telenano_afm_controllers.nanonis_client import NanonisClient, Raster, image
-
-        found = read_controller(calibration, NanonisCalibration)
-        side_m = size * 1e-9
-        client = NanonisClient(found.network.host, found.network.port)
-        try:
-            z_m = image(client, Raster(side_m, side_m, pixels, lines, line_time, setpoint), typer.echo)
-        finally:
-            client.close()
-        with results_in(out) as folder:
-            height = -found.z.towards_sample * (z_m - z_m.mean())
-            channels = {"height": Image("Height", "m", height, side_m, side_m)}
-            files = write_images(folder, channels, "contact", "Nanonis")
-        typer.echo(f"wrote {out}: {', '.join(files)}")
 
 
 def guard_nanonis(

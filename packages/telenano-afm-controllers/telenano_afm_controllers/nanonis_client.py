@@ -1,14 +1,9 @@
-"""A client of Nanonis that waits for its answers: for scripts, and for images that the controller takes by itself."""
+"""A client of Nanonis that waits for its answers: for scripts, and for an approach before a rig drives its input."""
 
-import contextlib
 import math
 import socket
 import time
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any
 
 from telenano.extend.instruments import DeviceError
 from telenano_afm_controllers import nanonis_wire
@@ -16,7 +11,6 @@ from telenano_afm_controllers.nanonis_wire import NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
 _READ_BYTES = 65536
-_Z_SIGNAL = "Z (m)"
 _POLL_S = 0.05
 # An answer is waited for so long [s], and z to come to rest, or the z-controller to be off.
 _ANSWER_S, _REST_WITHIN_S = 5.0, 60.0
@@ -74,31 +68,6 @@ class NanonisClient:
         self._line.close()
 
 
-class Raster(NamedTuple):
-    """An image that the controller is to take: sides [m], pixels and lines, and the time of a line each way [s]."""
-
-    width_m: float
-    depth_m: float
-    pixels: int
-    lines: int
-    line_s: float
-    setpoint: float
-
-
-@contextlib.contextmanager
-def in_contact(client: NanonisClient, setpoint: float) -> Iterator[None]:
-    """Hold the set-point of the z-controller while a block runs, and withdraw the tip whatever ends it.
-
-    Raises:
-        DeviceError: z does not come to rest in time: there is no surface within its range, or the gain is too great.
-    """
-    try:
-        _settle(client, setpoint)
-        yield
-    finally:
-        client.call("ZCtrl.Withdraw", 0, -1)
-
-
 def _settle(client: NanonisClient, setpoint: float) -> None:
     """Switch the z-controller on and wait until z is at rest."""
     client.call("ZCtrl.SetpntSet", setpoint)
@@ -137,41 +106,3 @@ def approach(client: NanonisClient, setpoint: float, lift_m: float) -> float:
     except DeviceError:
         client.call("ZCtrl.Withdraw", 0, -1)
         raise
-
-
-def image(
-    client: NanonisClient, raster: Raster, tell: Callable[[str], None] = lambda text: None
-) -> npt.NDArray[np.float64]:
-    """Take an image by the controller's own scan, forward and upwards; the tip is withdrawn at the end.
-
-    Returns:
-        z [m] of shape (lines, pixels) with y rising, NaN where the controller has not been.
-
-    Raises:
-        DeviceError: The controller refuses, scans already, or returns another channel or shape.
-    """
-    if client.call("Scan.StatusGet")[0]:
-        raise DeviceError("the controller is scanning: end that in its own software first")
-    names = client.call("Signals.NamesGet")[0]
-    if _Z_SIGNAL not in names:
-        raise DeviceError(f"the controller has no signal {_Z_SIGNAL!r}")
-    channel = names.index(_Z_SIGNAL)
-    client.call("Scan.FrameSet", 0.0, 0.0, raster.width_m, raster.depth_m, 0.0)
-    client.call("Scan.BufferSet", [channel], raster.pixels, raster.lines)
-    _, pixels, lines = client.call("Scan.BufferGet")
-    speed = raster.width_m / raster.line_s
-    client.call("Scan.SpeedSet", speed, speed, raster.line_s, raster.line_s, 2, 1.0)
-    tell(f"an image of {pixels} x {lines} pixels begins, {2.0 * raster.line_s * lines:.0f} s")
-    with in_contact(client, raster.setpoint):
-        client.call("Scan.Action", 0, 1)
-        try:
-            while client.call("Scan.StatusGet")[0]:
-                client.sleep(_POLL_S)
-        finally:
-            client.call("Scan.Action", 1, 1)
-        name, found, _ = client.call("Scan.FrameDataGrab", channel, 1)
-    if name != _Z_SIGNAL or found.shape != (lines, pixels):
-        raise DeviceError(
-            f"the controller returned {name!r} of {found.shape}, {_Z_SIGNAL!r} of {lines, pixels} was asked"
-        )
-    return np.asarray(found, np.float64)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_afm_controllers import nanonis_model, nanonis_wire
-from telenano_afm_controllers.nanonis_client import NanonisClient, Raster, image
+from telenano_afm_controllers.nanonis_client import NanonisClient
 from telenano_afm_controllers.request_server import Pushed, serve_requests
 
 from telenano.extend.instruments import DeviceError
-from telenano.extend.testing import afm_config, instrument_of
+from telenano.extend.testing import instrument_of
 
 PATIENCE_S = 30.0
 
@@ -112,25 +112,6 @@ def test_a_second_client_at_a_port_is_put_out(served: Served) -> None:
         second.call("ZCtrl.StatusGet")
     assert first.call("ZCtrl.StatusGet") == [1]
     first.close()
-
-
-@pytest.mark.endurance
-def test_an_image_that_the_controller_takes_is_that_of_the_sample(served: Served) -> None:
-    client = NanonisClient("127.0.0.1", served.ports[0])
-    try:
-        client.call("ZCtrl.ZPosSet", 5e-8)
-        client.call("ZCtrl.GainSet", 1.5e-7, 1e-3, 1.5e-4)
-        found = image(client, Raster(60e-9, 10e-9, 32, 2, 0.3, 5e-3))
-    finally:
-        client.close()
-    assert found.shape == (2, 32)
-    until(lambda: served.model.status == nanonis_model.OFF)
-    surface = afm_config({"sample": {"name": "grating"}}).to_surface()
-    assert surface is not None
-    xs = ((np.arange(32) + 0.5) / 32 - 0.5) * 60e-9 + 0.5 * surface.width_m
-    truth = surface.height_m[surface.height_m.shape[0] // 2, (xs / surface.step_x_m).astype(int)]
-    assert truth.max() - truth.min() > 1e-9
-    assert np.corrcoef(found[1], truth)[0, 1] > 0.8
 
 
 def test_the_vendors_client_and_ours_read_the_same(served: Served) -> None:

@@ -1,7 +1,7 @@
 """Access control: the key of this machine, the list of allowed keys as last read, and what each machine may do."""
 
 from proto.errors import ConfigError
-from services.runtime.bus.address_book import RELAY, AddressBook
+from services.runtime.bus.address_book import RELAY
 from services.runtime.security.keyring import ROLES, AllowedKey, AllowList, Keyring, Role
 
 
@@ -98,25 +98,3 @@ def relay_key(access: AccessControl) -> bytes:
             "the KEY that `telenano relay` shows where it runs"
         )
     return key
-
-
-def check_keys(book: AddressBook, machine: str, keyring: Keyring) -> None:
-    """Raise ConfigError naming the command that helps when a machine lacks keys that it needs to take part in a rig."""
-    if not book.requires_keys:
-        return
-    access = AccessControl(machine, keyring, requires_keys=True)
-    needed = {book.machine_of(node) for node in book.nodes if book.network_endpoint(node)} - {machine}
-    missing = sorted(name for name in needed if access.server_key(name) is None)
-    if missing:
-        commands = "; ".join(f"`telenano keys allow {name} KEY {_roles_needed(book, name)}`" for name in missing)
-        expired = "".join(f" ({why})" for name in missing if "expired" in (why := access.why_not(name)))
-        raise ConfigError(
-            f"{keyring.allowed_path}: the key of {', '.join(missing)} is not allowed here{expired}: run {commands}, "
-            "with the KEY that `telenano keys show` prints there"
-        )
-
-
-def _roles_needed(book: AddressBook, machine: str) -> str:
-    published = [node for node in book.nodes if book.machine_of(node) == machine and book.network_endpoint(node)]
-    commands = any("session/control" in book.published_by(node) for node in published)
-    return "--role data" + " --role control" * commands

@@ -1,6 +1,6 @@
 """The fast path: a T7 at the external input of an emulated Nanonis, driven while the controller is asked over its wire.
 
-The rig's driver is that of the T7; the controller approaches, images and withdraws by its own commands. One instrument
+The rig's driver is that of the T7; the controller approaches and withdraws by its own commands. One instrument
 is behind both, in virtual time.
 """
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from controller_line import Nanonis
 from stage_line import PARAMS, Rig
-from telenano_afm_controllers import nanonis_model, nanonis_wire
-from telenano_afm_controllers.nanonis_client import Raster, approach, image
+from telenano_afm_controllers import nanonis_client, nanonis_model, nanonis_wire
+from telenano_afm_controllers.nanonis_client import approach
 from telenano_afm_controllers.nanonis_model import ExternalInput
 
 from services.afm_node.devices.t7_model import T7Model
@@ -93,23 +93,6 @@ def test_the_controller_approaches_and_the_rig_feels_the_sample_through_the_t7(b
 
 
 @pytest.mark.endurance
-def test_images_are_taken_between_sessions_and_the_tip_is_felt_again_after_them(both: Both) -> None:
-    both.rig.tick(30)
-    first_m = both.approach()
-    heights = image(both, Raster(20e-9, 20e-9, 16, 2, 0.1, SETPOINT_V))  # type: ignore[arg-type]
-    assert np.isfinite(heights).all()
-    # the surface is where the approach had found it, and the image is of a plane
-    assert heights.mean() + LIFT_M == pytest.approx(first_m, abs=2e-9)
-    assert np.ptp(heights) < 0.3e-9
-    both.rig.tick(20)
-    assert both.call("ZCtrl.ZPosGet")[0] > 5e-7
-    assert both.approach() == pytest.approx(first_m, abs=2e-9)
-    both.rig.control("arm")
-    both.rig.tick(400, CONTACT_M)
-    assert both.states()[-1].in_contact
-
-
-@pytest.mark.endurance
 def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> None:
     both.rig.tick(30)
     z_m = both.approach()
@@ -133,9 +116,10 @@ def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> N
 
 
 @pytest.mark.endurance
-def test_a_surface_that_is_not_found_ends_the_approach_withdrawn(both: Both) -> None:
+def test_a_surface_that_is_not_found_ends_the_approach_withdrawn(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nanonis_client, "_REST_WITHIN_S", 1.0)
     both.rig.tick(30)
     with pytest.raises(DeviceError, match="z did not come to rest within 1 s"):
-        approach(both, SETPOINT_V, LIFT_M, 1.0)  # type: ignore[arg-type]
+        both.approach()
     both.rig.tick(30)
     assert both.call("ZCtrl.ZPosGet")[0] > 9.9e-7

@@ -166,12 +166,6 @@ def test_separation_from_force_is_the_inverse(table_2):
     assert md.indentation_m(table_2, pull_off * (1 - 1e-9)) < 0
 
 
-def test_contact_radius(table_2):
-    # under a large load the contact is Hertz's: a = sqrt(R delta)
-    assert math.isclose(md.contact_radius_m(table_2, 1e-6), math.sqrt(R * 1e-6), rel_tol=1e-2)
-    assert md.contact_radius_m(table_2, -0.25e-9) == 0.0
-
-
 @pytest.mark.parametrize("position", range(4))
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
 def test_impossible_contacts_are_named(position, bad):

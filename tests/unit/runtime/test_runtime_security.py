@@ -11,7 +11,7 @@ from zmq.utils import z85
 
 from proto.errors import ConfigError
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.security.access_control import AccessControl, check_keys, relay_key
+from services.runtime.security.access_control import AccessControl, relay_key
 from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
 
 
@@ -515,36 +515,6 @@ def test_a_locked_rig_needs_the_own_key_and_a_list_in_order(ring: Keyring) -> No
     assert refusal_of(AccessControl, "master", ring, requires_keys=True).startswith(f"{ring.allowed_path}: keys: ")
 
 
-NODES = {
-    "controller@master": "ipc:///m",
-    "delay_node@slave": {"local": "ipc:///l", "network": "tcp://10.0.0.1:5704"},
-    "afm_node@slave": {"local": "ipc:///a", "network": "tcp://10.0.0.2:5712"},
-}
-
-
-def test_what_a_machine_lacks_is_reported_with_the_commands_that_help(ring: Keyring) -> None:
-    book = AddressBook.model_validate({"nodes": NODES})
-    assert "`telenano keys new slave` creates one" in refusal_of(check_keys, book, "slave", ring)
-    ring.create("slave")
-    # commands of the operator come out of the link, which runs at the master
-    assert refusal_of(check_keys, book, "slave", ring) == (
-        f"{ring.allowed_path}: the key of master is not allowed here: run `telenano keys allow master KEY --role data "
-        "--role control`, with the KEY that `telenano keys show` prints there"
-    )
-    ring.create("master")
-    assert "`telenano keys allow slave KEY --role data`, with" in refusal_of(check_keys, book, "master", ring)
-    ring.allow("slave", KEY, ["data"])
-    check_keys(book, "master", ring)
-    ring.revoke("slave")
-    assert "the key of slave is not allowed here" in refusal_of(check_keys, book, "master", ring)
-
-
-def test_a_rig_without_keys_lacks_none(ring: Keyring) -> None:
-    check_keys(AddressBook.model_validate({"nodes": NODES, "insecure": True}), "slave", ring)
-    check_keys(AddressBook.model_validate({"nodes": {"afm_node@slave": "ipc:///a"}}), "slave", ring)
-    assert not ring.folder.exists()
-
-
 class Today:
     """A clock that a test sets."""
 
@@ -627,15 +597,6 @@ def test_a_day_that_is_none_names_the_file(ring: Keyring) -> None:
     ring.allow("slave", KEY, ["data"])
     ring.allowed_path.write_text(ring.allowed_path.read_text() + "  expires: tomorrow\n")
     assert "tomorrow is no date such as 2027-06-30" in refusal_of(ring.allowed)
-
-
-def test_what_is_missing_because_it_has_expired_is_reported_as_that(tmp_path: Path) -> None:
-    ring = Keyring(tmp_path / "keys", Today())
-    ring.create("master")
-    ring.allow("slave", KEY, ["data"], date(2027, 2, 28))
-    text = refusal_of(check_keys, AddressBook.model_validate({"nodes": NODES}), "master", ring)
-    assert "the key of slave in" in text
-    assert "expired at the end of 2027-02-28 (UTC)" in text
 
 
 def test_a_relay_is_listed_without_a_right_to_read(access: AccessControl, ring: Keyring) -> None:

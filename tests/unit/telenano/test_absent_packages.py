@@ -77,7 +77,6 @@ def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_pat
     ("words", "package"),
     [
         ("device accept", "telenano-acceptance"),
-        ("device image", PACKAGE),
         ("device approach", PACKAGE),
         ("device calibrate stage", "telenano-calibration"),
         ("device guard nanonis", PACKAGE),

@@ -85,7 +85,6 @@ ELSEWHERE = {
     "particles": "reads an image, and writes one file at the end by `whole_file`",
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "device accept": "takes a motion of a minute, and writes all at once at the end by `results_in`",
-    "device image": "waits for the scan of a controller, and writes all at once at the end by `results_in`",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
 }

@@ -297,12 +297,6 @@ def stiffness_n_per_m(contact: MaugisDugdale, indentation_m: float) -> float:
 
 
 @compiled
-def contact_radius_m(contact: MaugisDugdale, indentation_m: float) -> float:
-    """Radius a [m] of intimate contact at the indentation delta [m]; 0 on the cohesive branch and beyond."""
-    return contact.radius_unit_m * force_at(contact.transition, indentation_m / contact.indentation_unit_m)[2]
-
-
-@compiled
 def indentation_m(contact: MaugisDugdale, force_n: float) -> float:
     """Indentation delta [m] under a force [N], on the branch that is stable at constant force.
 
