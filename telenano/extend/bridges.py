@@ -8,12 +8,10 @@ from typing import Protocol
 import typer
 
 from proto.errors import RigError
-from recording.messages import RecordedMessage
-from services.recorder.live import LiveRecording
+from recording.messages import RecordedMessage as RecordedMessage
+from services.recorder.live import LiveRecording as LiveRecording
 from services.runtime.bus.address_book import load_site
 from services.runtime.wiring.observer import RIG_HINT, nobody_runs
-
-__all__ = ["DEFAULT_RATE_HZ", "Bridge", "LiveRecording", "Rate", "RecordedMessage", "hand_on", "live_rig"]
 
 # 8000 messages a second of a rig would be more than a viewer draws.
 DEFAULT_RATE_HZ = 100.0

@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 from services.afm_node.driver import AfmDriver
 from telenano.cli.commands.device_files import section_of, write_document
 
-__all__ = ["SimulatedAfm", "simulated_afm", "t7_in_front_of"]
-
 
 class SimulatedAfm(NamedTuple):
     """A simulated instrument to stand behind an emulated controller, opened; it has the shape of `AfmDriver`."""

@@ -3,45 +3,25 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from recording.channel_filter import Selection
-from recording.export import (
-    Payload,
-    export_recording,
-    model_of,
-    plain_schema,
-    viewer_json,
-    viewer_schema,
-    write_mcap,
-    write_viewer_mcap,
-)
-from recording.messages import RawChannel, RecordedChannel, RecordedMessage
-from recording.reader import Recording
-from recording.rewrite import CopyResult
-from recording.tables import plain
-from recording.whole_files import whole_file, whole_folder
+from recording.channel_filter import Selection as Selection
+from recording.export import Payload as Payload
+from recording.export import export_recording as export_recording
+from recording.export import model_of as model_of
+from recording.export import plain_schema as plain_schema
+from recording.export import viewer_json as viewer_json
+from recording.export import viewer_schema as viewer_schema
+from recording.export import write_mcap as write_mcap
+from recording.export import write_viewer_mcap as write_viewer_mcap
+from recording.messages import RawChannel as RawChannel
+from recording.messages import RecordedChannel as RecordedChannel
+from recording.messages import RecordedMessage as RecordedMessage
+from recording.reader import Recording as Recording
+from recording.rewrite import CopyResult as CopyResult
+from recording.tables import plain as plain
+from recording.whole_files import whole_file as whole_file
+from recording.whole_files import whole_folder as whole_folder
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
-
-__all__ = [
-    "CopyResult",
-    "Payload",
-    "RawChannel",
-    "RecordedChannel",
-    "RecordedMessage",
-    "Recording",
-    "Selection",
-    "export_recording",
-    "model_of",
-    "plain",
-    "plain_schema",
-    "viewer_json",
-    "viewer_schema",
-    "whole_file",
-    "whole_folder",
-    "write_mcap",
-    "write_recording",
-    "write_viewer_mcap",
-]
 
 
 def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:

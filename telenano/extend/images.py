@@ -4,12 +4,12 @@ from pathlib import Path
 
 import typer
 
-from analysis.image_files import Image, ImageFacts, images_of_lines
+from analysis.image_files import Image as Image
+from analysis.image_files import ImageFacts as ImageFacts
+from analysis.image_files import images_of_lines as images_of_lines
 from presets import plugins
-from services.console.live_program import LiveImage
-from telenano.cli.sample_options import results_in
-
-__all__ = ["Image", "ImageFacts", "LiveImage", "images_of_lines", "results_in", "write_images"]
+from services.console.live_program import LiveImage as LiveImage
+from telenano.cli.sample_options import results_in as results_in
 
 
 def write_images(

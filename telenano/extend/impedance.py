@@ -8,37 +8,27 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from services.haptic_node.coupling import ZERO, Vector
-from services.haptic_node.devices.impedance_wire import ImpedanceWire, Turn, quaternion_of
-from services.haptic_node.driver import UPRIGHT, Capabilities, DeviceError, HapticDevice, Quaternion
-from services.haptic_node.safety import MODE_OFF, MODE_POSITION
-from services.haptic_node.servo import DeviceSample
-from services.runtime.loop.log import StructuredLog
-from services.runtime.settings.config import Settings, refused_code
+from services.haptic_node.coupling import ZERO as ZERO
+from services.haptic_node.coupling import Vector as Vector
+from services.haptic_node.devices.impedance_wire import ImpedanceWire as ImpedanceWire
+from services.haptic_node.devices.impedance_wire import Turn as Turn
+from services.haptic_node.devices.impedance_wire import quaternion_of as quaternion_of
+from services.haptic_node.driver import UPRIGHT as UPRIGHT
+from services.haptic_node.driver import Capabilities as Capabilities
+from services.haptic_node.driver import DeviceError as DeviceError
+from services.haptic_node.driver import HapticDevice
+from services.haptic_node.driver import Quaternion as Quaternion
+from services.haptic_node.safety import MODE_OFF as MODE_OFF
+from services.haptic_node.safety import MODE_POSITION as MODE_POSITION
+from services.haptic_node.servo import DeviceSample as DeviceSample
+from services.runtime.loop.log import StructuredLog as StructuredLog
+from services.runtime.settings.config import Settings as Settings
+from services.runtime.settings.config import refused_code as refused_code
 from services.runtime.settings.device_drivers import DeviceDriver
 
 if TYPE_CHECKING:
     # The process of the servo does not need it.
     from services.haptic_node.impedance_config import CouplingConfig
-
-__all__ = [
-    "MODE_OFF",
-    "MODE_POSITION",
-    "UPRIGHT",
-    "ZERO",
-    "Capabilities",
-    "DeviceError",
-    "DeviceSample",
-    "ImpedanceWire",
-    "Quaternion",
-    "Settings",
-    "StructuredLog",
-    "Turn",
-    "Vector",
-    "impedance_driver",
-    "quaternion_of",
-    "refused_code",
-]
 
 
 def impedance_driver(

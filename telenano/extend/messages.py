@@ -6,27 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import proto
-from proto import TOPICS, Message, decode, encode
-from proto.errors import RecordingError
+from proto import TOPICS as TOPICS
+from proto import Message as Message
+from proto import decode as decode
+from proto import encode as encode
+from proto.errors import RecordingError as RecordingError
 from proto.nodes import site_of
-from recording.messages import RecordedChannel, RecordedMessage
-from recording.quantities import quantity
-from recording.tables import plain
+from recording.messages import RecordedChannel as RecordedChannel
+from recording.messages import RecordedMessage as RecordedMessage
+from recording.quantities import quantity as quantity
+from recording.tables import plain as plain
 from recording.writer import channel_topic
-
-__all__ = [
-    "TOPICS",
-    "Message",
-    "RecordedChannel",
-    "RecordedMessage",
-    "RecordingError",
-    "decode",
-    "encode",
-    "example",
-    "plain",
-    "quantity",
-    "recorded",
-]
 
 
 def example(topic: str, **fields: Any) -> Message:

@@ -6,48 +6,28 @@
 from collections.abc import Iterator
 from typing import Any
 
-from proto.errors import RefusedError
+from proto.errors import RefusedError as RefusedError
 from services.afm_node.driver import Oscillation
-from services.afm_node.programs.feedback import gain_fault, integral_share
-from services.afm_node.programs.lateral import Place, moved
-from services.afm_node.programs.program import (
-    APPROACH,
-    ARRIVED,
-    RISE,
-    WAY_TEXTS,
-    Begun,
-    Inputs,
-    Instrument,
-    Program,
-    Progress,
-    Wanted,
-    way_to_surface,
-)
-from services.afm_node.programs.program_settings import Force, Length, Position, ProgramSettings, Speed
-
-__all__ = [
-    "APPROACH",
-    "ARRIVED",
-    "RISE",
-    "WAY_TEXTS",
-    "Begun",
-    "Force",
-    "Inputs",
-    "Instrument",
-    "Length",
-    "Place",
-    "Position",
-    "Program",
-    "ProgramSettings",
-    "Progress",
-    "RefusedError",
-    "Speed",
-    "Wanted",
-    "gain_fault",
-    "integral_share",
-    "trial",
-    "way_to_surface",
-]
+from services.afm_node.programs.feedback import gain_fault as gain_fault
+from services.afm_node.programs.feedback import integral_share as integral_share
+from services.afm_node.programs.lateral import Place as Place
+from services.afm_node.programs.lateral import moved
+from services.afm_node.programs.program import APPROACH as APPROACH
+from services.afm_node.programs.program import ARRIVED as ARRIVED
+from services.afm_node.programs.program import RISE as RISE
+from services.afm_node.programs.program import WAY_TEXTS as WAY_TEXTS
+from services.afm_node.programs.program import Begun as Begun
+from services.afm_node.programs.program import Inputs as Inputs
+from services.afm_node.programs.program import Instrument as Instrument
+from services.afm_node.programs.program import Program as Program
+from services.afm_node.programs.program import Progress as Progress
+from services.afm_node.programs.program import Wanted as Wanted
+from services.afm_node.programs.program import way_to_surface as way_to_surface
+from services.afm_node.programs.program_settings import Force as Force
+from services.afm_node.programs.program_settings import Length as Length
+from services.afm_node.programs.program_settings import Position as Position
+from services.afm_node.programs.program_settings import ProgramSettings as ProgramSettings
+from services.afm_node.programs.program_settings import Speed as Speed
 
 _PERIOD_S = 1e-3
 

@@ -1,7 +1,7 @@
 """A reader of one's own for files of instruments: which functions read them, called in a child process with limits."""
 
-from presets.regular_files import open_regular
-from services.runtime.untrusted.file_readers import FileReader
-from services.runtime.untrusted.limited_child import Limits, limits_for, read_in_child
-
-__all__ = ["FileReader", "Limits", "limits_for", "open_regular", "read_in_child"]
+from presets.regular_files import open_regular as open_regular
+from services.runtime.untrusted.file_readers import FileReader as FileReader
+from services.runtime.untrusted.limited_child import Limits as Limits
+from services.runtime.untrusted.limited_child import limits_for as limits_for
+from services.runtime.untrusted.limited_child import read_in_child as read_in_child

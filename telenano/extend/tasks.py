@@ -10,29 +10,11 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
+from pydantic import Field as Field
 
 from proto.experiment_messages import Question
 from recording.column_table import ColumnTable
-
-__all__ = [
-    "COMMON",
-    "Course",
-    "Field",
-    "Interval",
-    "Judged",
-    "Measure",
-    "Parameters",
-    "Plain",
-    "Series",
-    "Task",
-    "TrialData",
-    "choice",
-    "common_of",
-    "held_from",
-    "scale",
-    "tip_of",
-]
 
 Series = npt.NDArray[np.float64]
 Judged = dict[str, float | bool | None]

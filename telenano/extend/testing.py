@@ -9,34 +9,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from proto import TOPICS, encode
-from proto.errors import RefusedError
+from proto.errors import RefusedError as RefusedError
 from proto.messages import Message
 from proto.ranges import limited
 from proto.sequence import Arrival
 from services.runtime.bus.bus import Received
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
-from services.runtime.settings.config import merge, validate
+from services.runtime.settings.config import merge as merge
+from services.runtime.settings.config import validate as validate
 from telenano.extend.messages import RecordedMessage, example, recorded
-
-__all__ = [
-    "EPOCH_NS",
-    "HOSTILITIES",
-    "HostileService",
-    "NodeBench",
-    "RefusedError",
-    "TakenReading",
-    "VirtualClock",
-    "afm_config",
-    "afm_node",
-    "hand_state",
-    "instrument_of",
-    "merge",
-    "numbered",
-    "received",
-    "unseen",
-    "validate",
-]
 
 HOSTILITIES = {
     "none": "each answer comes once, at once",

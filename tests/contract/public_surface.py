@@ -4,9 +4,9 @@
 is in docs/release.md: a name leaves that file only after a release that has said so, in the table `deprecated` there.
 """
 
+import ast
 import importlib
 import json
-import pkgutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,10 +41,23 @@ def surface() -> dict[str, list[str]]:
 
 
 def extension_names() -> Iterator[str]:
-    """Yield the names that `telenano.extend` offers to packages."""
-    for part in pkgutil.iter_modules(telenano.extend.__path__, "telenano.extend."):
-        module = importlib.import_module(part.name)
-        yield from (f"{part.name}.{name}" for name in module.__all__)
+    """Yield the names that `telenano.extend` offers to packages: what it defines, and what it imports as itself."""
+    for path in sorted(Path(telenano.extend.__path__[0]).glob("*.py")):
+        module = f"telenano.extend.{path.stem}"
+        for part in ast.parse(path.read_text(encoding="utf-8")).body:
+            yield from (f"{module}.{name}" for name in offered(part) if hasattr(importlib.import_module(module), name))
+
+
+def offered(part: ast.stmt) -> list[str]:
+    """Return the names that a statement at the top of a module offers to those that import it."""
+    found: list[str | None] = []
+    if isinstance(part, ast.ImportFrom):
+        found = [each.asname for each in part.names if each.asname == each.name]
+    elif isinstance(part, ast.FunctionDef | ast.ClassDef):
+        found = [part.name]
+    elif isinstance(part, ast.Assign):
+        found = [each.id for each in part.targets if isinstance(each, ast.Name)]
+    return [name for name in found if name is not None and not name.startswith("_")]
 
 
 def options(path: str, command: Any) -> Iterator[str]:
