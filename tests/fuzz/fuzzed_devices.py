@@ -17,6 +17,7 @@ from telenano_haptic_devices import dhd, haply, hd
 from telenano_haptic_devices.arm_model import INVERSE3
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
+from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
 from services.afm_node.driver import DeviceError as InstrumentError
 from services.haptic_node.config import HapticConfig
@@ -248,6 +249,7 @@ def _servo(build: Callable[[VirtualTime, random.Random], Any], source: random.Ra
 def _haply(time: VirtualTime, source: random.Random) -> Any:
     service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
     return haply.HaplyWire(
+        HaplyConfig(),
         connect=lambda address: OddConversation(source, service, time),  # type: ignore[arg-type,return-value]
         now_ns=time.now_ns,
         sleep=time.sleep,
@@ -256,7 +258,10 @@ def _haply(time: VirtualTime, source: random.Random) -> Any:
 
 def _library(kind: str, time: VirtualTime, source: random.Random) -> Any:
     library = OddLibrary(source)
-    made: Any = (dhd.DhdWire if kind == "dhd" else hd.HdWire)(now_ns=time.now_ns, sleep=time.sleep)
+    if kind == "dhd":
+        made: Any = dhd.DhdWire(DhdConfig(), now_ns=time.now_ns, sleep=time.sleep)
+    else:
+        made = hd.HdWire(HdConfig(), now_ns=time.now_ns, sleep=time.sleep)
     made._lib = library
     if kind == "hd":
         time.passes = lambda duration_s: None if library.callback is None else library.callback(None)

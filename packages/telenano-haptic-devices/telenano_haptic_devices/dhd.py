@@ -24,6 +24,7 @@ from telenano.extend.impedance import (
     Vector,
     quaternion_of,
 )
+from telenano_haptic_devices.settings import DhdConfig
 from telenano_haptic_devices.vendor_library import DHD, declare, is_double, load, tell_session
 
 _ID, _REAL, _INT, _BYTE = ctypes.c_byte, ctypes.c_double, ctypes.c_int, ctypes.c_ubyte
@@ -90,29 +91,16 @@ _EMULATED_DAMPING_N_S_PER_M, _EMULATED_MASS_KG = 0.5, 0.25
 
 
 class DhdWire:
-    """An `ImpedanceWire` to one device of Force Dimension.
-
-    Args:
-        library: The file of the library, None to look for it.
-        serial: The serial number, None for the first that is free.
-        rate_hz: Of the servo; the USB line takes up to 4 kHz.
-        deadman_button: The button that has to be held, None for none.
-        now_ns: The monotonic clock [ns]; a test replaces it.
-        sleep: Waits for the next sample.
-    """
+    """An `ImpedanceWire` to one device of Force Dimension; a test replaces its clock [ns] and how it waits."""
 
     def __init__(
         self,
-        library: str | None = None,
-        serial: int | None = None,
-        rate_hz: float = 1000.0,
-        deadman_button: int | None = None,
+        settings: DhdConfig,
         *,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._path, self._serial, self._rate_hz, self._deadman = library, serial, rate_hz, deadman_button
-        self._now_ns, self._sleep = now_ns, sleep
+        self._settings, self._now_ns, self._sleep = settings, now_ns, sleep
         self._lib: ctypes.CDLL | None = None
         self._id = _ID(-1)
         self._name = "the device of Force Dimension"
@@ -120,13 +108,14 @@ class DhdWire:
 
     def open(self) -> Capabilities:
         if self._lib is None:
-            self._lib = load(DHD, self._path)
+            self._lib = load(DHD, self._settings.library)
             declare(self._lib, DHD.what, _CALLS)
         lib = self._lib
         if lib.dhdGetAvailableCount() <= 0:
             text = "no device of Force Dimension is free: switch it on, plug it in, end other programs that use it"
             raise DeviceError(text)
-        opened = lib.dhdOpen() if self._serial is None else lib.dhdOpenSerial(self._serial)
+        serial = self._settings.serial
+        opened = lib.dhdOpen() if serial is None else lib.dhdOpenSerial(serial)
         self._id = _ID(self._checked(opened, "dhdOpen"))
         try:
             return self._come_up(lib)
@@ -141,7 +130,7 @@ class DhdWire:
             raise DeviceError(f"{self._name} is not open")
         x, y, z = _REAL(), _REAL(), _REAL()
         place = ctypes.byref(x), ctypes.byref(y), ctypes.byref(z), self._id
-        period_ns = round(1e9 / self._rate_hz)
+        period_ns, deadman = round(1e9 / self._settings.rate_hz), self._settings.deadman_button
         due_ns = status_ns = self._now_ns()
         error = ""
         while True:
@@ -151,7 +140,7 @@ class DhdWire:
                 status_ns = taken_ns + round(_STATUS_EVERY_S * 1e9)
                 error = self._trouble(lib)
             buttons = lib.dhdGetButtonMask(self._id)
-            held = self._deadman is None or bool(buttons >> self._deadman & 1)
+            held = deadman is None or bool(buttons >> deadman & 1)
             orientation = self._orientation(lib)
             at = (y.value, -x.value, z.value)
             force = turn(DeviceSample(at, taken_ns, orientation, buttons, held, taken_ns, error))
@@ -204,13 +193,13 @@ class DhdWire:
             kind="impedance",
             axes=3,
             lateral_m=(ends, ends),
-            rate_hz=self._rate_hz,
+            rate_hz=self._settings.rate_hz,
             damping_n_s_per_m=_EMULATED_DAMPING_N_S_PER_M * emulated,
             mass_kg=_EMULATED_MASS_KG * emulated,
             # The force is sent in the period of its sample; a period is allowed for the line.
-            drive_delay_s=1.0 / self._rate_hz,
+            drive_delay_s=1.0 / self._settings.rate_hz,
             buttons=("0", "1", "2", "3"),
-            deadman="" if self._deadman is None else str(self._deadman),
+            deadman="" if self._settings.deadman_button is None else str(self._settings.deadman_button),
             has_orientation=self._has_wrist,
         )
 

@@ -7,19 +7,19 @@ from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 def _haply(settings: HaplyConfig) -> ImpedanceWire:
     from telenano_haptic_devices.haply import HaplyWire
 
-    return HaplyWire(**settings.model_dump())
+    return HaplyWire(settings)
 
 
 def _dhd(settings: DhdConfig) -> ImpedanceWire:
     from telenano_haptic_devices.dhd import DhdWire
 
-    return DhdWire(**settings.model_dump())
+    return DhdWire(settings)
 
 
 def _hd(settings: HdConfig) -> ImpedanceWire:
     from telenano_haptic_devices.hd import HdWire
 
-    return HdWire(**settings.model_dump())
+    return HdWire(settings)
 
 
 HAPLY = impedance_driver("haply", HaplyConfig, _haply, "Haply Inverse3")

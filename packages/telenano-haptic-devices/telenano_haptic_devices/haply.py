@@ -33,6 +33,7 @@ from telenano.extend.impedance import (
     Vector,
 )
 from telenano_haptic_devices.arm_model import INVERSE3
+from telenano_haptic_devices.settings import HaplyConfig
 
 SERVICE = "ws://127.0.0.1:10001"
 NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
@@ -272,47 +273,25 @@ class Conversation:
 
 
 class HaplyWire:
-    """An `ImpedanceWire` to one Inverse3.
-
-    Args:
-        service: The address of the service.
-        device_id: The Inverse3, if the service has several.
-        rate_hz: How often it is asked.
-        force_field: `vector` as the pages of 3.x have it, or `values` as most public code.
-        force_gate: The oscillation guard of the service, None for its own.
-        damping: The damper of the service, None for its own.
-        preset: How the device stands, in the words of the service.
-        deadman: The button of the grip that has to be held, empty for none.
-        connect: Opens the conversation; a test replaces it.
-        now_ns: The monotonic clock [ns].
-        sleep: Waits for the next tick.
-    """
+    """An `ImpedanceWire` to one Inverse3; a test replaces what opens the conversation, clock [ns] and waiting."""
 
     def __init__(
         self,
-        service: str = SERVICE,
-        device_id: str | None = None,
-        rate_hz: float = 1000.0,
-        force_field: str = "vector",
-        force_gate: float | None = 0.0,
-        damping: float | None = 0.0,
-        preset: str = "arm_front_centered",
-        deadman: str = "",
+        settings: HaplyConfig,
         *,
         connect: "Callable[[str], Conversation] | None" = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._service, self._wanted, self._rate_hz = service, device_id, rate_hz
-        self._force_field, self._deadman = force_field, deadman
+        self._settings, self._service, self._deadman = settings, settings.service, settings.deadman
         self._connect = Conversation if connect is None else connect
         self._now_ns, self._sleep = now_ns, sleep
         # The presets that end in `centered` put zero into the centre of the workspace.
-        self._filters: dict[str, Any] = {"preset": {"preset": preset}}
-        if force_gate is not None:
-            self._filters["force_gate"] = {"gain": force_gate}
-        if damping is not None:
-            self._filters["damping"] = {"scalar": damping}
+        self._filters: dict[str, Any] = {"preset": {"preset": settings.preset}}
+        if settings.force_gate is not None:
+            self._filters["force_gate"] = {"gain": settings.force_gate}
+        if settings.damping is not None:
+            self._filters["damping"] = {"scalar": settings.damping}
         self._conversation: Conversation | None = None
         self._id = ""
         self._head = self._tail = b""
@@ -332,7 +311,7 @@ class HaplyWire:
             self.close()
             raise
         self._id = arm.device_id
-        before, after = f'{{"{self._force_field}":', "}}}]}"
+        before, after = f'{{"{self._settings.force_field}":', "}}}]}"
         self._head = f'{{"inverse3":[{{"device_id":"{self._id}","commands":{{"set_cursor_force":{before}'.encode()
         self._tail = after.encode()
         config = arm.config or ArmConfig()
@@ -363,11 +342,11 @@ class HaplyWire:
             kind="impedance",
             axes=3,
             lateral_m=(ends, ends),
-            rate_hz=self._rate_hz,
+            rate_hz=self._settings.rate_hz,
             damping_n_s_per_m=INVERSE3.damping_n_s_per_m * self._emulated,
             mass_kg=INVERSE3.mass_kg * self._emulated,
             # The force of a message answers the sample of the message before.
-            drive_delay_s=1.0 / self._rate_hz,
+            drive_delay_s=1.0 / self._settings.rate_hz,
             buttons=BUTTONS * bool(grips),
             deadman=self._deadman,
             has_orientation=bool(grips),
@@ -378,7 +357,7 @@ class HaplyWire:
         if self._conversation is None:
             raise DeviceError(f"{self._service}: the service is not open")
         force: Vector = ZERO
-        period_ns = round(1e9 / self._rate_hz)
+        period_ns = round(1e9 / self._settings.rate_hz)
         due_ns = sent_ns = self._now_ns()
         while True:
             unasked = self._conversation.drop()
@@ -417,15 +396,15 @@ class HaplyWire:
         assert self._conversation is not None
         answer = self._conversation.receive(_OPEN_S)
         end_s = self._now_ns() * 1e-9 + _OPEN_S
-        while not any(self._wanted in (None, arm.device_id) for arm in answer.inverse3):
+        while not any(self._settings.device_id in (None, arm.device_id) for arm in answer.inverse3):
             if self._now_ns() * 1e-9 > end_s:
-                what = f"Inverse3 {self._wanted}" if self._wanted else "Inverse3"
+                what = f"Inverse3 {self._settings.device_id}" if self._settings.device_id else "Inverse3"
                 there = ", ".join(arm.device_id for arm in answer.inverse3) or "none"
                 raise DeviceError(f"{self._service}: the service has no {what} (there is {there}): plug it in")
             self._sleep(0.1)
             self._conversation.send(b'{"session":{"force_render_full_state":{}}}')
             answer = self._conversation.receive()
-        found = [arm for arm in answer.inverse3 if self._wanted in (None, arm.device_id)]
+        found = [arm for arm in answer.inverse3 if self._settings.device_id in (None, arm.device_id)]
         if len(found) > 1:
             there = ", ".join(arm.device_id for arm in found)
             raise DeviceError(f"{self._service}: several devices, {there}: give one as haptic_node.haply.device_id")
@@ -478,10 +457,10 @@ class HaplyWire:
             self._differs = 0
             return
         self._differs += 1
-        if self._differs != round(_CHECK_S * self._rate_hz):
+        if self._differs != round(_CHECK_S * self._settings.rate_hz):
             return
         if not any(rendered):
-            other = "values" if self._force_field == "vector" else "vector"
+            other = "values" if self._settings.force_field == "vector" else "vector"
             text = f"the Inverse3 {self._id} renders no force: give haptic_node.haply.force_field: {other}"
             raise DeviceError(f"{self._service}: {text}")
         text = "the service renders another force than it is sent: its force_gate, damping or force_scale changes it"

@@ -23,6 +23,7 @@ from telenano.extend.impedance import (
     Vector,
     quaternion_of,
 )
+from telenano_haptic_devices.settings import HdConfig
 from telenano_haptic_devices.vendor_library import HD, declare, is_double, load, tell_session
 
 _BUTTONS, _POSITION, _TRANSFORM, _FORCE = 0x2000, 0x2050, 0x2052, 0x2700
@@ -77,29 +78,16 @@ _CALLS: dict[str, tuple[type | None, tuple[type, ...]]] = {
 
 
 class HdWire:
-    """An `ImpedanceWire` to one Touch.
-
-    Args:
-        library: The file of the library, None to look for it.
-        name: The name that the device has in its driver, None for the default.
-        rate_hz: 500 or 1000.
-        deadman_button: The button that has to be held, None for none.
-        now_ns: The monotonic clock [ns]; a test replaces it.
-        sleep: Waits while the scheduler calls.
-    """
+    """An `ImpedanceWire` to one Touch; a test replaces its monotonic clock [ns] and how it waits for the next look."""
 
     def __init__(
         self,
-        library: str | None = None,
-        name: str | None = None,
-        rate_hz: float = 1000.0,
-        deadman_button: int | None = None,
+        settings: HdConfig,
         *,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._path, self._device_name, self._rate_hz, self._deadman = library, name, rate_hz, deadman_button
-        self._now_ns, self._sleep = now_ns, sleep
+        self._settings, self._now_ns, self._sleep = settings, now_ns, sleep
         self._lib: ctypes.CDLL | None = None
         self._device = _INVALID
         self._name = "the Touch"
@@ -108,10 +96,11 @@ class HdWire:
 
     def open(self) -> Capabilities:
         if self._lib is None:
-            self._lib = load(HD, self._path)
+            self._lib = load(HD, self._settings.library)
             declare(self._lib, HD.what, _CALLS)
         lib = self._lib
-        self._device = lib.hdInitDevice(None if self._device_name is None else self._device_name.encode())
+        name = self._settings.name
+        self._device = lib.hdInitDevice(None if name is None else name.encode())
         try:
             self._check("hdInitDevice")
             if self._device == _INVALID:
@@ -188,7 +177,7 @@ class HdWire:
         self._errors()
         emulated = is_double(lib)
         self._name = f"3D Systems {model}, serial number {serial}" + ", emulated" * emulated
-        lib.hdSetSchedulerRate(round(self._rate_hz))
+        lib.hdSetSchedulerRate(self._settings.rate_hz)
         self._check("hdSetSchedulerRate")
         lib.hdEnable(_FORCE_OUTPUT)
         self._check("hdEnable")
@@ -200,6 +189,7 @@ class HdWire:
         lib.hdGetDoublev(_STIFFNESS_N_PER_MM, value)
         self._check("hdGetDoublev")
         left, low, far, right, high, near = (_MM * end for end in usable)
+        deadman = self._settings.deadman_button
         return Capabilities(
             max_force_n=max_force_n,
             max_stiffness_n_per_m=value[0] / _MM,
@@ -213,13 +203,13 @@ class HdWire:
             kind="impedance",
             axes=3,
             lateral_m=((left, right), (-near, -far)),
-            rate_hz=self._rate_hz,
+            rate_hz=float(self._settings.rate_hz),
             damping_n_s_per_m=_EMULATED_DAMPING_N_S_PER_M * emulated,
             mass_kg=_EMULATED_MASS_KG * emulated,
             # The force is sent in the frame of its sample; a period is allowed for the line.
-            drive_delay_s=1.0 / self._rate_hz,
+            drive_delay_s=1.0 / self._settings.rate_hz,
             buttons=("1", "2", "3", "4"),
-            deadman="" if self._deadman is None else str(self._deadman + 1),
+            deadman="" if deadman is None else str(deadman + 1),
             has_orientation=True,
         )
 
@@ -235,7 +225,8 @@ class HdWire:
             self._check("hdBeginFrame")
             x, y, z = self._place
             buttons = self._buttons.value
-            held = self._deadman is None or bool(buttons >> self._deadman & 1)
+            deadman = self._settings.deadman_button
+            held = deadman is None or bool(buttons >> deadman & 1)
             at = (_MM * x, -_MM * z, _MM * y)
             error = self._trouble(lib)
             force = turn(DeviceSample(at, taken_ns, self._orientation(), buttons, held, taken_ns, error))

@@ -15,6 +15,7 @@ from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply import HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.hd import HdWire
+from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
 
 from telenano.extend.emulators import (
     GATE_ACTIVE,
@@ -104,14 +105,15 @@ class Emulated:
                     raise DeviceError(f"no Inverse Service answers at {address}: {haply.INSTALL}")
                 return MemoryConversation(self.service, time)
 
-            self.wire = HaplyWire(connect=connect, **clock, **settings)
+            self.wire = HaplyWire(HaplyConfig(**settings), connect=connect, **clock)
             return
         path = folder / f"{kind}.so"
         shutil.copy(library_doubles.build(kind), path)
         self.double = library_doubles.Double(path)
         self.double.set("virtual_s", time.s)
         time.passes, time.taken_ns = self._pass, lambda: round(self.double.get("virtual_s") * 1e9)
-        self.wire = (DhdWire if kind == "dhd" else HdWire)(library=str(path), **clock, **settings)
+        settings["library"] = str(path)
+        self.wire = DhdWire(DhdConfig(**settings), **clock) if kind == "dhd" else HdWire(HdConfig(**settings), **clock)
 
     def _pass(self, duration_s: float) -> None:
         """Let the device go on; the scheduler of HD calls each millisecond of a wait."""

@@ -19,6 +19,7 @@ from telenano_haptic_devices.arm_model import INVERSE3
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply import HaplyWire
 from telenano_haptic_devices.haply_service import HaplyService, obey, serve_haply
+from telenano_haptic_devices.settings import HaplyConfig
 from telenano_haptic_devices.simulate import whole_lines
 
 from telenano.extend.emulators import GATE_ACTIVE, hand_of
@@ -82,7 +83,7 @@ def turns(count: int, seen: list[DeviceSample], push: float = 0.0) -> Callable[[
 
 
 def test_the_driver_finds_the_device_and_drives_it_over_the_real_wire(served: Served) -> None:
-    wire, seen = HaplyWire(served.address), list[DeviceSample]()
+    wire, seen = HaplyWire(HaplyConfig(service=served.address)), list[DeviceSample]()
     found = wire.open()
     assert found.identity == "Haply inverse3 049D, firmware 3.5, emulated"
     assert (found.axes, found.kind, found.buttons) == (3, "impedance", ("a", "b", "c"))
@@ -117,7 +118,7 @@ def clocked(answers: Callable[[int], tuple[int, float]]) -> tuple[Any, list[tupl
 
     server = serve(converse, "127.0.0.1", 0, compression=None)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    return server, [], HaplyWire(f"ws://127.0.0.1:{server.socket.getsockname()[1]}")
+    return server, [], HaplyWire(HaplyConfig(service=f"ws://127.0.0.1:{server.socket.getsockname()[1]}"))
 
 
 def ages(ages_s: list[tuple[float, float]], count: int) -> Callable[[DeviceSample], Any]:
@@ -163,17 +164,17 @@ def test_service_that_is_not_there_and_one_of_another_kind_are_sentences(
 ) -> None:
     monkeypatch.setattr("telenano_haptic_devices.haply._OPEN_S", 0.3)
     with pytest.raises(DeviceError, match=r"no Inverse Service answers at ws://127.0.0.1:1 "):
-        HaplyWire("ws://127.0.0.1:1").open()
+        HaplyWire(HaplyConfig(service="ws://127.0.0.1:1")).open()
     with pytest.raises(DeviceError, match="is no address such as ws://"):
-        HaplyWire("localhost").open()
+        HaplyWire(HaplyConfig(service="localhost")).open()
     with pytest.raises(DeviceError, match=r"has no Inverse3 FFFF \(there is 049D\): plug it in"):
-        HaplyWire(served.address, device_id="FFFF").open()
+        HaplyWire(HaplyConfig(service=served.address, device_id="FFFF")).open()
 
 
 def test_without_websockets_driver_and_emulator_name_what_they_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "websockets.client", None)
     with pytest.raises(DeviceError, match=r"the Haply Inverse3 needs websockets: pip install 'websockets>=15'"):
-        HaplyWire("ws://127.0.0.1:1").open()
+        HaplyWire(HaplyConfig(service="ws://127.0.0.1:1")).open()
     monkeypatch.setitem(sys.modules, "websockets.asyncio.server", None)
     service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
     with pytest.raises(DeviceError, match=r"Inverse Service needs websockets: pip install 'websockets>=15'"):
@@ -286,7 +287,7 @@ def test_service_that_answers_no_more_is_lost() -> None:
 
 
 def test_hand_of_an_emulated_device_goes_on_with_its_programme_where_the_service_was_lost(served: Served) -> None:
-    wire = HaplyWire(served.address)
+    wire = HaplyWire(HaplyConfig(service=served.address))
     wire.open()
     wire.session(True)
     wire.run(turns(50, []))

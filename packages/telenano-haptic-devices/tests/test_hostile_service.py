@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from servo_bench import VirtualTime
 from telenano_haptic_devices import haply
+from telenano_haptic_devices.settings import HaplyConfig
 
 from telenano.extend.impedance import DeviceError
 from telenano.extend.testing import HOSTILITIES, HostileService, TakenReading, unseen
@@ -56,7 +57,10 @@ class HostileConversation(haply.Conversation):
 def inverse3(kind: str) -> list[TakenReading]:
     time, readings = VirtualTime(), list[TakenReading]()
     device = haply.HaplyWire(
-        connect=lambda address: HostileConversation(kind, time), now_ns=time.now_ns, sleep=time.sleep
+        HaplyConfig(),
+        connect=lambda address: HostileConversation(kind, time),
+        now_ns=time.now_ns,
+        sleep=time.sleep,
     )
 
     def turn(sample: Any) -> Any:
@@ -81,7 +85,10 @@ def inverse3(kind: str) -> list[TakenReading]:
 def test_a_service_that_falls_silent_holds_the_last_force_no_longer_than_the_coupling_bears() -> None:
     time, asked_s = VirtualTime(), list[float]()
     device = haply.HaplyWire(
-        connect=lambda address: HostileConversation("never", time), now_ns=time.now_ns, sleep=time.sleep
+        HaplyConfig(),
+        connect=lambda address: HostileConversation("never", time),
+        now_ns=time.now_ns,
+        sleep=time.sleep,
     )
     device.open()
     with pytest.raises(DeviceError, match=r"silent for 0\.05 s"):

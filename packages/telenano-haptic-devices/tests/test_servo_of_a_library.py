@@ -13,6 +13,7 @@ import pytest
 from telenano_haptic_devices.checks import check_devices
 from telenano_haptic_devices.dhd import DhdWire
 from telenano_haptic_devices.hd import HdWire
+from telenano_haptic_devices.settings import DhdConfig, HdConfig
 from telenano_haptic_devices.vendor_library import DHD, HD, find
 
 from telenano.extend.emulators import CouplingSettings, ProcessLink, ServoCommand, ServoSample
@@ -98,14 +99,14 @@ def test_doctor_says_what_is_missing_and_where_to_get_it(tmp_path: Path, monkeyp
     assert not found["hd"].advice
 
 
-@pytest.mark.parametrize(("library", "made"), [(DHD, DhdWire), (HD, HdWire)])
+@pytest.mark.parametrize(("library", "made", "settings"), [(DHD, DhdWire, DhdConfig), (HD, HdWire, HdConfig)])
 def test_a_library_that_a_scenario_names_is_code_and_refused(
-    library: Any, made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    library: Any, made: Any, settings: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A scenario is data (SECURITY.md); the doubles of these tests are allowed where they are built."""
     monkeypatch.delenv("TELENANO_ALLOW_CODE")
     heard: list[str] = []
     monkeypatch.setattr("ctypes.CDLL", heard.append)
     with pytest.raises(DeviceError, match=f"{library.setting} .*evil.so: it is code.*--allow-code"):
-        made(library=str(tmp_path / "evil.so")).open()
+        made(settings(library=str(tmp_path / "evil.so"))).open()
     assert not heard
