@@ -32,13 +32,7 @@ _UNKNOWN = frozenset(("topic", "newer_version"))
 _START_REPORT_NS = 2_000_000_000
 
 
-def columns(
-    recording: RecordingSource,
-    channel_topic: str,
-    fields: Sequence[str],
-    start_ns: int | None = None,
-    end_ns: int | None = None,
-) -> dict[str, Column]:
+def columns(recording: RecordingSource, channel_topic: str, fields: Sequence[str]) -> dict[str, Column]:
     """Return fields of every message of a channel, in the order received.
 
     Args:
@@ -46,8 +40,6 @@ def columns(
         channel_topic: The topic of the channel.
         fields: Keys of the message, dotted into its parts (`position_m.2`, `forward.delay_mean_s`), and `log_ns` and
             `publish_ns` of the record.
-        start_ns: The earliest time of reception [ns]; None reads from the beginning.
-        end_ns: The end of the times of reception [ns]; None reads to the end.
 
     Returns:
         Arrays of one dimension by field: int64, float64 (NaN where a message has nil), bool, or objects for text.
@@ -55,17 +47,11 @@ def columns(
     Raises:
         RecordingError: There is no such channel or field; the message names file, channel and field.
     """
-    pieces = list(column_pieces(recording, channel_topic, fields, start_ns, end_ns))
+    pieces = list(column_pieces(recording, channel_topic, fields))
     return {field: _joined([piece[field] for piece in pieces]) for field in fields}
 
 
-def column_pieces(
-    recording: RecordingSource,
-    channel_topic: str,
-    fields: Sequence[str],
-    start_ns: int | None = None,
-    end_ns: int | None = None,
-) -> Iterator[dict[str, Column]]:
+def column_pieces(recording: RecordingSource, channel_topic: str, fields: Sequence[str]) -> Iterator[dict[str, Column]]:
     """Yield what `columns` returns in pieces of some thousand messages, so that no recording is too long; at least one.
 
     A piece is of the types that have come so far: whole numbers become floats with the first one that is none.
@@ -78,7 +64,7 @@ def column_pieces(
     paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
     kinds: dict[str, set[type]] = {field: set() for field in fields}
     read = _reader(paths)
-    messages = recording.messages((channel_topic,), start_ns, end_ns)
+    messages = recording.messages((channel_topic,))
     is_first = True
     while (batch := list(islice(messages, _AT_ONCE))) or is_first:
         is_first = False

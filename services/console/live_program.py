@@ -12,7 +12,7 @@ import numpy.typing as npt
 from proto.errors import RigError
 from proto.instrument import AfmProgram
 from proto.messages import AfmScanline, AfmState, NodeHealth, Scalar
-from proto.nodes import TIP, Site
+from proto.nodes import TIP
 from services.console.command_client import send_control
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
@@ -100,7 +100,6 @@ class LiveCurve:
 
 def run_program(
     site_file: Path,
-    site: Site,
     parameters: Mapping[str, Scalar],
     collected: LiveImage | LiveCurve,
     on_report: Callable[[AfmProgram], str],
@@ -111,7 +110,6 @@ def run_program(
 
     Args:
         site_file: The site file of the rig.
-        site: The site at which this runs.
         parameters: The parameters of the `set` that begins the program.
         collected: Collects what the program measures.
         on_report: Called with each report of the program, and several times a second without a new one; what it returns
@@ -131,12 +129,12 @@ def run_program(
         listener = _Listener(observer, collected)
 
         def send(word: str) -> None:
-            _send(site_file, site, {"program": word})
+            _send(site_file, {"program": word})
 
         try:
             # an instrument that has begun is told to end
             with interrupts.held():
-                _send(site_file, site, parameters)
+                _send(site_file, parameters)
             return listener.listen(on_report, send)
         except KeyboardInterrupt:
             return _aborted(listener, send)
@@ -216,8 +214,8 @@ def _await_instrument(observer: Observer) -> None:
     raise RigError(f"{TIP} is not heard: {RIG_HINT}")
 
 
-def _send(site_file: Path, site: Site, parameters: Mapping[str, Scalar]) -> None:
-    answers = send_control(Command("set", TIP, parameters=parameters), site_file, site, lambda event: None)
+def _send(site_file: Path, parameters: Mapping[str, Scalar]) -> None:
+    answers = send_control(Command("set", TIP, parameters=parameters), site_file, "master", lambda event: None)
     for event in answers.values():
         if event.kind == "refused":
             raise RigError(f"{event.src} refused it: {event.text}")

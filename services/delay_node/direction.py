@@ -64,25 +64,17 @@ class DirectionEngine:
     arriving together with that one.
     """
 
-    def __init__(
-        self,
-        direction: Direction,
-        settings: LinkSettings,
-        start_ns: int,
-        *,
-        folder: Path = Path(),
-        keep_fates: bool = True,
-    ) -> None:
+    def __init__(self, direction: Direction, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
         """Start with the settings; files they name are sought in `folder`, start_ns is the origin of their times.
 
-        With `keep_fates` the caller has to call `take_fates` regularly.
+        The caller has to call `take_fates` regularly.
 
         Raises:
             ConfigError: A file cannot be used; the message names file and line.
         """
         self._direction: Direction = direction
         self._folder = folder
-        self._fates: list[Fate] | None = [] if keep_fates else None
+        self._fates: list[Fate] = []
         self._heap: list[tuple[int, int, Release]] = []
         self._now_ns = start_ns
         self._arrivals = 0
@@ -136,8 +128,6 @@ class DirectionEngine:
 
     def take_fates(self) -> list[Fate]:
         """Return the fates decided since the last call, in the order of decision, and forget them."""
-        if self._fates is None:
-            return []
         taken, self._fates = self._fates, []
         return taken
 
@@ -191,7 +181,7 @@ class DirectionEngine:
             figures=self._figures,
             topics=list(self._topic_pipelines),
             pipeline=self._pipeline.capture(),
-            fates=self._fates or [],
+            fates=self._fates,
             in_flight=[
                 (release_ns, pushed, release.payload if release.fate.corrupted else b"", release.fate)
                 for release_ns, pushed, release in self._heap
@@ -285,8 +275,7 @@ class DirectionEngine:
             reordered=reordered,
             src=src,
         )
-        if self._fates is not None:
-            self._fates.append(fate)
+        self._fates.append(fate)
         release = Release(pipeline.topic, payload, fate)
         heap = self._heap
         if delay_ns == 0 and not (heap and heap[0][0] <= now_ns):
@@ -397,15 +386,13 @@ class DirectionEngine:
             held_ns=message.ready_ns - message.arrived_ns,
             reordered=reordered,
         )
-        if self._fates is not None:
-            self._fates.append(fate)
+        self._fates.append(fate)
         self._pushed += 1
         heappush(self._heap, (release_ns, self._pushed, Release(pipeline.topic, message.payload, fate)))
 
     def _drop(self, message: InFlight, cause: str) -> None:
         self._figures.dropped[cause] += 1
-        if self._fates is not None:
-            self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
+        self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
 
 
 def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:

@@ -21,9 +21,7 @@ class LinkState(NamedTuple):
 class LinkEngine:
     """Both directions of the link under one set of settings."""
 
-    def __init__(
-        self, settings: LinkSettings, start_ns: int, *, folder: Path = Path(), keep_fates: bool = True
-    ) -> None:
+    def __init__(self, settings: LinkSettings, start_ns: int, *, folder: Path = Path()) -> None:
         """Start with the settings at start_ns [ns], the origin of outage schedules, traces and slots.
 
         Raises:
@@ -32,8 +30,8 @@ class LinkEngine:
         self.settings = settings
         # Settings changed since the start, as a dict; cached because dumping the model is slow.
         self._changed_settings: dict[str, Any] | None = None
-        self.forward = DirectionEngine("forward", settings, start_ns, folder=folder, keep_fates=keep_fates)
-        self.backward = DirectionEngine("backward", settings, start_ns, folder=folder, keep_fates=keep_fates)
+        self.forward = DirectionEngine("forward", settings, start_ns, folder=folder)
+        self.backward = DirectionEngine("backward", settings, start_ns, folder=folder)
 
     def reconfigure(self, settings: LinkSettings, now_ns: int) -> None:
         """Apply new settings to the messages that arrive from now on; those in flight keep their fate.

@@ -115,7 +115,7 @@ class DelayNode(Node):
             ConfigError: A trace cannot be used; the message names file and line.
         """
         super().__init__(context)
-        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder, keep_fates=True)
+        self.engine = LinkEngine(settings, self.clock.now_ns(), folder=folder)
         # The settings that were named last, and what they were named; a restored link has others than it began with.
         self._named = settings, network_name(settings)
         self._forward = DirectionPath("forward", self.engine.forward, f"{LINK}@slave", to_slave)

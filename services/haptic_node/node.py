@@ -20,7 +20,7 @@ from services.runtime.loop.device_node import DeviceNode, Parts
 from services.runtime.loop.freshness import FreshnessState
 from services.runtime.loop.node import NodeContext
 from services.runtime.loop.node_state import FindInput, Part, part
-from services.runtime.settings.config import changed_section
+from services.runtime.settings.config import changed_disturbances
 
 INPUTS = ("haptic/command", "operator/force", "link/delay", "session/control", "node/health")
 _NO_COMMAND = HapticCommand(
@@ -180,7 +180,7 @@ class HapticNode(DeviceNode):
                 raise RefusedError("disturbances: a real device has its own")
             if not control.parameters:
                 raise RefusedError("set needs parameters, such as disturbances.tremor.enabled=true")
-            found = changed_section(self.device.disturbances, control.parameters, "disturbances", "haptic_node")
+            found = changed_disturbances(self.device.disturbances, control.parameters, "haptic_node")
             self.device.configure(found)
             return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
         return super().on_control(control)

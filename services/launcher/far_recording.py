@@ -218,7 +218,7 @@ def _asking(book: AddressBook) -> Iterator[tuple[_Asking, bool]]:
                 continue
             publish = publisher.publish if key is None else _LinkEnd(participant, publisher).publish
             readers = participant.subscribers({SENDER: ["session/event", TOPIC]})
-            with nullcontext() if key is None else at_relay(book, "master"):
+            with nullcontext() if key is None else at_relay(book):
                 yield _Asking(participant, publish, readers), key is None
             return
 

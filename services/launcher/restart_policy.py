@@ -10,21 +10,10 @@ from services.runtime.loop import hang_guard
 from services.runtime.wiring.main import EXIT_BAD_START
 
 _EXITS_KEPT = 8
-
-
-@dataclass(frozen=True)
-class RestartPolicy:
-    """Back-off between restarts, and the limit beyond which a crash loop ends the rig.
-
-    The delay doubles from `first_delay_s` to `max_delay_s`; a life of `healthy_life_s` resets it. A node that ends
-    `crash_loop_exits` times within `crash_loop_window_s` is given up.
-    """
-
-    first_delay_s: float = 0.1
-    max_delay_s: float = 5.0
-    healthy_life_s: float = 10.0
-    crash_loop_exits: int = 5
-    crash_loop_window_s: float = 30.0
+# The delay of a restart doubles from the first to the last of these; a life as long as the third resets it [s].
+FIRST_DELAY_S, MAX_DELAY_S, HEALTHY_LIFE_S = 0.1, 5.0, 10.0
+# A node that ends so often within so long [s] is given up, and the rig with it.
+CRASH_LOOP_EXITS, CRASH_LOOP_WINDOW_S = 5, 30.0
 
 
 @dataclass(frozen=True)
@@ -56,12 +45,9 @@ class _History:
 class RestartTracker:
     """Starts and exits of every node, and when it is due to be started again."""
 
-    def __init__(
-        self, clock: Clock, nodes: Iterable[str], policy: RestartPolicy | None = None, *, beside: Collection[str] = ()
-    ) -> None:
+    def __init__(self, clock: Clock, nodes: Iterable[str], *, beside: Collection[str] = ()) -> None:
         """Keep track of `nodes`, and of those `beside` the rig, which are started again however often they end."""
         self._clock, self._beside = clock, beside
-        self._policy = policy or RestartPolicy()
         self._histories = {node: _History() for node in (*nodes, *beside)}
 
     def record_start(self, node: str) -> None:
@@ -79,19 +65,19 @@ class RestartTracker:
         return process_exit
 
     def _decide(self, node: str, history: _History, exit_code: int) -> ProcessExit:
-        policy, now = self._policy, self._clock.monotonic_ns()
+        now = self._clock.monotonic_ns()
         life_s = (now - history.started_ns) * 1e-9
         history.exits_ns.append(now)
-        while now - history.exits_ns[0] > policy.crash_loop_window_s * 1e9:
+        while now - history.exits_ns[0] > CRASH_LOOP_WINDOW_S * 1e9:
             history.exits_ns.popleft()
         if exit_code == EXIT_BAD_START:
             return ProcessExit(node, exit_code, life_s, None, "it cannot start as it is configured and is not retried")
-        if len(history.exits_ns) >= policy.crash_loop_exits and node not in self._beside:
-            verdict = f"it died {len(history.exits_ns)} times within {policy.crash_loop_window_s:g} s"
+        if len(history.exits_ns) >= CRASH_LOOP_EXITS and node not in self._beside:
+            verdict = f"it died {len(history.exits_ns)} times within {CRASH_LOOP_WINDOW_S:g} s"
             return ProcessExit(node, exit_code, life_s, None, verdict)
-        reset = life_s >= policy.healthy_life_s or history.delay_s == 0.0
-        doubled = min(2.0 * history.delay_s, policy.max_delay_s)
-        history.delay_s = policy.first_delay_s if reset else doubled
+        reset = life_s >= HEALTHY_LIFE_S or history.delay_s == 0.0
+        doubled = min(2.0 * history.delay_s, MAX_DELAY_S)
+        history.delay_s = FIRST_DELAY_S if reset else doubled
         history.restart_ns = now + round(history.delay_s * 1e9)
         return ProcessExit(node, exit_code, life_s, history.delay_s, f"it is started again in {history.delay_s:g} s")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from proto.errors import RecordingError, RigError, TelenanoError
-from proto.nodes import DEVICES, FAR_RECORDER, LINK, RECORDER, STOP_ORDER
+from proto.nodes import DEVICES, FAR_RECORDER, RECORDER, STOP_ORDER
 from recording.reader import Recording
 from services.launcher.external_recording import ExternalRecording, readable_here
 from services.launcher.far_recording import LIST_NAME, Sites, fetch_and_merge, note_files, noted_files
@@ -147,7 +147,7 @@ def forget_stops(plan: Plan) -> None:
 def make_rig(plan: Plan, context: NodeContext, supervisor: Supervisor) -> RigNode:
     """Make the node that supervises the processes of a plan, and conducts the session unless another site does."""
     if plan.site == "slave":
-        return SiteNode(context, supervisor, link=f"{LINK}@slave", site="slave", other_site="master", folder=plan.out)
+        return SiteNode(context, supervisor, plan.out)
     return SessionNode(
         context,
         supervisor,

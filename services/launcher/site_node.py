@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from proto.errors import RefusedError
 from proto.messages import ClockPing, SessionControl
-from proto.nodes import TIP
+from proto.nodes import LINK, TIP
 from services.launcher.liveness import LivenessMonitor
 from services.launcher.piece_sender import PieceSender
 from services.launcher.readiness import READY_DEADLINE_S, unmet
@@ -25,20 +25,10 @@ class SiteNode(RigNode):
     inputs: ClassVar[tuple[str, ...]] = (*RigNode.inputs, "clock/ping", "session/control")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
 
-    def __init__(
-        self, context: NodeContext, supervisor: Supervisor, *, link: str, site: str, other_site: str, folder: Path
-    ) -> None:
-        """Prepare a site.
-
-        Args:
-            context: The context of the node.
-            supervisor: Supervises the nodes of this launcher.
-            link: The endpoint of the link at this site, node@site.
-            site: The site of this launcher.
-            other_site: The site that conducts the session.
-            folder: The folder that the recorder of this site records to.
-        """
-        super().__init__(context, supervisor, LivenessMonitor(context.clock, (link,), other_site), (), site)
+    def __init__(self, context: NodeContext, supervisor: Supervisor, folder: Path) -> None:
+        """Prepare the site, whose recorder records to a folder; `supervisor` has the nodes of this launcher."""
+        liveness = LivenessMonitor(context.clock, (f"{LINK}@slave",), "master")
+        super().__init__(context, supervisor, liveness, (), "slave")
         self._pieces = PieceSender(folder, self.publish)
         self._deadline_ns = context.clock.monotonic_ns() + round(READY_DEADLINE_S * 1e9)
 

@@ -41,8 +41,8 @@ def _site_end(book: AddressBook, site: str, log: StructuredLog) -> SiteEnd:
 
 
 @contextlib.contextmanager
-def at_relay(book: AddressBook, site: str) -> Iterator[None]:
-    """Be the end of a site at the relay of the site file, if it has one, in a thread while a block runs.
+def at_relay(book: AddressBook) -> Iterator[None]:
+    """Be the end of the master's site at the relay of the site file, if it has one, in a thread while a block runs.
 
     Where another process of this machine is that end, this one leaves it to that.
 
@@ -52,7 +52,7 @@ def at_relay(book: AddressBook, site: str) -> Iterator[None]:
     if book.relay is None:
         yield
         return
-    end = _site_end(book, site, StructuredLog(f"{RELAY}@{site}"))
+    end = _site_end(book, "master", StructuredLog(f"{RELAY}@master"))
     running: Future[tuple[asyncio.AbstractEventLoop, asyncio.Task[None] | None]] = Future()
 
     async def run() -> None:
@@ -60,7 +60,7 @@ def at_relay(book: AddressBook, site: str) -> Iterator[None]:
         with contextlib.suppress(EndpointError, asyncio.CancelledError):
             await end.run()
 
-    thread = Thread(target=lambda: asyncio.run(run()), name=f"{RELAY}@{site}", daemon=True)
+    thread = Thread(target=lambda: asyncio.run(run()), name=f"{RELAY}@master", daemon=True)
     thread.start()
     try:
         yield

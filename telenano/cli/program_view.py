@@ -55,7 +55,7 @@ def follow_program(
                     return "resume" if report.state == "paused" else "pause"
             return ""
 
-        return run_program(site_file, "master", parameters, collected, on_report)
+        return run_program(site_file, parameters, collected, on_report)
 
 
 def bar_of(report: "AfmProgram") -> str:

@@ -48,7 +48,7 @@ class LiveBench(ProgramBench):
     def _run(self, keys: dict[str, Scalar]) -> tuple[LiveImage, AfmProgram]:
         """Run a program to its end; RigError, where something else ended it."""
         image = LiveImage()
-        report = run_program(self._site_file, "master", keys, image, self._on_report)
+        report = run_program(self._site_file, keys, image, self._on_report)
         if report.state != "finished":
             raise RigError(report.text)
         return image, report

@@ -12,7 +12,7 @@ from proto.messages import Scalar
 from services.afm_node.driver import AfmDriver
 from services.afm_node.programs.program_settings import Position
 from services.afm_node.programs.table import CHANGES, PACKAGE_PROGRAMS, PROGRAMS
-from services.runtime.settings.config import Settings, changed_section, nested, validate
+from services.runtime.settings.config import Settings, changed_disturbances, nested, validate
 
 _STIFFEST_N_PER_M = 1e9
 # What experiments change of a simulation from one trial to the next: the stiffness of environment spring; and whether
@@ -118,7 +118,7 @@ def changed_simulation(driver: AfmDriver, parameters: Mapping[str, Scalar]) -> l
     if changes := {key: value for key, value in parameters.items() if key.startswith(_DISTURBANCES)}:
         if simulation.disturbances is None:
             raise RefusedError("disturbances: only the cantilever of environment tip_sample has them")
-        changed = changed_section(simulation.disturbances, changes, "disturbances", "afm_node")
+        changed = changed_disturbances(simulation.disturbances, changes, "afm_node")
         configure = partial(simulation.configure, changed)
         found.append(("set " + ", ".join(f"{key} = {value}" for key, value in changes.items()), configure))
     return found

@@ -2,14 +2,15 @@
 
 Each sample is held until its time of sending plus a target. The target follows a high quantile of the delays: it rises
 by a step for each sample that comes too late for it, and falls by a small part of that for each that is in time, so
-that in the long run the share of those too late is what was asked for (a stochastic approximation of the quantile,
+that in the long run a hundredth comes too late (a stochastic approximation of the quantile,
 Robbins and Monro 1951). Times of sending are on the sender's clock: an offset is part of every delay, and cancels.
 
 A law that wants a constant delay, such as wave variables, gains what jitter costs it; every sample is older by what the
 slowest take longer. The node and the studies use this very code.
 """
 
-_STEP_NS = 50_000
+# What the target rises by, and falls by: the second is so much less that one sample of a hundred comes too late [ns].
+_UP_NS, _DOWN_NS = 49_500, 500
 # A sample is held back by no more beyond the least delay [ns]; readers reject what is older than their deadline.
 _MOST_NS = 40_000_000
 # The least delay may rise by so much with each sample: clocks drift by less, and routes change.
@@ -19,19 +20,7 @@ _RECOVERY_NS = 1_000
 class PlayOut:
     """The buffer of one direction."""
 
-    def __init__(self, late_share: float = 0.01) -> None:
-        """Begin without a target; ValueError for a share that is not between 0 and 1.
-
-        Args:
-            late_share: The share of the samples that may come too late for the target, 0..1.
-
-        Raises:
-            ValueError: The share is not between 0 and 1.
-        """
-        if not 0.0 < late_share < 1.0:
-            raise ValueError(f"late_share is {late_share}, must be between 0 and 1")
-        self._up_ns = round(_STEP_NS * (1.0 - late_share))
-        self._down_ns = round(_STEP_NS * late_share)
+    def __init__(self) -> None:
         self._least_ns: int | None = None
         self._target_ns = 0
 
@@ -41,6 +30,6 @@ class PlayOut:
         if self._least_ns is None:
             self._least_ns = self._target_ns = delay_ns
         self._least_ns = min(delay_ns, self._least_ns + _RECOVERY_NS)
-        self._target_ns += self._up_ns if delay_ns > self._target_ns else -self._down_ns
+        self._target_ns += _UP_NS if delay_ns > self._target_ns else -_DOWN_NS
         self._target_ns = min(max(self._target_ns, self._least_ns), self._least_ns + _MOST_NS)
         return max(arrived_ns, sent_ns + self._target_ns)

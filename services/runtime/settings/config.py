@@ -155,8 +155,9 @@ def validate(model: type[M], data: Mapping[str, Any], origin: str, section: str 
         raise ConfigError(f"{origin}: {error}") from error
 
 
-def changed_section(config: M, parameters: Mapping[str, Any], section: str, node: str) -> M:
-    """Return settings of a section with keys `section.…` changed by a command; RefusedError says what is wrong."""
+def changed_disturbances(config: M, parameters: Mapping[str, Any], node: str) -> M:
+    """Return disturbances with keys `disturbances.…` changed by a command; RefusedError says what is wrong."""
+    section = "disturbances"
     try:
         document = merge({section: config.model_dump()}, nested(parameters, "session/control"))
         if others := sorted(set(document) - {section}):

@@ -16,10 +16,10 @@ START = 1_700_000_000_000_000_000
 TOPIC = "teleop/forward"
 
 
-def engine(keep_fates=True, folder=None, **forward):
+def engine(folder=None, **forward):
     extra = {} if folder is None else {"folder": folder}
     tree = {"forward": forward, "seed": forward.pop("seed", 0)}
-    return DirectionEngine("forward", parse_settings(tree), START, keep_fates=keep_fates, **extra)
+    return DirectionEngine("forward", parse_settings(tree), START, **extra)
 
 
 def stream_fates(count, *, period_ns=MS, size=100, topic=TOPIC, seed=0, folder=None, **forward):
@@ -643,14 +643,6 @@ def test_queue_depth_is_a_live_figure():
         link.submit(START, TOPIC, bytes(100), k)
     stats = link.stats()
     assert (stats.queued, stats.in_flight) == (3, 4)
-
-
-def test_without_fates_nothing_piles_up():
-    link = engine(keep_fates=False, delay_s=0.01, loss={"probability": 0.5})
-    for k in range(100):
-        link.submit(START + k, TOPIC, b"", k)
-    assert link.take_fates() == []
-    assert all(release.fate.delay_ns == 10 * MS for release in finish(link))
 
 
 @pytest.mark.parametrize(

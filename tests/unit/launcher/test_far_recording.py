@@ -286,8 +286,7 @@ class FarSite:
         with open_participant("launcher@slave", self._book, wake) as participant:
             bus = participant.bus(SiteNode.inputs)
             supervisor = Supervisor(participant.clock, (), NoChildren())
-            named = {"link": "delay_node@slave", "site": "slave", "other_site": "master", "folder": self._folder}
-            loop = NodeLoop(SiteNode(participant.context(bus), supervisor, **named), bus, NO_REALTIME)
+            loop = NodeLoop(SiteNode(participant.context(bus), supervisor, self._folder), bus, NO_REALTIME)
             self._ready.set()
             while not self._ends.is_set():
                 self.runs.wait()

@@ -18,7 +18,7 @@ from proto.nodes import PAGE, STOP_ORDER
 from services.launcher.page import inherited_by_page
 from services.launcher.plan import Plan, UpRequest, make_plan
 from services.launcher.processes import NodeProcesses, node_command
-from services.launcher.restart_policy import RestartPolicy
+from services.launcher.restart_policy import CRASH_LOOP_EXITS, MAX_DELAY_S
 from services.launcher.supervisor import Supervisor
 from services.launcher.watchdog import ProcessSample, Watchdog
 from services.runtime.clock import SystemClock
@@ -125,9 +125,9 @@ class FailingChildren(FakeChildren):
 
 def test_a_page_that_ends_again_and_again_is_started_each_time_and_the_rig_goes_on() -> None:
     rig = Rig(FakeChildren())
-    lives = 4 * RestartPolicy().crash_loop_exits
+    lives = 4 * CRASH_LOOP_EXITS
     for _ in range(lives):
-        rig.end(EXIT_DIED, RestartPolicy().max_delay_s)
+        rig.end(EXIT_DIED, MAX_DELAY_S)
     assert rig.children.started == [NODE, *[PAGE] * (lives + 1)]
     assert rig.supervisor.failure == ""
     assert rig.reported[0] == (

@@ -1,15 +1,16 @@
 import pytest
 
-from services.launcher.restart_policy import RestartPolicy, RestartTracker, describe_exit
+from services.launcher import restart_policy
+from services.launcher.restart_policy import RestartTracker, describe_exit
 from telenano.extend.testing import VirtualClock
 
 NODE = "afm_node@slave"
 SECOND_NS = 1_000_000_000
 
 
-def tracked(policy: RestartPolicy | None = None) -> tuple[VirtualClock, RestartTracker]:
+def tracked() -> tuple[VirtualClock, RestartTracker]:
     clock = VirtualClock(start_ns=SECOND_NS)
-    tracker = RestartTracker(clock, [NODE, "recorder@master"], policy)
+    tracker = RestartTracker(clock, [NODE, "recorder@master"])
     tracker.record_start(NODE)
     return clock, tracker
 
@@ -24,8 +25,9 @@ def die_and_come_back(clock: VirtualClock, tracker: RestartTracker, life_s: floa
     return process_exit.restart_in_s
 
 
-def test_back_off_doubles_up_to_its_limit() -> None:
-    clock, tracker = tracked(RestartPolicy(crash_loop_exits=100))
+def test_back_off_doubles_up_to_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(restart_policy, "CRASH_LOOP_EXITS", 100)
+    clock, tracker = tracked()
     delays = [die_and_come_back(clock, tracker, 0.01) for _ in range(9)]
     assert delays == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0, 5.0]
     assert tracker.restarts(NODE) == 9

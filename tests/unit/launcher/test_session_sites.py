@@ -30,9 +30,7 @@ class Slave(Bench):
     def __init__(self) -> None:
         super().__init__("launcher@slave")
         supervisor = Supervisor(self.clock, SLAVE, self.children)
-        self.site = SiteNode(
-            self.context, supervisor, link=LINK, site="slave", other_site="master", folder=Path("nowhere")
-        )
+        self.site = SiteNode(self.context, supervisor, Path("nowhere"))
         self.begin(self.site)
 
     def ping(self) -> None:

@@ -34,14 +34,6 @@ def test_columns_have_the_values_in_the_kinds_of_the_fields(make_file: MakeFile)
     assert [found[field].dtype.kind for field in fields] == ["f", "f", "i", "i", "i", "i", "b", "O"]
 
 
-def test_a_time_range_selects(make_file: MakeFile) -> None:
-    recording = Recording(make_file(40))
-    found = columns(recording, "haptic/state", ["seq"], EPOCH_NS + 100, EPOCH_NS + 100 + 3 * MILLISECOND_NS)
-    assert found["seq"].tolist() == [0, 1, 2]
-    empty = columns(recording, "haptic/state", ["position_m.0"], 0, 1)
-    assert (empty["position_m.0"].dtype, empty["position_m.0"].size) == (np.float64, 0)
-
-
 def test_nil_becomes_nan(config: RecorderConfig) -> None:
     writer = RecordingWriter.create(NODE, config)
     channel = writer.channel("teleop/forward", "controller@master", "master")

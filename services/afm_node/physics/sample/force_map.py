@@ -98,7 +98,7 @@ def checked_map(found: dict[str, Any], values: npt.NDArray[Any]) -> ForceMap:
         raise MapError(f"value: is of type {values.dtype}; it must be numbers")
     if values.size > MOST_VALUES:
         raise MapError(f"value: has {values.size} values, at most {MOST_VALUES} are read: thin it out first")
-    scale = _one_of(found, "length_unit", METRES)
+    scale = METRES[_known(found, "length_unit", METRES)]
     x, y, z = (_axis(found, name, values.shape[i], scale) for i, name in enumerate("xyz"))
     quantity, factor = UNITS[_known(found, "unit", UNITS)]
     stiffness = 0.0
@@ -141,10 +141,6 @@ def _axis(found: dict[str, Any], name: str, points: int, scale: float) -> Array:
 
 def _what(axis: npt.NDArray[Any]) -> str:
     return f"{axis.dtype} of shape {axis.shape}"
-
-
-def _one_of(found: dict[str, Any], name: str, known: dict[str, float]) -> float:
-    return known[_known(found, name, known)]
 
 
 def _known(found: dict[str, Any], name: str, known: Any) -> Any:
