@@ -14,7 +14,7 @@ from telenano.cli.root import app
 PAGE = Path(__file__).parents[2] / "docs" / "cli.md"
 START, END = "<!-- commands: written by tests/doubles/command_page.py -->\n", "<!-- end of commands -->\n"
 # An option that so many commands have, with the same words but for its default, is described once.
-SHARED = 3
+SHARED = 2
 # A range of an option, which `--help` has.
 _RANGE = re.compile(r"; (?:above )?[-0-9.e+]+ (?:to (?:below )?[-0-9.e+]+|or more)$")
 # What typer adds to the text of an option.
@@ -49,7 +49,7 @@ def page() -> str:
     often = {_flag(about): about for about, count in reversed(times.most_common()) if count >= SHARED}
     defaults = {about: _most(written.values(), about) for about in often.values()}
     shared = sorted(defaults)
-    parts = ["## Options of many commands\n", *(f"{about}{_default(defaults[about])}." for about in shared)]
+    parts = ["## Options of several commands\n", *(f"{about}{_default(defaults[about])}." for about in shared)]
     for path, command in found.items():
         parts.append(f"\n## {' '.join([path, *_arguments(command)])}\n\n{_about(command)}")
         if own := [f"{about}{_default(default)}." for about, default in written[path] if about not in shared]:
