@@ -178,15 +178,6 @@ def test_the_next_release_of_a_link_is_the_earlier_one_of_its_directions() -> No
     assert link.backward.due(START + 10 * MS)[0].fate.direction == "backward"
 
 
-def test_a_corrupted_message_is_a_copy_of_its_own_and_an_empty_one_stays_as_it_is() -> None:
-    link = engine(corruption={"probability": 1.0})
-    link.submit(START, TOPIC, b"\x00\x00", 0)
-    link.submit(START, TOPIC, b"", 1)
-    fates = link.take_fates()
-    assert [fate.corrupted for fate in fates] == [True, False]
-    assert link.stats().corrupted == 1
-
-
 def test_a_full_queue_drops_and_names_itself_as_the_cause() -> None:
     link = engine(rate={"rate_bytes_per_s": 1e5}, queue={"limit_messages": 2})
     for seq in range(6):
