@@ -109,24 +109,17 @@ def decode(topic: str, payload: bytes) -> Message:
     Raises:
         WireError: The message is not valid, as in `accept`, but for its ranges.
     """
-    typed = _TYPED.get(topic)
-    if typed is not None and (quick := typed.read(payload)) is not None:
-        return quick
+    try:
+        return accept(topic, payload)
+    except WireError as error:
+        if error.reason != "range":
+            raise
     form, fields = _read(topic, payload)
     try:
-        message = form.model.model_validate(fields)
+        return any_range(form.model, fields)
     except ValidationError as error:
         fault = _first_fault(error)
-    else:
-        if typed is not None:
-            typed.note(message)
-        return message
-    try:
-        if fault[0] == "range":
-            return any_range(form.model, fields)
-    except ValidationError as error:
-        fault = _first_fault(error)
-    raise WireError(fault[0], f"{topic}: {fault[1]}")
+        raise WireError(fault[0], f"{topic}: {fault[1]}") from error
 
 
 def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dict[str, Any]]:

@@ -19,11 +19,11 @@ BURST, PER_S = 20.0, 10.0
 
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
 # The instructions of classic BPF: load a byte or a word, shift right, jump if a bit is set or if equal, return.
-_LOAD_BYTE, _LOAD_WORD, _SHIFT_RIGHT, _JUMP_IF_SET, _JUMP_IF_EQUAL, _RETURN = 0x30, 0x20, 0x74, 0x45, 0x15, 0x06
+_LOAD_BYTE, LOAD_WORD, _SHIFT_RIGHT, _JUMP_IF_SET, JUMP_IF_EQUAL, RETURN = 0x30, 0x20, 0x74, 0x45, 0x15, 0x06
 # offsets: flags in the TCP header, which a filter begins at; SKF_NET_OFF, by which it reaches the IP header
 _TCP_FLAGS, _SYN, _IP_HEADER = 13, 0x02, 0xFFF00000
 _IPV4_SOURCE, _IPV6_SOURCE = _IP_HEADER + 12, _IP_HEADER + 8
-_PASS, _DROP = 0x40000, 0
+PASS, DROP = 0x40000, 0
 # a jump of a filter spans 255 instructions
 _MOST_ADDRESSES = 20
 
@@ -100,12 +100,14 @@ class AcceptLimiter:
             listener.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
             self.admission = wanted
             return
-        program = list(syn_filter(self._addresses if wanted is Admission.KNOWN_MACHINES else ()))
-        code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *instruction) for instruction in program))
-        listener.setsockopt(
-            socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("HP", len(program), ctypes.addressof(code))
-        )
+        attach(listener, list(syn_filter(self._addresses if wanted is Admission.KNOWN_MACHINES else ())))
         self.admission = wanted
+
+
+def attach(sock: socket.socket, program: Sequence[Instruction]) -> None:
+    """Put a filter in front of a socket, in the place of any before; OSError where the kernel refuses."""
+    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *instruction) for instruction in program))
+    sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("HP", len(program), ctypes.addressof(code)))
 
 
 def _bounded(tokens: float) -> float:
@@ -121,19 +123,19 @@ def syn_filter(addresses: Sequence[str]) -> Iterator[Instruction]:
     words = [struct.unpack(f"!{len(address.packed) // 4}I", address.packed) for address in parsed]
     yield Instruction(_LOAD_BYTE, 0, 0, _TCP_FLAGS)
     yield Instruction(_JUMP_IF_SET, 1, 0, _SYN)
-    yield Instruction(_RETURN, 0, 0, _PASS)
+    yield Instruction(RETURN, 0, 0, PASS)
     for version, length, source in ((4, 1, _IPV4_SOURCE), (6, 4, _IPV6_SOURCE)):
         block = [step for address in words if len(address) == length for step in _passes(address, source)]
         yield Instruction(_LOAD_BYTE, 0, 0, _IP_HEADER)
         yield Instruction(_SHIFT_RIGHT, 0, 0, 4)
-        yield Instruction(_JUMP_IF_EQUAL, 0, len(block), version)
+        yield Instruction(JUMP_IF_EQUAL, 0, len(block), version)
         yield from block
-    yield Instruction(_RETURN, 0, 0, _DROP)
+    yield Instruction(RETURN, 0, 0, DROP)
 
 
 def _passes(address: Sequence[int], source: int) -> Iterator[Instruction]:
     """Yield instructions that let a packet from an address pass, and go on behind them with any other."""
     for place, word in enumerate(address):
-        yield Instruction(_LOAD_WORD, 0, 0, source + 4 * place)
-        yield Instruction(_JUMP_IF_EQUAL, 0, 2 * (len(address) - 1 - place) + 1, word)
-    yield Instruction(_RETURN, 0, 0, _PASS)
+        yield Instruction(LOAD_WORD, 0, 0, source + 4 * place)
+        yield Instruction(JUMP_IF_EQUAL, 0, 2 * (len(address) - 1 - place) + 1, word)
+    yield Instruction(RETURN, 0, 0, PASS)
