@@ -14,7 +14,6 @@ from servo_bench import MemoryConversation, VirtualTime
 from stage_line import StageLine
 from telenano_afm_controllers import gwyscope_wire, nanonis_wire
 from telenano_haptic_devices import dhd, haply, hd
-from telenano_haptic_devices.arm_model import INVERSE3
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply_service import HaplyService
 from telenano_haptic_devices.settings import DhdConfig, HaplyConfig, HdConfig
@@ -247,7 +246,7 @@ def _servo(build: Callable[[VirtualTime, random.Random], Any], source: random.Ra
 
 
 def _haply(time: VirtualTime, source: random.Random) -> Any:
-    service = HaplyService(EmulatedArm(INVERSE3, HapticConfig().operator.to_params()))
+    service = HaplyService(EmulatedArm(HapticConfig().operator.to_params()))
     return haply.HaplyWire(
         HaplyConfig(),
         connect=lambda address: OddConversation(source, service, time),  # type: ignore[arg-type,return-value]

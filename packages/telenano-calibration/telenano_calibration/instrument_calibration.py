@@ -24,7 +24,7 @@ from services.afm_node.physics.dynamic import DynamicState, steady_state, therma
 from services.afm_node.physics.dynamic_plant import KICKS_PER_PERIOD, DynamicPlant
 from services.numerics.compiled import compiled_form
 from telenano.extend.commands import ConfigError
-from telenano_calibration.regression import regressed
+from telenano_calibration.line_fit import regressed
 from telenano_calibration.resonance import fit_resonance
 
 Array = npt.NDArray[np.float64]

@@ -4,7 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from telenano.extend.commands import TelenanoError
+
+Array = npt.NDArray[np.float64]
 
 # A point does not lie on a line when it is off by more than this share of the span of all points.
 MOST_RESIDUAL = 0.02
@@ -64,3 +69,18 @@ def mean_of(found: Sequence[float]) -> tuple[float, float]:
     mean = math.fsum(found) / len(found)
     variance = math.fsum((value - mean) ** 2 for value in found) / (len(found) - 1)
     return mean, math.sqrt(variance / len(found))
+
+
+def regressed(x: Array, y: Array) -> tuple[float, float, float]:
+    """Return slope, its standard error and the scatter about the line, of three or more points.
+
+    Where all points have the same x the slope is 0, and what is known of it nothing.
+    """
+    x = x - x.mean()
+    square = float((x * x).sum())
+    if not square > 0.0:
+        return 0.0, math.inf, math.inf
+    slope = float((x * y).sum()) / square
+    residual = y - y.mean() - slope * x
+    scatter = math.sqrt(float((residual**2).sum()) / (len(x) - 2))
+    return slope, scatter / math.sqrt(square), scatter

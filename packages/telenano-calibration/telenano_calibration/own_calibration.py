@@ -25,7 +25,7 @@ from presets.regular_files import read_regular
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
 from services.runtime.untrusted.file_readers import read_by_package
 from telenano.extend.commands import ConfigError
-from telenano_calibration.regression import regressed
+from telenano_calibration.line_fit import regressed
 from telenano_calibration.resonance import Resonance, fit_spectrum, periodogram
 
 Array = npt.NDArray[np.float64]

@@ -1,8 +1,8 @@
 """The mechanics of an emulated device of impedance type, with a hand on it, in the time that it is given.
 
-m x'' + b x' + c sign(x') = u + F(t) along each axis, in the master frame. u is the force of the drive and F that of
+m x'' + b x' = u + F(t) along each axis, in the master frame. u is the force of the drive and F that of
 the simulated hand, which acts along z alone: towards the sample is -z; a person has all three axes. m and b are chosen
-for emulators, not measured. The drive may be late.
+for the emulator, not measured. The drive may be late.
 """
 
 import math
@@ -12,8 +12,10 @@ from typing import Any
 
 from telenano.extend.emulators import HandMotion, OperatorInputs, arm_step, operator_at_rest, operator_step
 from telenano.extend.impedance import ZERO, Vector
-from telenano_haptic_devices.arm_model import ArmModel
+from telenano_haptic_devices.haply import EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG
 
+# half of the workspace, and the step of the encoders [m]
+RADIUS_M, _STEP_M = 0.10, 1e-6
 _SUBSTEP_S = 0.25e-3
 # A process that stood still for longer goes on from now, as the emulated handle does.
 _LONGEST_S = 0.05
@@ -23,13 +25,12 @@ class EmulatedArm:
     """An arm at rest at the centre of its workspace; `force_n` is the drive, until it is changed.
 
     Args:
-        model: The mechanics.
         hand: The hand, as one of the models of `operator_models`.
         person: What a person does at each time of the session [s], in the place of the hand; before it begins, nothing.
     """
 
-    def __init__(self, model: ArmModel, hand: Any, person: Callable[[float], HandMotion] | None = None) -> None:
-        self.model, self.force_n, self.person = model, ZERO, person
+    def __init__(self, hand: Any, person: Callable[[float], HandMotion] | None = None) -> None:
+        self.force_n, self.person = ZERO, person
         # Forces act so much later, and these are on their way, each with its time on the clock of the arm.
         self.drive_delay_s = self.time_s = 0.0
         self._late: deque[tuple[float, Vector]] = deque()
@@ -76,14 +77,10 @@ class EmulatedArm:
     @property
     def measured_m(self) -> Vector:
         """Return the place as the encoders have it [m]."""
-        step = self.model.resolution_m
-        if step <= 0.0:
-            return self.position_m
         x, y, z = self.position_m
-        return (round(x / step) * step, round(y / step) * step, round(z / step) * step)
+        return (round(x / _STEP_M) * _STEP_M, round(y / _STEP_M) * _STEP_M, round(z / _STEP_M) * _STEP_M)
 
     def _step(self, dt: float) -> None:
-        m, b, c, radius_m, _ = self.model
         while self._late and self._late[0][0] <= self.time_s:
             self.force_n = self._late.popleft()[1]
         self.time_s += dt
@@ -97,18 +94,15 @@ class EmulatedArm:
                 drive += motion.stiffness_n_per_m * (motion.place_m[axis] - self.position_m[axis])
             elif axis == 2:
                 drive += self._hand_force_n if self.push_n is None else 0.0 - self.push_n
-            if c > 0.0:
-                drive -= math.copysign(c, v) if v != 0.0 else max(-c, min(drive, c))
-            place, speed = arm_step(m, b, self.position_m[axis], v, drive, dt)
-            # Friction stops a motion, and never turns it round.
-            if self.held or (c > 0.0 and v * speed < 0.0):
+            place, speed = arm_step(EMULATED_MASS_KG, EMULATED_DAMPING_N_S_PER_M, self.position_m[axis], v, drive, dt)
+            if self.held:
                 place, speed = self.position_m[axis], 0.0
             speeds.append(speed)
             places.append(place)
         before_z = self.position_m[2]
         distance = math.sqrt(places[0] ** 2 + places[1] ** 2 + places[2] ** 2)
-        if distance > radius_m:
-            places, speeds = [p * radius_m / distance for p in places], [0.0, 0.0, 0.0]
+        if distance > RADIUS_M:
+            places, speeds = [p * RADIUS_M / distance for p in places], [0.0, 0.0, 0.0]
         self.position_m = (places[0], places[1], places[2])
         self.velocity_m_per_s = (speeds[0], speeds[1], speeds[2])
         if self.session_s is not None:

@@ -32,10 +32,11 @@ from telenano.extend.impedance import (
     Turn,
     Vector,
 )
-from telenano_haptic_devices.arm_model import INVERSE3
 from telenano_haptic_devices.settings import HaplyConfig
 
 SERVICE = "ws://127.0.0.1:10001"
+# The emulated Inverse3: chosen, not measured.
+EMULATED_DAMPING_N_S_PER_M, EMULATED_MASS_KG = 0.20, 0.20
 NEEDS_WEBSOCKETS = "needs websockets: pip install 'websockets>=15'"
 INSTALL = "start Haply's Inverse Service (Haply Hub, docs.haply.co), or run `telenano device simulate haply`"
 # What Haply's CHAI3D driver declares.
@@ -343,8 +344,8 @@ class HaplyWire:
             axes=3,
             lateral_m=(ends, ends),
             rate_hz=self._settings.rate_hz,
-            damping_n_s_per_m=INVERSE3.damping_n_s_per_m * self._emulated,
-            mass_kg=INVERSE3.mass_kg * self._emulated,
+            damping_n_s_per_m=EMULATED_DAMPING_N_S_PER_M * self._emulated,
+            mass_kg=EMULATED_MASS_KG * self._emulated,
             # The force of a message answers the sample of the message before.
             drive_delay_s=1.0 / self._settings.rate_hz,
             buttons=BUTTONS * bool(grips),

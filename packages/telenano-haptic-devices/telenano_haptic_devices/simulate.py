@@ -42,8 +42,7 @@ def simulate_haply(
     """
     with report_errors(as_json=False, interrupted="the emulated service has ended"):
         from telenano.extend.emulators import hand_of
-        from telenano_haptic_devices.arm_model import INVERSE3
-        from telenano_haptic_devices.emulated_arm import EmulatedArm
+        from telenano_haptic_devices.emulated_arm import RADIUS_M, EmulatedArm
         from telenano_haptic_devices.haply import BUTTONS
         from telenano_haptic_devices.haply_service import HaplyService, serve_haply
 
@@ -52,9 +51,9 @@ def simulate_haply(
             from telenano_acceptance.haptic_device.person import person as person_of
             from telenano_acceptance.haptic_device.take import steps_of
 
-            hand = person_of((INVERSE3.radius_m,) * 3, len(BUTTONS) * grip, 1, steps_of(mass), mass)
+            hand = person_of((RADIUS_M,) * 3, len(BUTTONS) * grip, 1, steps_of(mass), mass)
         operator = hand_of(scenario)
-        service = HaplyService(EmulatedArm(INVERSE3, operator, hand), device_id, grip)
+        service = HaplyService(EmulatedArm(operator, hand), device_id, grip)
         service.gate, service.damping = force_gate, damping
         run_ahead()
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import library_doubles
 from telenano_haptic_devices import haply
-from telenano_haptic_devices.arm_model import INVERSE3
 from telenano_haptic_devices.dhd import DhdWire
 from telenano_haptic_devices.emulated_arm import EmulatedArm
 from telenano_haptic_devices.haply import HaplyWire
@@ -98,7 +97,7 @@ class Emulated:
         clock = {"now_ns": time.now_ns, "sleep": time.sleep}
         self.wire: ImpedanceWire
         if kind == "haply":
-            self.service = HaplyService(EmulatedArm(INVERSE3, hand_of()))
+            self.service = HaplyService(EmulatedArm(hand_of()))
 
             def connect(address: str) -> Any:
                 if getattr(self.service, "killed", False):
