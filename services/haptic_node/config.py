@@ -190,6 +190,11 @@ class _OwnSections(Settings):
 
     @model_validator(mode="after")
     def _limits_inside_travel(self) -> Self:
+        if self.driver == SIMULATED_IMPEDANCE:
+            try:
+                self.coupling.to_settings(self.impedance.capabilities())
+            except ConfigError as error:
+                raise ValueError(str(error)) from None
         if self.driver != "simulated":
             # the travel of a real device is in its calibration
             return self

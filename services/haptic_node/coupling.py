@@ -9,10 +9,11 @@ virtual environments", IEEE Trans. Robotics and Automation 15, 1999):
 
 f acts on the hand, and -f is the estimate of the operator's force that the law takes. At rest it is the hand's force.
 
-Two bounds on K, for a sample time T, a delay D of the drive, and a physical damping b of the device:
+Two bounds on K, for a sample time T, a delay D of the drive, a physical damping b and a moving mass m of the device:
 
     passive: b > K (T/2 + D) + |B|      (J. E. Colgate and G. G. Schenkel, J. Robotic Systems 14, 1997)
-    stable:  K <= (b + B) / (T/2 + D)   hands off, reference clamped (J. J. Gil et al.; T. Hulin et al.), over a margin
+    stable:  K <= (b + B) / (T/2 + D)   hands off, reference clamped (J. J. Gil et al.; T. Hulin et al.), over a margin,
+             and m >= `least_mass_kg`, because what B does is late as well
 
 The step runs in the servo of the device, where T and D are known, and so do the rules that take the force away: see
 GATES. The force goes to zero at once, and comes back from zero at no more than the slew. A reading that cannot be
@@ -162,6 +163,25 @@ def stable_stiffness_n_per_m(b_n_s_per_m: float, damping_n_s_per_m: float, sampl
     return (b_n_s_per_m + damping_n_s_per_m) / (0.5 * sample_s + delay_s)
 
 
+def least_mass_kg(
+    k: float, b_n_s_per_m: float, damping_n_s_per_m: float, sample_s: float, delay_s: float, filter_hz: float
+) -> float:
+    """Return the moving mass [kg] above which K and B are stable: infinite at the stable bound, B n for K = 0.
+
+    A sample of the place acts for T/2 + D in the mean, one of the rate after T + D, and by its low-pass j T later with
+    the weight (1 - a) a^j, a = exp(-2 pi f_c T); n and s are mean and mean square of that. A swing z = exp(i w T) that
+    lasts needs m u w <= K + B n u w and (b + B) <= K (T/2 + D) + B s u w / 2, with u = (2/T) sin(w T/2): see
+    docs/devices.md. No w has both if m > B n + K B s / (2 (b + B - K (T/2 + D))).
+    """
+    a = math.exp(-2.0 * math.pi * filter_hz * sample_s) if filter_hz > 0.0 else 0.0
+    mean_s = sample_s + delay_s + sample_s * a / (1.0 - a)
+    square_s2 = mean_s**2 + a * (sample_s / (1.0 - a)) ** 2
+    left = b_n_s_per_m + damping_n_s_per_m - k * (0.5 * sample_s + delay_s)
+    if left <= 0.0:
+        return math.inf
+    return damping_n_s_per_m * (mean_s + 0.5 * k * square_s2 / left)
+
+
 @compiled
 def _finite(vector: Vector) -> bool:
     return math.isfinite(vector[0]) and math.isfinite(vector[1]) and math.isfinite(vector[2])
@@ -296,23 +316,9 @@ def coupling_step(
 @compiled
 def _without_force(state: CouplingState, gate: int) -> CouplingState:
     """Return the state under a refusal, which keeps the last place: what is refused moves nothing."""
+    at, arms, hand_j, coupling_j = state.position_m, state.arm_count, state.hand_energy_j, state.coupling_energy_j
     return CouplingState(
-        gate=gate,
-        limited=False,
-        force_n=ZERO,
-        own_force_n=ZERO,
-        position_m=state.position_m,
-        reference_m=state.position_m,
-        rate_m_per_s=ZERO,
-        velocity_m_per_s=ZERO,
-        started=state.started,
-        rest_place_m=state.position_m,
-        rest_s=0.0,
-        still_s=0.0,
-        still_force_n=ZERO,
-        arm_count=state.arm_count,
-        hand_energy_j=state.hand_energy_j,
-        coupling_energy_j=state.coupling_energy_j,
+        gate, False, ZERO, ZERO, at, at, ZERO, ZERO, state.started, at, 0.0, 0.0, ZERO, arms, hand_j, coupling_j
     )
 
 

@@ -8,10 +8,11 @@ from pydantic import Field, model_validator
 from services.haptic_node.coupling import (
     STABLE_MARGIN,
     CouplingSettings,
+    least_mass_kg,
     passive_stiffness_n_per_m,
     stable_stiffness_n_per_m,
 )
-from services.haptic_node.driver import Capabilities
+from services.haptic_node.driver import Capabilities, DeviceError
 from services.haptic_node.physics.coupled import CoupledParams, LateralHand
 from services.haptic_node.physics.lateral_hand import LateralPoint
 from services.haptic_node.physics.operator import OperatorParams
@@ -26,9 +27,10 @@ _FROZEN_N = 1.0
 
 
 class Bounds(NamedTuple):
-    """The coupling beside its two bounds [N/m], and what they follow from.
+    """The coupling beside its two bounds [N/m], the least moving mass that it needs [kg], and that of the device.
 
-    verdict: `passive` below the passive bound, else `stable` below the stable one over its margin, else `unproven`.
+    verdict: `passive` below the passive bound, else `stable` below the stable one over its margin where the device has
+    the mass, else `unproven`. mass_kg: 0.0 where it is not declared.
     """
 
     stiffness_n_per_m: float
@@ -36,6 +38,8 @@ class Bounds(NamedTuple):
     passive_n_per_m: float
     stable_n_per_m: float
     margin: float
+    least_mass_kg: float
+    mass_kg: float
     verdict: Literal["passive", "stable", "unproven"]
 
     def sentence(self) -> str:
@@ -43,8 +47,13 @@ class Bounds(NamedTuple):
         return (
             f"coupling K = {self.stiffness_n_per_m:.4g} N/m, B = {self.damping_n_s_per_m:.4g} N s/m: {self.verdict};"
             f" passive up to {self.passive_n_per_m:.4g} N/m, stable up to {self.stable_n_per_m:.4g} N/m"
-            f" ({self.stable_n_per_m / self.margin:.4g} N/m with a margin of {self.margin:g})"
+            f" ({self.stable_n_per_m / self.margin:.4g} N/m with a margin of {self.margin:g}) for a moving"
+            f" mass above {self.least_mass_kg:.3g} kg, and {_mass(self.mass_kg)}"
         )
+
+
+def _mass(mass_kg: float) -> str:
+    return f"the device declares {mass_kg:.3g} kg" if mass_kg > 0.0 else "the device declares none"
 
 
 class CouplingConfig(Settings):
@@ -112,7 +121,11 @@ class CouplingConfig(Settings):
     )
 
     def to_settings(self, device: Capabilities) -> CouplingSettings:
-        """Return the constants of the coupling for what a device declares."""
+        """Return the constants of the coupling for what a device declares.
+
+        Raises:
+            DeviceError: The moving mass that it declares is too small for the damping alone, on one of the axes.
+        """
         b = self.damping_n_s_per_m
         damping = 0.5 * device.max_damping_n_s_per_m if b is None else b
         stiffness = self.stiffness_n_per_m
@@ -123,6 +136,14 @@ class CouplingConfig(Settings):
             stiffness = min(stable / self.margin, device.max_stiffness_n_per_m)
         side = self.lateral_damping_n_s_per_m
         side = 0.1 * damping if side is None else side
+        b, late = max(damping, side), (1.0 / device.rate_hz, device.drive_delay_s, self.velocity_filter_hz)
+        least_kg = least_mass_kg(0.0, device.damping_n_s_per_m, b, *late)
+        if 0.0 < device.mass_kg <= least_kg:
+            raise DeviceError(
+                f"haptic_node.coupling: a damping of B = {b:.4g} N s/m that acts {1e3 * least_kg / b:.3g} ms late"
+                f" (T + D and the low-pass of the rate) needs a moving mass above {least_kg:.3g} kg, and"
+                f" {_mass(device.mass_kg)}: give a B below {b * device.mass_kg / least_kg:.3g} N s/m"
+            )
         most = device.max_force_n if self.max_force_n is None else min(self.max_force_n, device.max_force_n)
         return filled(
             CouplingSettings,
@@ -136,17 +157,22 @@ class CouplingConfig(Settings):
         )
 
     def bounds(self, device: Capabilities) -> Bounds:
-        """Return the coupling along the paper's axis beside its two bounds."""
-        found = self.to_settings(device)
-        k, b = found.stiffness_n_per_m[2], found.damping_n_s_per_m[2]
-        timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
-        passive, stable = passive_stiffness_n_per_m(*timing), stable_stiffness_n_per_m(*timing)
-        verdict: Literal["passive", "stable", "unproven"] = "unproven"
-        if k < passive:
-            verdict = "passive"
-        elif k <= stable / self.margin * (1.0 + 1e-9):
-            verdict = "stable"
-        return Bounds(k, b, passive, stable, self.margin, verdict)
+        """Return the coupling along the paper's axis beside its bounds; DeviceError as in `to_settings`."""
+        return bounds_of(self.to_settings(device), device, self.margin)
+
+
+def bounds_of(settings: CouplingSettings, device: Capabilities, margin: float) -> Bounds:
+    """Return a coupling along the paper's axis beside its bounds at a device; margin: of the stable one."""
+    k, b = settings.stiffness_n_per_m[2], settings.damping_n_s_per_m[2]
+    timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
+    passive, stable = passive_stiffness_n_per_m(*timing), stable_stiffness_n_per_m(*timing)
+    least_kg = least_mass_kg(k, *timing, settings.velocity_filter_hz)
+    verdict: Literal["passive", "stable", "unproven"] = "unproven"
+    if k < passive:
+        verdict = "passive"
+    elif k <= stable / margin * (1.0 + 1e-9) and device.mass_kg > least_kg:
+        verdict = "stable"
+    return Bounds(k, b, passive, stable, margin, least_kg, device.mass_kg, verdict)
 
 
 class DeviceModel(NamedTuple):

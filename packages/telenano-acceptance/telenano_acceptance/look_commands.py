@@ -192,6 +192,7 @@ def _probe_impedance(kind: str, settings: list[str]) -> dict[str, Any]:
         "coupling_stiffness_n_per_m": bounds.stiffness_n_per_m,
         "passive_bound_n_per_m": bounds.passive_n_per_m,
         "stable_bound_n_per_m": bounds.stable_n_per_m,
+        "least_mass_kg": bounds.least_mass_kg,
     }
 
 

@@ -61,8 +61,18 @@ def test_probe_names_the_device_and_prints_both_bounds(told: list[str]) -> None:
     assert found["stable_bound_n_per_m"] == pytest.approx(stable_stiffness_n_per_m(*timing), rel=1e-9)
     assert "passive up to" in found["coupling"] and "stable up to" in found["coupling"]
     table = CliRunner().invoke(app, ["device", "probe", *told]).stdout
-    for name in ("passive_bound_n_per_m", "stable_bound_n_per_m", "coupling_stiffness_n_per_m"):
+    assert f"{found['least_mass_kg']:.3g} kg" in found["coupling"]
+    for name in ("least_mass_kg", "passive_bound_n_per_m", "stable_bound_n_per_m", "coupling_stiffness_n_per_m"):
         assert name in table
+
+
+@pytest.mark.parametrize("command", ["probe", "accept"])
+def test_device_whose_damper_acts_too_late_is_refused_with_the_numbers(command: str, tmp_path: Path) -> None:
+    late = ["--set", "haptic_node.impedance.model=omega", "--set", "haptic_node.impedance.delay_s=0.03"]
+    out = ["--out", str(tmp_path)] if command == "accept" else []
+    done = CliRunner().invoke(app, ["device", command, "--device", "simulated_impedance", *late, *out])
+    assert done.exit_code == 2, done.output
+    assert "needs a moving mass above 0.464 kg" in " ".join(done.output.split())
 
 
 def test_probe_asks_for_one_kind_of_device() -> None:

@@ -8,12 +8,12 @@ from typing import NamedTuple
 from services.haptic_node.coupling import (
     FAULTS,
     GATE_ACTIVE,
+    STABLE_MARGIN,
     ZERO,
     CouplingSettings,
     Vector,
-    passive_stiffness_n_per_m,
-    stable_stiffness_n_per_m,
 )
+from services.haptic_node.impedance_config import bounds_of
 from services.haptic_node.servo import ServoCommand, ServoLink, ServoSample
 from telenano.extend.devices import Capabilities
 from telenano_acceptance.take import PERIOD_S, Clock, Recorder, Say, Step, Table, Take, row_of, silent
@@ -75,15 +75,13 @@ class Facts(NamedTuple):
         return self.device.identity
 
     def tables(self) -> list[Table]:
-        device, k, b = self.device, self.settings.stiffness_n_per_m[2], self.settings.damping_n_s_per_m[2]
-        timing = device.damping_n_s_per_m, b, 1.0 / device.rate_hz, device.drive_delay_s
+        sentence = bounds_of(self.settings, self.device, STABLE_MARGIN).sentence()
         text = (
-            f"K = {k:.4g} N/m, B = {b:.4g} N s/m; passive up to {passive_stiffness_n_per_m(*timing):.4g} N/m, stable up"
-            f" to {stable_stiffness_n_per_m(*timing):.4g} N/m. What the check of the rendering stiffness found is a K"
-            " for haptic_node.coupling.stiffness_n_per_m, with a margin of your own."
+            f"{sentence}. What the check of the rendering stiffness found is a K for"
+            " haptic_node.coupling.stiffness_n_per_m, with a margin of your own."
         )
         return [
-            Table("What was declared", "", device._asdict()),
+            Table("What was declared", "", self.device._asdict()),
             Table("The coupling", text, self.settings._asdict()),
         ]
 
