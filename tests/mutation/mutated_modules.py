@@ -18,7 +18,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "services/runtime/loop/freshness.py": (
         "tests/unit/runtime/test_freshness_of_inputs.py",
-        "tests/unit/runtime/test_hand_age_histories.py",
         "tests/unit/runtime/test_runtime_freshness.py",
     ),
     "services/runtime/loop/deferred.py": ("tests/unit/runtime/test_deferred_tasks.py",),

@@ -194,6 +194,30 @@ class LogLine:
         self._rest = b""
 
 
+# --- faults of any controller's server or connection
+
+
+def kill(line: ControllerLine) -> None:
+    line.reachable = False
+
+
+def stop(line: ControllerLine) -> None:
+    line.running = False
+
+
+def interrupt(line: ControllerLine) -> None:
+    line.close()
+
+
+def swallow(line: ControllerLine) -> None:
+    line.close()
+    line.accepting = False
+
+
+def answer_twice(line: ControllerLine) -> None:
+    line.to_host = lambda sent: sent + sent
+
+
 class ControllerRig:
     """An AFM node with an emulated controller on a bench."""
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import gwyfile
 import numpy as np
 import pytest
-from controller_line import MS, PARAMS, ControllerRig, Gwyscope
+from controller_line import MS, PARAMS, ControllerRig, Gwyscope, answer_twice, interrupt, kill, stop, swallow
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
@@ -291,25 +291,8 @@ def mend(line: Gwyscope) -> None:
     line.model.values["scanning_line"] = False
 
 
-def kill(line: Gwyscope) -> None:
-    line.reachable = False
-
-
-def stop(line: Gwyscope) -> None:
-    line.running = False
-
-
 def stand(line: Gwyscope) -> None:
     line.model.stands = True
-
-
-def interrupt(line: Gwyscope) -> None:
-    line.close()
-
-
-def swallow(line: Gwyscope) -> None:
-    line.close()
-    line.accepting = False
 
 
 def garble(line: Gwyscope) -> None:
@@ -318,10 +301,6 @@ def garble(line: Gwyscope) -> None:
 
 def cut(line: Gwyscope) -> None:
     line.to_host = lambda sent: sent[:9]
-
-
-def answer_twice(line: Gwyscope) -> None:
-    line.to_host = lambda sent: sent + sent
 
 
 def refuse(line: Gwyscope) -> None:
@@ -524,16 +503,6 @@ def test_process_that_dies_leaves_the_tip_retracted_by_the_guard(heartbeat_s: fl
         follow(line, NEAR_M, 1)
         assert line.model.z_m == 0.0
     assert line.driver.report.status == "ok"
-
-
-def test_process_whose_connection_ends_leaves_the_tip_retracted_at_once() -> None:
-    line = Gwyscope()
-    line.driver.open()
-    follow(line, RETRACTED_M, 5)
-    follow(line, NEAR_M, 60)
-    line.close()
-    line.pass_ms(1)
-    assert line.model.z_m == 0.0
 
 
 def test_pause_of_a_host_whose_tip_is_retracted_is_no_loss(line: Gwyscope) -> None:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from controller_line import MS, PARAMS, ControllerRig, Gwyscope, Nanonis
+from controller_line import MS, PARAMS, ControllerRig, Gwyscope, Nanonis, answer_twice, interrupt, kill, stop, swallow
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
@@ -368,33 +368,12 @@ def mend(line: Nanonis) -> None:
     line.model.locked = ""
 
 
-def kill(line: Nanonis) -> None:
-    line.reachable = False
-
-
-def stop(line: Nanonis) -> None:
-    line.running = False
-
-
-def interrupt(line: Nanonis) -> None:
-    line.close()
-
-
-def swallow(line: Nanonis) -> None:
-    line.close()
-    line.accepting = False
-
-
 def garble(line: Nanonis) -> None:
     line.to_host = lambda sent: b"HTTP/1.1 400 Bad Request\r\n" + bytes(40)
 
 
 def cut(line: Nanonis) -> None:
     line.to_host = lambda sent: sent[:30]
-
-
-def answer_twice(line: Nanonis) -> None:
-    line.to_host = lambda sent: sent + sent
 
 
 def refuse(line: Nanonis) -> None:

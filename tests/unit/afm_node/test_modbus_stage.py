@@ -1,4 +1,4 @@
-"""The Modbus driver against the T7 model, in virtual time: identity, samples, and each row of the table of faults."""
+"""The Modbus driver against the T7 model, in virtual time: identity, samples and maps."""
 
 import math
 import socket
@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.pdu import ModbusPDU
 from stage_line import MS, PARAMS, Rig, StageLine, calibration
 
 from proto.errors import ConfigError
@@ -137,36 +137,6 @@ def test_input_beyond_its_range_is_no_force_to_the_guard(line: StageLine) -> Non
     assert math.isfinite(line.driver.exchange(RETRACTED_M).force_n)
 
 
-def answering(code: int) -> Any:
-    return lambda request: ExceptionResponse(request.function_code, code)
-
-
-@pytest.mark.parametrize("code", [1, 2, 3, 4, 10, 11])
-def test_exceptions_in_the_loop_are_a_loss_with_the_reason(line: StageLine, code: int) -> None:
-    tick(line)
-    line.respond = answering(code)
-    tick(line, count=2)
-    assert line.driver.report.status == "lost"
-    wanted = {1: "illegal function", 2: "illegal address", 3: "illegal value", 4: "watchdog has tripped"}
-    assert wanted.get(code, "the gateway does not reach the device") in line.driver.report.text
-
-
-@pytest.mark.parametrize("code", [5, 6])
-def test_busy_keeps_the_last_sample_and_age_decides(line: StageLine, code: int) -> None:
-    sample = tick(line, count=100)
-    works, line.respond = line.respond, answering(code)
-    assert tick(line, count=5) == sample
-    assert line.driver.report.status in ("ok", "stale")
-    tick(line, count=10)
-    assert line.driver.report.status == "stale"
-    line.respond = works
-    tick(line, count=3)
-    assert line.driver.report.status == "ok"
-    line.respond = answering(code)
-    tick(line, count=60)
-    assert line.driver.report.status == "lost"
-
-
 def test_stopped_server_is_stale_then_lost_and_comes_back_retracted(line: StageLine) -> None:
     tick(line)
     tick(line, 10e-9, 200)
@@ -189,16 +159,6 @@ def test_stopped_server_is_stale_then_lost_and_comes_back_retracted(line: StageL
     tick(line)
     tick(line, 10e-9, 200)
     assert line.model.output_v == pytest.approx(2.5 + 10e-9 / 8e-8, abs=2e-3)
-
-
-def test_killed_server_is_lost_at_once(line: StageLine) -> None:
-    tick(line, count=3)
-    line.reachable = False
-    tick(line)
-    assert line.driver.report.status == "lost"
-    assert "the connection is gone: Connection reset by peer" in line.driver.report.text
-    tick(line, count=600)
-    assert "cannot be reached: Connection refused" in line.driver.report.text
 
 
 def test_host_that_swallows_everything_costs_no_tick_and_is_a_sentence() -> None:
@@ -235,15 +195,6 @@ def test_host_that_swallows_everything_costs_no_tick_and_is_a_sentence() -> None
             other.close()
 
 
-def test_late_answer_of_an_older_request_is_skipped_and_counted() -> None:
-    conversation = Conversation(1)
-    old = conversation.read(0, 2)
-    conversation.read(0, 2)
-    answer = bytes([*old[:4], 0, 7, 1, 3, 4, 1, 2, 3, 4])
-    assert conversation.answer(answer) is None
-    assert conversation.late == 1
-
-
 @pytest.mark.parametrize("garbage", [b"HTTP/1.1 400 Bad Request\r\n", b"\0\1\0\0\xff\xff\1\3", b"\0\1\0\0\0\2\1\3"])
 def test_garbage_closes_the_connection(line: StageLine, garbage: bytes) -> None:
     tick(line)
@@ -252,21 +203,6 @@ def test_garbage_closes_the_connection(line: StageLine, garbage: bytes) -> None:
     tick(line, count=2)
     assert line.driver.report.status == "lost"
     assert line.closed == closed + 1
-
-
-def test_cut_and_split_answers_are_put_together(line: StageLine) -> None:
-    kept = b""
-
-    def split(sent: bytes) -> bytes:
-        nonlocal kept
-        whole, kept = kept + sent[:7], sent[7:]
-        return whole
-
-    tick(line)
-    line.to_host = split
-    tick(line, count=4)
-    # the rest of an answer comes only with the next one, which is not asked for: silence, and then a loss
-    assert line.driver.report.status in ("ok", "stale")
 
 
 def refused(change: Any = None, **calibrated: Any) -> str:
@@ -279,34 +215,6 @@ def refused(change: Any = None, **calibrated: Any) -> str:
         line.driver.open()
     assert line.model.output_v == pytest.approx(3.0, abs=2e-3)
     return str(caught.value)
-
-
-def test_wrong_devices_are_refused_before_anything_is_driven() -> None:
-    def swap(line: StageLine) -> None:
-        line.model._word_swapped = True
-
-    assert "TEST reads 5.73768e+08 (0x22330011)" in refused(swap)
-    assert "serial 470012345 is not that of the calibration, 5" in refused(instrument={"serial": 5})
-
-    def other_product(line: StageLine) -> None:
-        line.model._put(60000, 4.0)
-
-    assert "PRODUCT_ID reads 4 and should read 7" in refused(other_product)
-
-    def no_functions(line: StageLine) -> None:
-        line.respond = answering(1)
-
-    assert "TEST (address 55100): illegal function" in refused(no_functions)
-
-    def silent(line: StageLine) -> None:
-        line.running = False
-
-    assert "does not answer requests" in refused(silent)
-
-    def unreachable(line: StageLine) -> None:
-        line.reachable = False
-
-    assert "127.0.0.1:502: LabJack T7: cannot be reached: Connection refused" in refused(unreachable)
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,10 @@ def exchange_device(line: StageLine) -> None:
     line.model.set_value(SERIAL, 5.0)
 
 
+def exchange_product(line: StageLine) -> None:
+    line.model._put(60000, 4.0)
+
+
 def send(garbage: bytes) -> Callable[[StageLine], None]:
     def begin(line: StageLine) -> None:
         line.to_host = lambda sent: garbage
@@ -240,6 +244,7 @@ def test_fault(rig: Rig, name: str) -> None:
         pytest.param(answer_exception(2), r"TEST \(address 55100\): illegal address", id="exception 2"),
         pytest.param(swap_words, r"TEST reads 5.73768e\+08 \(0x22330011\)", id="words swapped"),
         pytest.param(exchange_device, "serial 5 is not that of the calibration", id="other serial"),
+        pytest.param(exchange_product, "PRODUCT_ID reads 4 and should read 7", id="other product"),
         pytest.param(stop, "is connected and does not answer requests", id="stopped server"),
         pytest.param(kill, "cannot be reached: Connection refused", id="killed server"),
         pytest.param(swallow, "does not answer: check address, cable and firewall", id="blackholed server"),

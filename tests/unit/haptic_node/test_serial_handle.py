@@ -1,4 +1,4 @@
-"""The serial driver against the firmware, in virtual time: handshake, samples, and each row of the table of faults."""
+"""The serial driver against the firmware, in virtual time: handshake, samples and ages."""
 
 import shutil
 from typing import Any
@@ -8,12 +8,10 @@ import pytest
 if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
-from handle_answers import pack_fault, pack_hello
 from handle_line import PATH, Line, Rig, calibration
 
 from proto.errors import ConfigError, RefusedError
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices import wire
 from services.haptic_node.devices.serial_driver import refusal
 from services.haptic_node.driver import DeviceError, DriveCommand
 from services.haptic_node.physics.sim import SimulatedHaptic
@@ -133,47 +131,6 @@ def test_watchdog_is_left_only_by_a_command_off(line: Line) -> None:
     assert line.handle.core.mode == MODE_POSITION
 
 
-def test_cable_out_is_lost_at_the_next_tick_and_comes_back_where_the_arm_is(line: Line) -> None:
-    tick(line, towards(5e-3), 100)
-    line.plugged = False
-    tick(line, towards(5e-3))
-    assert line.driver.report.status == "lost"
-    assert "gone" in line.driver.report.text
-    line.pass_ms(20)
-    assert line.handle.core.mode == MODE_OFF
-    # somebody moves the arm meanwhile: no memory of where it was
-    moved_m = line.handle.position_m
-    tick(line, towards(5e-3), 700)
-    assert line.closed == 1
-    line.plugged = True
-    tick(line, OFF, 600)
-    reading = line.driver.read(-1.0, 1e-3)
-    assert line.driver.report.status == "ok"
-    assert reading.position_m == pytest.approx(moved_m, abs=1e-4, rel=0.0)
-    assert line.handle.core.mode == MODE_OFF
-
-
-def test_garbage_and_half_frames_are_dropped_counted_and_told_once(line: Line) -> None:
-    tick(line, count=1100)
-    line.to_host = lambda sent: b"AT+CGMI\r\0\x05" + sent
-    tick(line, towards(1e-3), 20)
-    # what is glued to a frame takes it along: samples get old, and nothing else happens
-    assert line.driver.report.status != "ok"
-    assert sum(line.driver.reader.errors.values()) > 10
-    line.to_host = lambda sent: sent
-    tick(line, towards(1e-3), 3)
-    assert line.driver.report.status == "ok"
-    assert "bad frames were dropped" in line.driver.report.text
-
-
-def test_garbage_to_the_device_is_counted_and_not_obeyed(line: Line) -> None:
-    tick(line, towards(1e-3), 10)
-    line.to_device = lambda frame: b"ATZ\r\0" + frame
-    tick(line, towards(1e-3), 10)
-    assert line.handle.core.receive_errors == 10
-    assert (line.handle.core.mode, line.driver.report.status) == (MODE_POSITION, "ok")
-
-
 def test_dropped_frames_are_counted_by_their_numbers(line: Line) -> None:
     tick(line, count=10)
     line.to_host = lambda sent: b""
@@ -182,24 +139,6 @@ def test_dropped_frames_are_counted_by_their_numbers(line: Line) -> None:
     tick(line, count=3)
     assert line.driver.missed == 3
     assert line.driver.report.status == "ok"
-
-
-def test_flipped_bits_reach_neither_side(line: Line) -> None:
-    tick(line, towards(1e-3), 60)
-    flips = iter(range(10_000))
-
-    def flip(sent: bytes) -> bytes:
-        place = next(flips)
-        damaged = bytearray(sent)
-        if damaged:
-            damaged[place % len(damaged)] ^= 1 << (place % 8)
-        return bytes(damaged)
-
-    before_m = line.handle.position_m
-    line.to_host = line.to_device = flip
-    readings = [tick(line, towards(1e-3)) for _ in range(15)]
-    assert all(abs(reading.position_m - before_m) < 1e-4 for reading in readings)
-    assert line.driver.missed + sum(line.driver.reader.errors.values()) > 0
 
 
 def test_silent_device_is_stale_and_then_lost(line: Line) -> None:
@@ -215,19 +154,6 @@ def test_silent_device_is_stale_and_then_lost(line: Line) -> None:
     assert "silent for 50 ms" in line.driver.report.text
 
 
-def test_reset_in_mid_session_is_lost_and_configured_again(line: Line) -> None:
-    tick(line, towards(2e-3), 50)
-    line.handle.reset(0x1234)
-    tick(line, towards(2e-3), 30)
-    assert line.driver.report.status == "lost"
-    assert "was reset" in line.driver.report.text
-    assert line.handle.core.mode == MODE_OFF
-    tick(line, OFF, 700)
-    assert line.driver.report.status == "ok"
-    assert line.driver.hello is not None and line.driver.hello.session == 0x1234
-    assert "was reset" not in line.driver.report.text
-
-
 def test_reset_is_reported_of_a_board_that_was_silent_while_it_booted(line: Line) -> None:
     tick(line, towards(2e-3), 50)
     line.to_host = lambda sent: b""
@@ -238,51 +164,6 @@ def test_reset_is_reported_of_a_board_that_was_silent_while_it_booted(line: Line
     tick(line, OFF, 700)
     assert line.driver.report.status == "ok"
     assert f"is ready; the handle was reset: session {0x1234}, not {0xBEEF}" in line.driver.report.text
-
-
-def test_slow_device_is_told_once(line: Line) -> None:
-    tick(line, count=100)
-    line.latency_ms = 8
-    texts = set()
-    for _ in range(2500):
-        tick(line)
-        texts.add(line.driver.report.text)
-    assert sum("latency timer" in text for text in texts) == 1
-    assert line.driver.report.status == "ok"
-
-
-def test_full_buffer_drops_commands_and_fifty_in_a_row_are_a_loss(line: Line) -> None:
-    tick(line, towards(1e-3), 10)
-    line.reading = False
-    tick(line, towards(1e-3), 49)
-    assert line.driver.dropped == 49
-    assert line.driver.report.status == "lost"  # by its watchdog, long before
-    tick(line, towards(1e-3), 1)
-    assert "were dropped" in line.driver.report.text
-    assert line.closed == 1
-
-
-@pytest.mark.parametrize(
-    ("answer", "text"),
-    [
-        ({"major": 2}, r"speaks protocol 2.0, 1 is needed: flash its firmware"),
-        ({"device_id": 0xFF}, r"the handle is 00000000000000ff, and the calibration is that of 0102030405060708"),
-        ({"max_rate_hz": 200}, r"takes 200 commands a second, 1000 are needed"),
-    ],
-)
-def test_wrong_device_is_refused_at_open_and_nothing_is_driven(answer: dict[str, Any], text: str) -> None:
-    line = Line()
-
-    def other(sent: bytes) -> bytes:
-        found = list(wire.FrameReader().answers(sent))
-        hellos = [pack_hello(hello._replace(**answer)) for hello in found if isinstance(hello, wire.Hello)]
-        return b"".join(map(wire.encode_frame, hellos))
-
-    line.to_host = other
-    with pytest.raises(ConfigError, match=text):
-        line.driver.open()
-    assert line.closed == 1
-    assert not line.handle.core.mode
 
 
 @pytest.mark.parametrize(("rate_hz", "refused"), [(100, False), (1000, False), (2000, True)])
@@ -304,14 +185,6 @@ def test_nobody_there_is_a_sentence_after_three_seconds() -> None:
     line.plugged = False
     with pytest.raises(DeviceError, match=PATH):
         line.driver.open()
-
-
-def test_fault_of_the_device_is_a_loss_with_its_text(line: Line) -> None:
-    fault = wire.encode_frame(pack_fault(wire.DeviceFault(0, 9, 2, "supply too low")))
-    line.to_host = lambda sent: sent + fault
-    tick(line)
-    assert line.driver.report.status == "lost"
-    assert "fault 9: supply too low" in line.driver.report.text
 
 
 @pytest.mark.parametrize(

@@ -130,22 +130,18 @@ def test_a_new_file_begins_at_the_size(make_rig: Callable[..., RecorderRig]) -> 
     assert all(path.stat().st_size < 65_536 + 80_000 for path in rig.files())
 
 
-def test_a_new_file_begins_on_demand_and_none_is_overwritten(make_rig: Callable[..., RecorderRig]) -> None:
-    rig = make_rig()
-    rig.receive_states(0, 5)
-    assert "session_1.mcap" in rig.command(**{"record.split": True})
-    rig.receive_states(5, 5)
-    rig.intake.finish()
-    assert [seqs(path) for path in rig.files()] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
-
-
-def test_at_the_quota_recording_stops_with_a_finished_file(make_rig: Callable[..., RecorderRig]) -> None:
+def test_at_the_quota_recording_stops_with_a_file_that_is_not_whole(
+    make_rig: Callable[..., RecorderRig],
+) -> None:
     rig = make_rig(quota_bytes=65_536, compression="none")
     for turn in range(6):
         rig.receive_states(turn * 100, 100)
         rig.flush()
     (path,) = rig.files()
-    assert Recording(path).closed
+    info = Recording(path).info()
+    assert (info.closed, info.complete) == (True, False)
+    assert info.missing == ("the recording was stopped before its end: the quota of 65536 bytes is used up",)
+    assert any(finding.text == info.missing[0] for finding in verify([path]).findings)
     assert "quota of 65536 bytes" in rig.intake.fault
     (failed,) = [event for event in rig.events if event.data.get("state") == "failed"]
     assert failed.level == "error"
@@ -171,27 +167,16 @@ def test_at_the_quota_the_oldest_file_goes(make_rig: Callable[..., RecorderRig])
     assert any("removed to keep the quota" in event.text for event in rig.events)
 
 
-def test_every_file_ends_with_the_reason(make_rig: Callable[..., RecorderRig]) -> None:
+def test_a_new_file_begins_on_demand_and_every_file_ends_with_the_reason(make_rig: Callable[..., RecorderRig]) -> None:
     rig = make_rig()
     rig.receive_states(0, 5)
-    rig.command(**{"record.split": True})
+    assert "session_1.mcap" in rig.command(**{"record.split": True})
     rig.receive_states(5, 5)
     rig.intake.finish()
+    assert [seqs(path) for path in rig.files()] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
     assert [Recording(path).ending for path in rig.files()] == ["split", "stopped"]
     info = open_recordings(rig.files()).info()
     assert (info.complete, info.missing, info.messages, len(info.parts)) == (True, (), 10, 2)
-
-
-def test_a_recording_that_ended_at_its_quota_is_not_whole(make_rig: Callable[..., RecorderRig]) -> None:
-    rig = make_rig(quota_bytes=65_536, compression="none")
-    for turn in range(6):
-        rig.receive_states(turn * 100, 100)
-        rig.flush()
-    (path,) = rig.files()
-    info = Recording(path).info()
-    assert (info.closed, info.complete) == (True, False)
-    assert info.missing == ("the recording was stopped before its end: the quota of 65536 bytes is used up",)
-    assert any(finding.text == info.missing[0] for finding in verify([path]).findings)
 
 
 @pytest.mark.parametrize("what", ["file", "folder", "replaced"])

@@ -16,7 +16,7 @@ from services.runtime.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
+from services.runtime.loop.node_loop import NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
 
@@ -157,13 +157,6 @@ def test_messages_that_a_newer_one_replaced_are_no_refusal_to_be_logged(caplog: 
     assert len([record for record in caplog.records if "refused" in record.getMessage()]) == 1
 
 
-def test_the_first_report_counts_all_steps_since_the_start() -> None:
-    rig = Rig(period_ns=MS)
-    rig.run_until(505 * MS)
-    # the first one is sent before the first step, the second half a second later
-    assert [report.rate_hz for report in rig.health] == [0.0, 1000.0]
-
-
 def test_a_step_before_the_first_report_is_in_its_rate() -> None:
     rig = Rig()
 
@@ -187,20 +180,3 @@ def test_a_node_was_held_up_when_it_did_nothing_for_longer_than_a_command_is_val
         rig.bus.wait = lambda deadline_ns: None
         rig.loop.turn()
     assert noted == [STALL_NS + 1]
-
-
-def test_a_node_that_starts_reports_ten_times_a_second() -> None:
-    rig = Rig(period_ns=MS)
-    rig.loop = NodeLoop(rig.node, rig.bus, PLAIN, starting_period_ns=STARTING_PERIOD_NS)
-    rig.run_until(1004 * MS)
-    assert len(rig.health) == 10
-
-
-def test_a_node_that_carries_no_ticks_runs_its_tasks_at_once() -> None:
-    rig = Rig(period_ns=MS)
-    rig.run_until(50 * MS)
-    done: list[int] = []
-    rig.node.defer(lambda: done.append(rig.clock.monotonic_ns()))
-    now_ns = rig.clock.monotonic_ns()
-    rig.loop.turn()
-    assert done == [now_ns]

@@ -1,11 +1,12 @@
-"""The age of the hand's sample, less what link and clocks account for; and a process that notices its own hold-up."""
+"""The age of the hand's sample, less what link and clocks account for; its histories, and a hold-up."""
 
 import pytest
 
 from proto import TOPICS
 from proto.messages import LinkDelay
 from proto.topics import LOOP_DEADLINE_S, deadline_of
-from services.runtime.loop.freshness import LOOP_DEADLINE_NS, Freshness, age_s
+from services.runtime.clock import NEVER_NS
+from services.runtime.loop.freshness import _MOST_CHANGES, LOOP_DEADLINE_NS, DelayHistory, Freshness, age_s
 
 MS = 1_000_000
 START_NS = 1_750_000_000 * 10**9
@@ -43,15 +44,6 @@ def test_only_the_link_says_what_its_delay_is() -> None:
     assert age_ms(hand, LATER_NS, LATER_NS - 160 * MS) == pytest.approx(160.0, rel=1e-9, abs=0.0)
 
 
-def test_the_slave_takes_off_the_way_there_and_the_master_both() -> None:
-    there, both = Freshness("controller@slave", START_NS), Freshness("haptic_node@master", START_NS)
-    for hand in (there, both):
-        hand.record(told("forward", START_NS, 150.0))
-    both.record(told("backward", START_NS, 30.0))
-    assert age_ms(there, LATER_NS, LATER_NS - 160 * MS) == pytest.approx(10.0, rel=1e-9, abs=0.0)
-    assert age_ms(both, LATER_NS, LATER_NS - 190 * MS) == pytest.approx(10.0, rel=1e-9, abs=0.0)
-
-
 def test_network_and_clock_of_another_machine_are_taken_off() -> None:
     """Behind a network of 40 ms, and a clock that is 5 s ahead, a sample is as old as it is; half an hour off too."""
     for ahead_s in (5, -1800):
@@ -63,17 +55,6 @@ def test_network_and_clock_of_another_machine_are_taken_off() -> None:
     back = Freshness("controller@master", START_NS)
     back.record(told("backward", START_NS, 10.0, transit_ns=40 * MS, clock_ahead_ns=5 * 10**9))
     assert age_ms(back, LATER_NS, LATER_NS - 97 * MS) == pytest.approx(7.0, rel=1e-6, abs=0.0)
-
-
-def test_each_sample_has_the_delay_that_was_told_before_it() -> None:
-    hand = Freshness("afm_node@slave", START_NS)
-    for n, delay_ms in enumerate((10.0, 80.0, 20.0)):
-        hand.record(told("forward", LATER_NS + 100 * n * MS, delay_ms))
-    ages = [age_ms(hand, LATER_NS + 300 * MS, LATER_NS + (100 * n + 50) * MS) for n in range(3)]
-    assert ages == pytest.approx([240.0, 70.0, 30.0], rel=1e-9, abs=0.0)
-    # told again with every link/status, which changes nothing
-    hand.record(told("forward", LATER_NS + 200 * MS, 20.0))
-    assert age_ms(hand, LATER_NS + 300 * MS, LATER_NS + 250 * MS) == pytest.approx(30.0, rel=1e-9, abs=0.0)
 
 
 def test_a_delay_that_changes_with_every_sample_is_forgotten_as_it_is_used() -> None:
@@ -99,29 +80,97 @@ def test_a_recording_that_is_played_from_an_earlier_place_is_followed() -> None:
     assert age_ms(hand, LATER_NS + 2060 * MS, LATER_NS + 2000 * MS) == pytest.approx(10.0, rel=1e-9, abs=0.0)
 
 
-def test_a_sample_from_before_the_node_began_is_of_a_recording() -> None:
-    hand = Freshness("afm_node@slave", START_NS)
-    assert age_ms(hand, LATER_NS, START_NS - 10**15, 0.012) == 12.0
-    assert hand.stamp_ns(START_NS - 10**15, LATER_NS) == LATER_NS
-    # of one that the node might have been sent while it began the age is plain
-    assert age_ms(hand, START_NS + 100 * MS, START_NS - 100 * MS) == pytest.approx(200.0, rel=1e-9, abs=0.0)
-
-
 def test_a_stamp_from_the_future_is_as_far_off_as_one_from_the_past() -> None:
     assert age_s(LATER_NS, LATER_NS + LOOP_DEADLINE_NS) == -LOOP_DEADLINE_S
     assert age_s(LATER_NS, LATER_NS + LOOP_DEADLINE_NS + 1) > LOOP_DEADLINE_S
     assert Freshness("afm_node@slave", START_NS).age_s(LATER_NS, LATER_NS + 3600 * 10**9) == pytest.approx(3600.0)
 
 
-def test_a_process_notices_that_it_stood_still_and_only_then() -> None:
-    stalls = Freshness("controller@slave", START_NS)
-    assert stalls.stalled_s(10**9) == 0.0
-    now = 10**9
-    for gap_ns in (MS, LOOP_DEADLINE_NS // 2, LOOP_DEADLINE_NS, 1):
-        now += gap_ns
-        assert stalls.stalled_s(now) == 0.0
-        assert stalls.deadline_ns() == now + LOOP_DEADLINE_NS // 2
-    now += LOOP_DEADLINE_NS + 1
-    assert stalls.stalled_s(now) == pytest.approx(LOOP_DEADLINE_S, rel=1e-6, abs=0.0)
-    assert stalls.stalled_s(now + 1) == 0.0
-    assert stalls.stalled_s(now + 3 * 10**9) == pytest.approx(3.0, rel=1e-6, abs=0.0)
+# --- the histories: how much is kept, what is forgotten, and who counts which way
+
+
+def test_a_history_keeps_four_thousand_changes_and_then_drops_the_older_half() -> None:
+    history = DelayHistory()
+    for n in range(1, 4096):
+        history.record(n, 10 * n)
+    # with the one that it began with
+    assert len(history.from_ns) == len(history.delay_ns) == 4096 == _MOST_CHANGES
+    history.record(4096, 40_960)
+    assert len(history.from_ns) == len(history.delay_ns) == 2049
+    assert history.of(2048) == 20_480
+    assert history.of(2047) == 0
+    assert history.of(4096) == 40_960
+
+
+def test_a_second_word_for_the_same_sample_replaces_the_first() -> None:
+    history = DelayHistory()
+    history.record(5, 10)
+    history.record(5, 20)
+    assert (history.from_ns, history.delay_ns) == ([0, 5], [0, 20])
+    assert (history.of(4), history.of(5), history.of(6)) == (0, 20, 20)
+
+
+def test_what_older_samples_had_is_forgotten_and_no_more() -> None:
+    history = DelayHistory()
+    for n in (10, 20, 30):
+        history.record(n, n)
+    history.forget_before(25)
+    assert (history.from_ns, history.delay_ns) == ([20, 30], [20, 30])
+    history.forget_before(20)
+    assert history.from_ns == [20, 30]
+    assert history.of(19) == 0
+
+
+def test_the_way_back_does_not_count_at_the_slave() -> None:
+    there = Freshness("controller@slave", START_NS)
+    there.record(told("forward", START_NS, 100.0))
+    there.record(told("backward", START_NS, 30.0))
+    assert there.lag_ns(LATER_NS) == 100 * MS
+    assert there.age_s(LATER_NS, LATER_NS - 110 * MS) == pytest.approx(10e-3, rel=1e-6, abs=0.0)
+    # at the master both do, and the network both ways
+    back = Freshness("controller@master", START_NS)
+    back.record(told("forward", START_NS, 100.0))
+    back.record(told("backward", START_NS, 30.0, transit_ns=5 * MS, clock_ahead_ns=7 * MS))
+    assert back.lag_ns(LATER_NS) == 140 * MS
+    assert Freshness("controller@slave", START_NS).lag_ns(LATER_NS) == 0
+
+
+def test_an_older_sample_has_its_own_delay_after_the_newest_has_been_told() -> None:
+    hand = Freshness("controller@master", START_NS)
+    hand.record(told("forward", START_NS, 10.0))
+    hand.record(told("backward", START_NS + 50 * MS, 20.0))
+    hand.record(told("forward", START_NS + 100 * MS, 80.0))
+    now_ns = START_NS + 500 * MS
+    for sampled_ms, lag_ms in ((0, 10), (49, 10), (50, 30), (99, 30), (100, 100), (101, 100)):
+        expected_s = (500 - sampled_ms - lag_ms) * 1e-3
+        assert hand.age_s(now_ns, START_NS + sampled_ms * MS) == pytest.approx(expected_s, rel=1e-9, abs=0.0)
+    # the first sample can still be asked for when the link has reported again without one being judged since
+    hand.age_s(now_ns, START_NS + 60 * MS)
+    hand.record(told("forward", START_NS + 200 * MS, 5.0))
+    assert hand.lag_ns(START_NS + 60 * MS) == 30 * MS
+
+
+def test_what_is_a_second_older_than_the_node_is_from_a_recording() -> None:
+    hand = Freshness("afm_node@slave", START_NS)
+    assert hand.stamp_ns(START_NS - 1000 * MS, LATER_NS) == START_NS - 1000 * MS
+    assert hand.stamp_ns(START_NS - 1000 * MS - 1, LATER_NS) == LATER_NS
+    assert hand.age_s(LATER_NS, START_NS - 1000 * MS) == pytest.approx(61.0, rel=1e-9, abs=0.0)
+    assert hand.age_s(LATER_NS, START_NS - 1000 * MS - 1, 0.25) == 0.25
+    received_ns = LATER_NS - 3 * MS
+    old_ns = START_NS - 2000 * MS
+    assert hand.stamp_ns(old_ns, received_ns) == received_ns
+    assert hand.stamp_ns(LATER_NS - MS, received_ns) == LATER_NS - MS
+    hand.allow_replay = False
+    assert hand.stamp_ns(old_ns, received_ns) == old_ns
+
+
+def test_a_stall_is_longer_than_the_deadline_of_the_loop_and_has_a_turn_before_it() -> None:
+    detector = Freshness("controller@slave", START_NS)
+    assert detector.deadline_ns() == NEVER_NS
+    # what came before the first turn is no stall, however long it took
+    assert detector.stalled_s(LATER_NS) == 0.0
+    assert detector.deadline_ns() == LATER_NS + LOOP_DEADLINE_NS // 2
+    assert detector.stalled_s(LATER_NS + LOOP_DEADLINE_NS) == 0.0
+    late_ns = LATER_NS + 2 * LOOP_DEADLINE_NS + 1
+    assert detector.stalled_s(late_ns) == pytest.approx((LOOP_DEADLINE_NS + 1) * 1e-9, rel=1e-12, abs=0.0)
+    assert detector.stalled_s(late_ns) == 0.0
