@@ -15,6 +15,12 @@ def sample(topic: str, seq: int, **changes: Any) -> Message:
     return example(topic, **({"seq": seq, "t_ns": EPOCH_NS + seq * MILLISECOND_NS} | changes))
 
 
+def fields_of(topic: str, **changes: Any) -> dict[str, Any]:
+    """Return the fields of a valid message without its header; those that no test asks for as in `sample`."""
+    fields = example(topic).model_dump() | changes
+    return {name: value for name, value in fields.items() if name not in ("seq", "t_ns", "src", "v")}
+
+
 def haptic_state(seq: int, **changes: Any) -> Message:
     fields = {
         # a test that publishes for long stays within the ranges of the wire

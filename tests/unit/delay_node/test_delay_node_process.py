@@ -5,6 +5,7 @@ from typing import Any
 
 import msgpack
 import pytest
+from recorder_samples import fields_of
 
 from proto import decode, encode
 from proto.ends import read_end
@@ -17,17 +18,7 @@ from services.delay_node.config import LinkSettings, parse_settings
 from services.delay_node.node import DelayNode
 from services.runtime.loop.freshness import Freshness
 
-HALF = {
-    "law": "virtual_impedance",
-    "active": True,
-    "position_m": (0.0, 0.0, 0.0),
-    "velocity_m_per_s": (0.0, 0.0, 0.0),
-    "force_n": (0.0, 0.0, 0.0),
-    "wave_sqrt_w": None,
-    "energy_j": None,
-    "hand_seq": 0,
-    "hand_t_ns": 1,
-}
+HALF = fields_of("teleop/forward", hand_t_ns=1)
 
 
 class SiteEndpoint:

@@ -4,27 +4,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from recorder_samples import fields_of
 
 from proto.errors import RefusedError
 from services.delay_node.config import parse_settings
 from services.delay_node.node import TRAIN, DelayNode
 
 MS = 1_000_000
-ZERO = (0.0, 0.0, 0.0)
-SIGNAL: dict[str, Any] = {
-    "law": "wave",
-    "active": True,
-    "position_m": ZERO,
-    "velocity_m_per_s": ZERO,
-    "wave_sqrt_w": None,
-    "energy_j": None,
-    "hand_seq": 1,
-    "hand_t_ns": 1,
-    "force_n": ZERO,
-    "separation_m": 0.0,
-    "separation_valid": False,
-    "in_contact": False,
-}
+SIGNAL = fields_of("teleop/backward", hand_t_ns=1)
 
 
 class Endpoint:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from recorder_samples import fields_of
 
 from proto.messages import SessionEvent
 from proto.sequence import Arrival, SequenceTracker
@@ -12,23 +13,6 @@ from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 
 SECOND_NS = 1_000_000_000
-HEALTH = {
-    "pid": 1,
-    "state": "running",
-    "uptime_s": 1.0,
-    "rate_hz": 1000.0,
-    "period_s": 0.0,
-    "lateness_p50_s": 0.0,
-    "lateness_p99_s": 0.0,
-    "lateness_max_s": 0.0,
-    "overruns": 0,
-    "rejected": {},
-    "cpu_percent": 0.0,
-    "memory_bytes": 0,
-    "realtime": False,
-    "memory_locked": False,
-    "inputs": (),
-}
 COMMAND = {"mode": "hold", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": 0}
 SOURCE = "controller@slave"
 
@@ -54,17 +38,17 @@ def control(bench: Any, name: str, src: str = "launcher@master") -> Any:
 def test_commands_of_a_source_marked_replay_are_refused_until_it_is_live_again(bench: Any) -> None:
     guard = device_node(bench)
     assert guard.admits(command(bench))
-    assert guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
+    assert guard.admits(bench.received("node/health", SOURCE, **fields_of("node/health", replay=True)))
     assert not guard.admits(command(bench))
     assert not guard.admits(command(bench))
     assert guard.admits(bench.received("afm/command", "controller@master", **COMMAND))
-    guard.admits(bench.received("node/health", SOURCE, replay=False, **HEALTH))
+    guard.admits(bench.received("node/health", SOURCE, **fields_of("node/health", replay=False)))
     assert guard.admits(command(bench))
 
 
 def test_the_refusal_is_reported_once(bench: Any) -> None:
     guard = device_node(bench)
-    guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
+    guard.admits(bench.received("node/health", SOURCE, **fields_of("node/health", replay=True)))
     for _ in range(5):
         guard.admits(command(bench))
     (event,) = bench.take("session/event")
@@ -74,13 +58,13 @@ def test_the_refusal_is_reported_once(bench: Any) -> None:
 
 def test_replayed_commands_are_obeyed_where_that_is_allowed(bench: Any) -> None:
     guard = device_node(bench, allow=True)
-    guard.admits(bench.received("node/health", SOURCE, replay=True, **HEALTH))
+    guard.admits(bench.received("node/health", SOURCE, **fields_of("node/health", replay=True)))
     assert guard.admits(command(bench))
 
 
 def test_a_replayed_session_arms_nothing_but_may_stop_everything(bench: Any) -> None:
     guard = device_node(bench)
-    guard.admits(bench.received("node/health", "launcher@master", replay=True, **HEALTH))
+    guard.admits(bench.received("node/health", "launcher@master", **fields_of("node/health", replay=True)))
     assert not guard.admits(control(bench, "arm"))
     assert guard.admits(control(bench, "estop"))
 
