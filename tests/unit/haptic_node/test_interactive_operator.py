@@ -3,34 +3,19 @@
 from typing import Any
 
 import pytest
+from test_operator_by_command import Bench
 
-from services.haptic_node.config import HapticConfig
-from services.haptic_node.node import HapticNode
 from services.haptic_node.operator_config import InteractiveConfig
-from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.loop.node_state import pack, restore
-from services.runtime.settings.config import validate
 
 
-class Hand:
+class Hand(Bench):
     def __init__(self, bench: Any, operator: dict[str, Any]) -> None:
-        self.bench = bench
-        config = validate(HapticConfig, {"operator": operator}, "test", "haptic_node")
-        device = SimulatedHaptic(config.to_plant_params(), config.device.start_position_m)
-        self.node = HapticNode(bench.context, config, device)
-        fields = {"id": "a", "command": "start", "target": "haptic_node", "parameters": {}}
-        self.node.on_control(bench.make("session/control", "console@master", **fields))
+        super().__init__(bench, operator)
+        self.control("start")
 
     def push(self, force_n: float) -> None:
         self.node.on_message(self.bench.received("operator/force", "view@master", force_n=(0.0, 0.0, -force_n)))
-
-    def forces(self, ticks: int) -> list[float]:
-        """Return the operator's force over so many ticks [N], towards the sample."""
-        for _ in range(ticks):
-            clock = self.bench.clock
-            clock.advance_ns(max(0, self.node.deadline_ns() - clock.monotonic_ns()))
-            self.node.on_deadline(clock.monotonic_ns())
-        return [-state.operator_force_n[2] for state in self.bench.take("haptic/state")]
 
 
 @pytest.fixture

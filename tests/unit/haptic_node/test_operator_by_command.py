@@ -30,6 +30,7 @@ class Bench:
         return self.node.on_control(self.bench.make("session/control", "console@master", **fields))
 
     def forces(self, ticks: int) -> list[float]:
+        """Return the operator's force over so many ticks [N], towards the sample."""
         for _ in range(ticks):
             clock = self.bench.clock
             clock.advance_ns(max(0, self.node.deadline_ns() - clock.monotonic_ns()))

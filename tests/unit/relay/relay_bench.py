@@ -1,9 +1,5 @@
 """A relay and the ends that use it within one process, on a clock that a test advances."""
 
-import contextlib
-import itertools
-import os
-import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,21 +17,6 @@ from services.runtime.security.sealed import RejectedError
 Address = tuple[Any, ...]
 STEP_NS = 50_000_000
 RELAY_ADDRESS = ("192.0.2.1", 5750)
-
-
-# below the ports that a system gives to clients, and apart in every process and from those of other tests
-_PORTS = itertools.cycle(range(30_000 + 20 * (os.getpid() % 100), 30_000 + 20 * (os.getpid() % 100) + 600))
-
-
-def free_ports(count: int) -> list[int]:
-    """Return ports that nobody has."""
-    ports: list[int] = []
-    while len(ports) < count:
-        port = next(_PORTS)
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            ports.append(port)
-    return ports
 
 
 def key_pair(number: int) -> KeyPair:

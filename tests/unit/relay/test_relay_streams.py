@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from relay_bench import free_ports, ring
+from free_ports import free_ports
+from relay_bench import ring
 
 from proto.errors import ConfigError
 from services.relay import channel as channels

@@ -1,15 +1,13 @@
 """Machines of a rig within one process: a context, a folder of keys and a clock each, real sockets between them."""
 
-import contextlib
-import itertools
-import os
 import select
-import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+from free_ports import free_ports
 
 from proto import TOPICS, Message, encode
 from proto.contract import examples
@@ -27,21 +25,6 @@ BOTH: tuple[Role, ...] = ("data", "control")
 # what each node publishes in every turn
 TOPIC_OF = {AFM: "afm/state", CONTROLLER: "teleop/backward", LINK: "teleop/forward"}
 SOURCE_OF = {LINK: "controller@master"}
-
-
-# below the ports that a system gives to clients, and apart in every process: tests run side by side
-_PORTS = itertools.cycle(range(10_000 + 20 * (os.getpid() % 1000), 10_000 + 20 * (os.getpid() % 1000) + 2000))
-
-
-def free_ports(count: int) -> list[int]:
-    """Return ports that nobody has."""
-    ports: list[int] = []
-    while len(ports) < count:
-        port = next(_PORTS)
-        with socket.socket() as probe, contextlib.suppress(OSError):
-            probe.bind(("127.0.0.1", port))
-            ports.append(port)
-    return ports
 
 
 def two_machine_book(folder: Path, **more: Any) -> AddressBook:

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import pytest
 import zmq
+from free_ports import free_ports
 from network_bench import (
     AFM,
     CONTROLLER,
@@ -22,7 +23,6 @@ from network_bench import (
     PATIENCE_S,
     TURN_NS,
     Machine,
-    free_ports,
     payload,
     port_of,
     receives_more,
