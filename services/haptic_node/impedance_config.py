@@ -3,7 +3,7 @@
 from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from services.haptic_node.coupling import (
     STABLE_MARGIN,
@@ -14,7 +14,7 @@ from services.haptic_node.coupling import (
 )
 from services.haptic_node.driver import Capabilities, DeviceError
 from services.haptic_node.physics.coupled import CoupledParams, LateralHand
-from services.haptic_node.physics.lateral_hand import LateralPoint
+from services.haptic_node.physics.lateral_hand import Course, LateralPoint
 from services.haptic_node.physics.operator import OperatorParams
 from services.haptic_node.physics.reacting import ReactingParams
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
@@ -207,7 +207,7 @@ class SimulatedImpedanceConfig(Settings):
     delay_s: float | None = Field(
         default=None, ge=0.0, le=0.05, description="From a sample to its force, D [s]; none: one sample time"
     )
-    lateral_path: tuple[LateralPoint, ...] = Field(
+    lateral_path: Course[LateralPoint] = Field(
         default=(),
         max_length=10_000,
         description="Way of the hand over the sample: linear between the corners; none: the hand is free there",
@@ -218,13 +218,6 @@ class SimulatedImpedanceConfig(Settings):
     lateral_damping_n_s_per_m: float = Field(
         default=5.0, ge=0.0, le=1e5, description="Damper of the arm on that way [N s/m]"
     )
-
-    @model_validator(mode="after")
-    def _times_increase(self) -> "SimulatedImpedanceConfig":
-        for before, after in zip(self.lateral_path, self.lateral_path[1:], strict=False):
-            if not after.time_s > before.time_s:
-                raise ValueError(f"lateral_path: time_s = {after.time_s} s must be later than {before.time_s} s")
-        return self
 
     @property
     def _model(self) -> DeviceModel:

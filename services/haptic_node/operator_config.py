@@ -6,25 +6,24 @@ from random import Random
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
+from services.haptic_node.physics.lateral_hand import Corner, Course
 from services.haptic_node.physics.operator import FORCE_PROFILE, IMPEDANCE, OperatorParams
 from services.haptic_node.physics.operator_models import OPERATOR_MODELS, unusable_config
 from services.haptic_node.physics.reacting import ReactingParams
 from services.runtime.settings.config import Settings, filled
 
 
-class ForcePoint(Settings):
+class ForcePoint(Corner):
     """One corner of a force profile."""
 
-    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
     force_n: float = Field(ge=-1e3, le=1e3, description="Force of the hand on the device, towards the sample > 0 [N]")
 
 
-class PathPoint(Settings):
+class PathPoint(Corner):
     """One corner of an intended path."""
 
-    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
     position_m: float = Field(ge=-1.0, le=1.0, description="Where the hand means to be, towards the sample > 0 [m]")
 
 
@@ -38,15 +37,6 @@ FIG12_POINTS = tuple(
 _DRAWS = 64
 
 
-def _check_times(name: str, points: tuple[ForcePoint, ...] | tuple[PathPoint, ...]) -> None:
-    for index in range(1, len(points)):
-        if not points[index].time_s > points[index - 1].time_s:
-            raise ValueError(
-                f"{name}.{index}.time_s = {points[index].time_s} s must be later than"
-                f" {name}.{index - 1}.time_s = {points[index - 1].time_s} s"
-            )
-
-
 MaxForce = Annotated[
     float, Field(ge=1e-12, le=1e3, description="Most that hand and force sensor take [N]; [1e-12, 1e3]")
 ]
@@ -56,18 +46,13 @@ class ForceProfileConfig(Settings):
     """A hand that presses with a given force whatever the device does."""
 
     kind: Literal["force_profile"] = Field(description="Selects this model of the hand")
-    points: tuple[ForcePoint, ...] = Field(
+    points: Course[ForcePoint] = Field(
         default=FIG12_POINTS,
         min_length=1,
         max_length=10_000,
         description="Corners of F_m(t): linear between, zero before the first, the last force held after it",
     )
     max_force_n: MaxForce = 10.0
-
-    @model_validator(mode="after")
-    def _times_increase(self) -> "ForceProfileConfig":
-        _check_times("points", self.points)
-        return self
 
     def to_params(self) -> OperatorParams:
         times = np.array([point.time_s for point in self.points])
@@ -98,7 +83,7 @@ class ImpedanceConfig(Settings):
     """A hand with mass, damper and spring on its way along an intended path."""
 
     kind: Literal["impedance"] = Field(description="Selects this model of the hand")
-    path: tuple[PathPoint, ...] = Field(
+    path: Course[PathPoint] = Field(
         min_length=1,
         max_length=10_000,
         description="Corners of the intended path: linear between, the end values held outside",
@@ -123,11 +108,6 @@ class ImpedanceConfig(Settings):
         default=10.0, ge=1e-6, le=1e6, description="Finger pad between mass and device, damper b_p [N s/m]; [1e-6, 1e6]"
     )
     max_force_n: MaxForce = 10.0
-
-    @model_validator(mode="after")
-    def _times_increase(self) -> "ImpedanceConfig":
-        _check_times("path", self.path)
-        return self
 
     def to_params(self) -> OperatorParams:
         arm = ARMS[self.arm]
@@ -163,7 +143,7 @@ class ReactingConfig(Settings):
     """A hand that moves and waits: it presses, waits until the arm stands and the answer has come, and corrects."""
 
     kind: Literal["reacting"] = Field(description="Selects this model of the hand")
-    points: tuple[ForcePoint, ...] = Field(
+    points: Course[ForcePoint] = Field(
         default=(ForcePoint(time_s=0.0, force_n=1.0),),
         min_length=1,
         max_length=10_000,
@@ -184,11 +164,6 @@ class ReactingConfig(Settings):
     tolerance_n: float = Field(default=0.05, ge=1e-6, le=1e3, description="Error that it leaves as it is [N]")
     rate_n_per_s: float = Field(default=10.0, gt=0.0, le=1e4, description="How fast its force changes [N/s]")
     max_force_n: MaxForce = 10.0
-
-    @model_validator(mode="after")
-    def _times_increase(self) -> "ReactingConfig":
-        _check_times("points", self.points)
-        return self
 
     def to_params(self) -> ReactingParams:
         draw = Random(self.seed)

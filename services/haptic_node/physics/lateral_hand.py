@@ -24,11 +24,12 @@ by then. Under 40 N s/m it would take 3.2 s and 200 nm. Damping is never negativ
 """
 
 import math
-from typing import Annotated, NamedTuple, Self
+from itertools import pairwise
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field
 
 from services.haptic_node.physics.operator import interpolate
 from services.numerics.compiled import compiled
@@ -38,10 +39,29 @@ Array = NDArray[np.float64]
 Across = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
-class LateralPoint(Settings):
+class Corner(Settings):
+    """One corner of a course over the time of a session."""
+
+    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]; [0, 1e9]")
+
+
+C = TypeVar("C", bound=Corner)
+
+
+def _increasing(corners: tuple[C, ...]) -> tuple[C, ...]:
+    for index, (before, after) in enumerate(pairwise(corners), 1):
+        if not after.time_s > before.time_s:
+            raise ValueError(f"time_s = {after.time_s} s of corner {index} must be later than {before.time_s} s")
+    return corners
+
+
+# Corners of which each is later than the one before.
+Course = Annotated[tuple[C, ...], AfterValidator(_increasing)]
+
+
+class LateralPoint(Corner):
     """One corner of an intended path across."""
 
-    time_s: float = Field(ge=0.0, le=1e9, description="Time since the session started [s]")
     x_m: Across = Field(default=0.0, description="Where the hand means to be, x [m]")
     y_m: Across = Field(default=0.0, description="Where the hand means to be, y [m]")
 
@@ -71,16 +91,9 @@ class LateralHandConfig(Settings):
     stiffness_n_per_m: float = Field(
         default=200.0, ge=0.0, le=1e5, description="Spring of the person to the path below [N/m]"
     )
-    path: Annotated[tuple[LateralPoint, ...], Field(strict=False)] = Field(
+    path: Annotated[Course[LateralPoint], Field(strict=False)] = Field(
         default=(), max_length=10_000, description="Corners of the intended path, linear between; none: no person"
     )
-
-    @model_validator(mode="after")
-    def _times_increase(self) -> Self:
-        for index, (before, after) in enumerate(zip(self.path, self.path[1:], strict=False), 1):
-            if not after.time_s > before.time_s:
-                raise ValueError(f"path.{index}.time_s = {after.time_s} s must be later than {before.time_s} s")
-        return self
 
     def to_params(self) -> "LateralHandParams":
         """Return the constants of the step."""

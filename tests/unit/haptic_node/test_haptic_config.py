@@ -115,9 +115,9 @@ def hand_path(*times):
         ),
         (
             profile(points=[{"time_s": 1.0, "force_n": 0}, {"time_s": 1.0, "force_n": 1}]),
-            "points.1.time_s = 1.0 s must be later than points.0.time_s = 1.0 s",
+            "points: Value error, time_s = 1.0 s of corner 1 must be later than 1.0 s",
         ),
-        (hand_path(0.0, 2.0, 1.0), "path.2.time_s = 1.0 s must be later than path.1.time_s = 2.0 s"),
+        (hand_path(0.0, 2.0, 1.0), "path: Value error, time_s = 1.0 s of corner 2 must be later than 2.0 s"),
     ],
 )
 def test_error_names_the_key_and_what_is_right(document, expected):

@@ -137,5 +137,5 @@ def test_a_stylus_that_keeps_the_damping_of_the_hand_goes_on_for_seconds() -> No
 
 
 def test_a_path_that_goes_back_in_time_names_the_corner() -> None:
-    with pytest.raises(ConfigError, match=r"path.1.time_s = 1.0 s must be later than 1.0 s"):
+    with pytest.raises(ConfigError, match=r"lateral.path: time_s = 1.0 s of corner 1 must be later than 1.0 s"):
         validate(HapticConfig, {"lateral": {"path": [{"time_s": 1.0}, {"time_s": 1.0}]}}, "a test", "haptic_node")
