@@ -30,7 +30,9 @@ from analysis.holds import (
     verdict_of,
 )
 from analysis.interruptions import Interruption, Told, in_words, interruptions_of
+from analysis.intervals import with_error
 from analysis.missing import Spans, cut_off, gaps, recording_facts
+from analysis.statistics import correlated_half_width
 from analysis.summary import Summary
 from proto import TOPICS, extras
 from proto.errors import RecordingError, ReportError
@@ -60,6 +62,8 @@ _LOOP_PERIOD_S = 1e-3
 _DECLARED_LOOP_HZ = 1000.0
 _WITHDRAWN = ("retracting", "retracted", "estop")
 _RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
+# The percentiles of the loop's age are taken of so many parts of a session, of so many answers each.
+_AGE_PARTS, _LEAST_AGES = 10, 100
 _ALARMS = ("warning", "error")
 # part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
 _LEAST_SHARE, _LEAST_N = 0.1, 0.1
@@ -408,6 +412,12 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
     )
     missing = [*session.missing, *_lacking(session, series, holds), *missing]
     last_s = session.duration_s - RELEASE_WINDOW_S
+    samples = {
+        "hold_ratio": _hold_ratios(series),
+        "contact_x_cm": 100.0 * series.reference_m[series.reference_time_s >= last_s],
+        "release_force_nn": 1e9 * series.tip_force_n[series.tip_time_s >= last_s],
+    }
+    ages_ms = _loop_ages_ms(session)
     found = {
         "scenario": session.scenario,
         **session.conditions,
@@ -415,16 +425,17 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "stable": verdict == "stable",
         "verdict": verdict,
         "reason": reason,
-        "hold_ratio": _hold_ratio(series),
-        "contact_x_cm": _mean(100.0 * series.reference_m[series.reference_time_s >= last_s]),
-        "release_force_nn": _rounded(_mean(1e9 * series.tip_force_n[series.tip_time_s >= last_s])),
+        "hold_ratio": _mean(samples["hold_ratio"]),
+        "contact_x_cm": _mean(samples["contact_x_cm"]),
+        "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
         "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
         "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
         "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
         "processes_ended": sum(one.kind == "process_ended" for one in interruptions),
         "interruptions": [one._asdict() for one in interruptions],
         "hand_cycles": cycles_of(series.hand_force_n),
-        "loop_age_ms": _loop_age_ms(session),
+        "loop_age_ms": _loop_age_ms(ages_ms),
+        "intervals": _intervals(samples, ages_ms),
         "overruns": traffic.overruns,
         "rate_hz": traffic.rates_hz(session.duration_s),
         "completeness": traffic.completeness(session.duration_s),
@@ -534,29 +545,42 @@ def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
     return Traffic(messages, late, 1.0 / scenario_in(recording).period_s)
 
 
-def _hold_ratio(series: SessionSeries) -> float | None:
-    """Average F_m/(alpha_f F_s) over the window, sample by sample; null when the tip is not pressed throughout."""
+def _hold_ratios(series: SessionSeries) -> Series:
+    """Return F_m/(alpha_f F_s) of each sample of the window; none where the tip is not pressed throughout."""
     first_s, last_s = HOLD_WINDOW_S
     window = (series.hand_time_s >= first_s) & (series.hand_time_s <= last_s)
     if not window.any() or series.hand_time_s[-1] < last_s or gaps_in(series.tip_time_s, first_s, last_s):
-        return None
+        return np.empty(0)
     force = series.force_scale * np.interp(series.hand_time_s[window], series.tip_time_s, series.tip_force_n)
-    if not (force > 0.0).all():
-        return None
-    return float(np.mean(series.hand_force_n[window] / force))
+    return series.hand_force_n[window] / force if (force > 0.0).all() else np.empty(0)
 
 
-def _loop_age_ms(session: Session) -> dict[str, float] | None:
-    """Return the age of the first answer to each sample of the hand, on the hand's own clock."""
+def _loop_ages_ms(session: Session) -> Series:
+    """Return the age of the first answer to each sample of the hand, on the hand's own clock, in the order of time."""
     hand = session.hand
     # Samples are matched by their stamps, because a restarted device uses its numbers again.
-    stamps, first = np.unique(hand["answered_t_ns"], return_index=True)
+    _, first = np.unique(hand["answered_t_ns"], return_index=True)
     ages = (hand["answered_at_ns"] - hand["answered_t_ns"])[first] * 1e-6
-    ages = ages[hand["answered_t_ns"][first] >= session.start_ns]
-    if stamps.size == 0 or ages.size == 0:
+    return np.asarray(ages[hand["answered_t_ns"][first] >= session.start_ns])
+
+
+def _loop_age_ms(ages_ms: Series) -> dict[str, float] | None:
+    if ages_ms.size == 0:
         return None
-    p50, p99 = np.percentile(ages, [50.0, 99.0])
-    return {"p50": round(float(p50), 4), "p99": round(float(p99), 4), "max": round(float(ages.max()), 4)}
+    p50, p99 = np.percentile(ages_ms, [50.0, 99.0])
+    return {"p50": round(float(p50), 4), "p99": round(float(p99), 4), "max": round(float(ages_ms.max()), 4)}
+
+
+def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list[float]]:
+    """Return the interval of each mean, and of the percentiles of the loop's age by those of parts of the session."""
+    halves = {name: correlated_half_width(values) for name, values in samples.items()}
+    found = {name: (float(samples[name].mean()), half) for name, half in halves.items() if half is not None}
+    if ages_ms.size >= _AGE_PARTS * _LEAST_AGES:
+        parts = np.array([np.percentile(part, [50.0, 99.0]) for part in np.array_split(ages_ms, _AGE_PARTS)])
+        for name, of_parts in zip(("p50", "p99"), parts.T, strict=True):
+            half = correlated_half_width(of_parts)
+            found[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half or 0.0)
+    return {name: [round(mean - half, 9) + 0.0, round(mean + half, 9) + 0.0] for name, (mean, half) in found.items()}
 
 
 def _gaps(info: RecordingInfo) -> dict[str, int]:
@@ -617,7 +641,8 @@ def _title(session: Session, summary: Mapping[str, Any]) -> str:
     # A motion that drifts, or presses with another force, is not stable either, and does not oscillate.
     verdict = summary["verdict"].replace("_", " ")
     ratio = summary["hold_ratio"]
-    hold = f", hold ratio {ratio:.3f}" if ratio is not None else ""
+    error = summary.get("intervals", {}).get("hold_ratio")
+    hold = f", hold ratio {with_error(ratio, error)}" if ratio is not None else ""
     # a figure goes further than the summary: what it does not show has to stand in it
     whole = "" if summary["recording"]["complete"] else "\nthe recording is not whole: what is missing is grey"
     return f"{session.scenario}, {title(session.conditions)}: {verdict}{hold}{whole}"

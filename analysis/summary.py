@@ -127,6 +127,16 @@ class LineSummary(_Part):
     lost_share: float | None = Field(description="Share lost of the datagrams of which it is known; null where none is")
 
 
+class IntervalsSummary(_Part):
+    """Intervals of the figures that are means or percentiles of samples; null where a figure has too few of them."""
+
+    hold_ratio: list[float] | None = Field(default=None, description="Of `hold_ratio`")
+    contact_x_cm: list[float] | None = Field(default=None, description="Of `contact_x_cm` [cm]")
+    release_force_nn: list[float] | None = Field(default=None, description="Of `release_force_nn` [nN]")
+    loop_age_p50_ms: list[float] | None = Field(default=None, description="Of `loop_age_ms.p50` [ms]")
+    loop_age_p99_ms: list[float] | None = Field(default=None, description="Of `loop_age_ms.p99` [ms]")
+
+
 class PartSummary(_Part):
     """One of the files of a recording in parts."""
 
@@ -219,6 +229,10 @@ class Summary(_Part):
     )
     loop_age_ms: LoopAge | None = Field(
         description="Age of the first answer to each sample of the hand, on the hand's own clock; null if none came"
+    )
+    intervals: IntervalsSummary = Field(
+        description="The ends of the interval of 95 % of each figure that is estimated, from the scatter of its own "
+        "samples, which may be correlated for a sixtieth of its window; without the errors of calibrations"
     )
     overruns: int = Field(description="Deadlines that nodes missed while the session ran")
     rate_hz: dict[str, float] = Field(description="By channel: messages sent in a second of the session [1/s]")

@@ -15,6 +15,7 @@ import typer
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
+from analysis.intervals import with_error
 from presets.plugins import known_problems
 from proto.errors import ConfigError, ExistsError, NoRecordingError, ReportError, TelenanoError, probably_meant
 from recording.whole_files import new_folder
@@ -191,7 +192,8 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     delay_ms = summary["link_round_trip_ms"]
     link = f", {delay_ms:g} ms by the link" if delay_ms else ""
     ratio = summary["hold_ratio"]
-    hold = f"; the hand held {ratio:.3f} N for each newton at the tip" if ratio is not None else ""
+    error = summary.get("intervals", {}).get("hold_ratio")
+    hold = f"; the hand held {with_error(ratio, error)} N for each newton at the tip" if ratio is not None else ""
     figures = [path for path in sorted(folder.glob("*")) if path.suffix in (".png", ".pdf", ".svg")]
     return (
         f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{hold}",

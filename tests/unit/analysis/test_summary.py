@@ -1,6 +1,7 @@
 """`summary.json` has the keys of its model: each has a row in the documents, and one that is new is noticed."""
 
 import json
+import random
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any, get_args
 
 import pytest
 from forged_files import copied
-from made_sessions import TIP, Made
+from made_sessions import FORCE_SCALE, TIP, Made, hand_force_n
 from pydantic import ValidationError
 
 from analysis import report
@@ -191,3 +192,33 @@ def test_every_key_has_a_meaning_and_a_unit_where_its_name_has_one() -> None:
         assert "|" not in meaning, name
         unit = next((unit for ending, unit in units.items() if name.endswith(ending)), None)
         assert unit is None or kind.startswith("object") or f"[{unit}]" in meaning, name
+
+
+def noisy(seed: int, deviation_n: float) -> Made:
+    """Return a session whose tip feels the hand's force of 20 ms ago, and noise of which a part lasts for 5 ms."""
+    dice, kept = random.Random(seed), [0.0]
+
+    def tip_n(time_s: float) -> float:
+        kept[0] = 0.3 * kept[0] + 0.7 * dice.gauss(0.0, deviation_n)
+        return hand_force_n(time_s - 0.02) + kept[0]
+
+    return Made(tip_n=tip_n)
+
+
+@pytest.mark.parametrize(("recordings", "least"), [(12, 0.6), pytest.param(200, 0.93, marks=pytest.mark.endurance)])
+def test_intervals_of_a_recording_cover_what_its_noise_hides(recordings: int, least: float, tmp_path: Path) -> None:
+    found = []
+    for seed in range(recordings):
+        (tmp_path / f"{seed}").mkdir()
+        recording = open_recordings([noisy(seed, 0.05).write(tmp_path / f"{seed}")])
+        found.append(summary_of(recording))
+        # each is 2 MB
+        (tmp_path / f"{seed}" / "session.mcap").unlink()
+    for name, true in (("hold_ratio", 1.0), ("release_force_nn", 0.0)):
+        intervals = [summary["intervals"][name] for summary in found]
+        assert sum(low <= true <= high for low, high in intervals) >= least * recordings, name
+        for summary, (low, high) in zip(found, intervals, strict=True):
+            # it is the interval of the figure that the summary has, and not wider than the noise makes it
+            assert 0.5 * (low + high) == pytest.approx(summary[name], abs=1e-6)
+            scale = 1.0 if name == "hold_ratio" else 1e9 / FORCE_SCALE
+            assert 0.0 < high - low < scale * 0.1
