@@ -16,7 +16,7 @@ from services.runtime.clock import NEVER_NS
 from services.runtime.loop.commands import STALL_NS
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
-from services.runtime.loop.node_loop import NodeLoop
+from services.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from services.runtime.loop.realtime import RealtimeStatus
 from telenano.extend.testing import VirtualClock
 
@@ -180,3 +180,10 @@ def test_a_node_was_held_up_when_it_did_nothing_for_longer_than_a_command_is_val
         rig.bus.wait = lambda deadline_ns: None
         rig.loop.turn()
     assert noted == [STALL_NS + 1]
+
+
+def test_a_node_that_starts_reports_ten_times_a_second() -> None:
+    rig = Rig(period_ns=MS)
+    rig.loop = NodeLoop(rig.node, rig.bus, PLAIN, starting_period_ns=STARTING_PERIOD_NS)
+    rig.run_until(1004 * MS)
+    assert len(rig.health) == 10
