@@ -26,14 +26,14 @@ dip of a few millinewtons, such as a late message leaves, of large modes that ca
 
 A growth rate counts where it exceeds three of its standard errors and changes the motion by more than a tenth over the
 later part of the hold, and where the mode is more than a tenth of the motion that is left: friction makes that no sum
-of exponentials, and leaves a fit with modes a hundredth as large. It has to be more than a millionth of the hand's
-force: what is smaller is a rest of rounding. One of less than a quarter of a cycle is the bend of a drift, and has to
-be larger than a twentieth of the hand's force. Over a link with jitter or loss a motion that the link's randomness
-keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance. There a fit that finds
-a growing mode has to explain the motion in the later half of the hold as well. A motion that grows is largest there, so
-that this takes nothing from it. Where the tip lands in the hold, the landing is all of the motion that a fit of the
-whole has to explain, and the few millinewtons that lost messages leave afterwards are its remainder. White noise of
-the read-out is estimated from the data and is no motion.
+of exponentials, and leaves a fit with modes a hundredth as large. One of less than a quarter of a cycle is the bend of
+a drift, and has to be larger than a twentieth of the hand's force. What would be no larger after another hold of that
+length is small and stays so: what a settled motion leaves has such rates. Over a link with jitter or loss a motion that
+the link's randomness keeps up is a limit cycle too, and a trend has to be a factor of two, because it may be chance.
+There a fit that finds a growing mode has to explain the motion in the later half of the hold as well. A motion that
+grows is largest there, so that this takes nothing from it. Where the tip lands in the hold, the landing is all of the
+motion that a fit of the whole has to explain, and the few millinewtons that lost messages leave afterwards are its
+remainder. White noise of the read-out is estimated from the data and is no motion.
 """
 
 import math
@@ -204,6 +204,7 @@ def _decided(
         and ((mode.explained and mode.explained_late) or not known.noisy)
         and 2.0 * mode.end_n > residue_n
         and (mode.frequency_hz * motion.length_s >= _DRIFT_CYCLES or _reach(mode) > small_n)
+        and math.log(_reach(mode) / small_n) + mode.growth_per_s * motion.length_s > 0.0
     ]
     leading = max(large or motion.modes, key=lambda mode: mode.growth_per_s, default=None)
     rate = leading.growth_per_s if leading is not None and leading.explained else motion.growth_per_s
