@@ -316,9 +316,23 @@ def coupling_step(
 @compiled
 def _without_force(state: CouplingState, gate: int) -> CouplingState:
     """Return the state under a refusal, which keeps the last place: what is refused moves nothing."""
-    at, arms, hand_j, coupling_j = state.position_m, state.arm_count, state.hand_energy_j, state.coupling_energy_j
     return CouplingState(
-        gate, False, ZERO, ZERO, at, at, ZERO, ZERO, state.started, at, 0.0, 0.0, ZERO, arms, hand_j, coupling_j
+        gate=gate,
+        limited=False,
+        force_n=ZERO,
+        own_force_n=ZERO,
+        position_m=state.position_m,
+        reference_m=state.position_m,
+        rate_m_per_s=ZERO,
+        velocity_m_per_s=ZERO,
+        started=state.started,
+        rest_place_m=state.position_m,
+        rest_s=0.0,
+        still_s=0.0,
+        still_force_n=ZERO,
+        arm_count=state.arm_count,
+        hand_energy_j=state.hand_energy_j,
+        coupling_energy_j=state.coupling_energy_j,
     )
 
 

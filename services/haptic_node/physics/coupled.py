@@ -195,8 +195,16 @@ def servo_step(
 def _with_motion(
     state: CoupledState, coupling: CouplingState, position: Vector, velocity: Vector, late: Any, operator: Any
 ) -> CoupledState:
-    asked_m, engaged, arms = state.reference_m, state.engaged, state.arm_count
-    return CoupledState(coupling, position, velocity, late[1:], operator, asked_m, engaged, arms)
+    return CoupledState(
+        coupling=coupling,
+        position_m=position,
+        velocity_m_per_s=velocity,
+        late=late[1:],
+        operator=operator,
+        reference_m=state.reference_m,
+        engaged=state.engaged,
+        arm_count=state.arm_count,
+    )
 
 
 @compiled
@@ -224,8 +232,16 @@ def coupled_plant_step(
         )
         session_s = session_time_s - (count - 1 - index) * params.servo_period_s
         state = servo_step(params, state, reference, session_s)
-    place, speed, late = state.position_m, state.velocity_m_per_s, state.late
-    state = CoupledState(state.coupling, place, speed, late, state.operator, x, engaged, arm_count)
+    state = CoupledState(
+        coupling=state.coupling,
+        position_m=state.position_m,
+        velocity_m_per_s=state.velocity_m_per_s,
+        late=state.late,
+        operator=state.operator,
+        reference_m=x,
+        engaged=engaged,
+        arm_count=arm_count,
+    )
     return state, reading_of(params, state)
 
 
@@ -233,10 +249,16 @@ def coupled_plant_step(
 def reading_of(params: CoupledParams, state: CoupledState) -> DeviceReading:
     """Return the sample of the device: the force that its coupling sent is the estimate of the hand's."""
     p, v, f, coupling = state.position_m, state.velocity_m_per_s, state.coupling.force_n, state.coupling
-    side, pushed = (f[0], f[1]), (0.0 - f[0], 0.0 - f[1])
-    energies = coupling.hand_energy_j, coupling.coupling_energy_j
     spatial = SpatialReading(
-        (p[0], p[1]), (v[0], v[1]), pushed, side, UPRIGHT, 0, coupling.gate, energies[0], energies[1]
+        lateral_m=(p[0], p[1]),
+        lateral_velocity_m_per_s=(v[0], v[1]),
+        lateral_operator_force_n=(0.0 - f[0], 0.0 - f[1]),
+        lateral_force_n=(f[0], f[1]),
+        orientation=UPRIGHT,
+        buttons=0,
+        gate=coupling.gate,
+        hand_energy_j=coupling.hand_energy_j,
+        coupling_energy_j=coupling.coupling_energy_j,
     )
     return DeviceReading(
         position_m=0.0 - p[2],
