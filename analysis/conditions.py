@@ -36,11 +36,10 @@ def conditions(
     Returns:
         `law`, those in force one after the other; `parameters` of the law that the scenario names; `changed`, what was
         set while the session ran; `link_round_trip_ms`, median of the delays that the link added there and back, and
-        `link_round_trip_range_ms`, the least and the greatest of them;
-        `loop_round_trip_ms`, median age, in whole periods, of the sample that the newest answer descends from, as the
-        law has to bridge it (both null where nothing was recorded), and the same as `round_trip_ms`, its former name;
-        name of the network and seed of the link; `plugins`, package,
-        version and digest of what other packages brought to it; versions.
+        `link_round_trip_range_ms`, the least and the greatest of them; `loop_round_trip_ms`, median age, in whole
+        periods, of the sample that the newest answer descends from, as the law has to bridge it (both null where
+        nothing was recorded); name of the network and seed of the link; `plugins`, package, version and digest of what
+        other packages brought to it; versions.
 
     Raises:
         ConfigError: A section of the scenario cannot be read; the message names it.
@@ -58,7 +57,6 @@ def conditions(
         "link_round_trip_ms": None if trips_ms is None else round(float(np.median(trips_ms)), 3),
         "link_round_trip_range_ms": None if trips_ms is None else _range(trips_ms),
         "loop_round_trip_ms": loop_ms,
-        "round_trip_ms": loop_ms,
         "link_profile": network_name(link),
         "link_seed": link.seed,
         "plugins": recorded_plugins(recording, scenario.model_dump()),

@@ -165,10 +165,6 @@ class RecordingSummary(_Part):
     )
 
 
-# keys that have another name by now (docs/release.md): in the file, and in no table
-FORMER_NAMES = ("round_trip_ms",)
-
-
 class Summary(_Part):
     """The summary of a session, as `summary.json` has it."""
 
@@ -189,7 +185,6 @@ class Summary(_Part):
         description="Median age of the hand's sample that the newest answer descends from, in whole periods, as the "
         "law has to bridge it [ms]: the link and what the rig itself takes; null without `law/status`",
     )
-    round_trip_ms: float | None = Field(description="The former name of `loop_round_trip_ms` [ms], until 0.2")
     link_profile: str = Field(
         description="Network of the scenario: its profile; `constant delay` or `custom` where keys make another one of "
         "`clean`, and as in `lte, changed` where they change another profile"

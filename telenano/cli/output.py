@@ -165,11 +165,9 @@ def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, a
     If brief, only those lines are printed. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
     """
     from analysis.interruptions import Interruption, in_words
-    from analysis.summary import FORMER_NAMES
 
     if as_json or not brief:
-        shown = summary if as_json else {key: value for key, value in summary.items() if key not in FORMER_NAMES}
-        print_document(shown, title, as_json=as_json)
+        print_document(summary, title, as_json=as_json)
     if not as_json:
         for line in closing_lines(summary, Path(title)):
             typer.echo(line)

@@ -176,11 +176,9 @@ def test_every_process_for_every_time_under_every_law_and_link(tmp_path: Path, l
     finally:
         session.rig.close()
     check(found)
-    ages = (
-        f"command {found.command_ms:.0f} ms, hand's sample {found.hand_ms:.0f} ms, answer {found.answer_ms:.0f} ms old"
-    )
+    ages = f"command {found.command_ms:.0f} ms, hand's sample {found.hand_ms:.0f}, answer {found.answer_ms:.0f}"
     record(
         f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms",
-        f"the oldest that was obeyed: {ages}; tip moved {found.queued_nm:.2f} nm by what waited and "
-        f"{found.soon_nm:.2f} nm within 20 ms; each of 15 reported",
+        f"oldest obeyed: {ages}; tip moved {found.queued_nm:.2f} nm by what waited, {found.soon_nm:.2f} within "
+        "20 ms; each of 15 reported",
     )

@@ -11,7 +11,7 @@ const ROWS: readonly (readonly [key: string, name: string, show: (value: never) 
   ["contact_x_cm", "Reference at the end", (value: number) => `${value.toFixed(3)} cm`],
   ["release_force_nn", "Force after release", (value: number) => `${fixed(value)} nN`],
   ["greatest_pull_nn", "Greatest pull", (value: number) => `${fixed(value)} nN`],
-  ["round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
+  ["loop_round_trip_ms", "Round trip of the loop", (value: number) => `${value.toFixed(1)} ms`],
   ["link_round_trip_range_ms", "Round trip of the link", (value: [number, number]) => rangeText(value)],
   ["loop_age_ms", "Loop age, 50 and 99 %", (age: { p50: number; p99: number }) => `${age.p50.toFixed(2)}, ${age.p99.toFixed(2)} ms`],
   ["overruns", "Deadlines missed", String],
