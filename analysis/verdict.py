@@ -204,7 +204,7 @@ def _decided(
         and ((mode.explained and mode.explained_late) or not known.noisy)
         and 2.0 * mode.end_n > residue_n
         and (mode.frequency_hz * motion.length_s >= _DRIFT_CYCLES or _reach(mode) > small_n)
-        and math.log(_reach(mode) / small_n) + mode.growth_per_s * motion.length_s > 0.0
+        and _reach(mode) > small_n * math.exp(-mode.growth_per_s * motion.length_s)
     ]
     leading = max(large or motion.modes, key=lambda mode: mode.growth_per_s, default=None)
     rate = leading.growth_per_s if leading is not None and leading.explained else motion.growth_per_s

@@ -15,8 +15,8 @@ from telenano_studies.loops.validate import RECORDING_NAME
 from analysis.report import read_session
 from recording.multi_file import open_recordings
 
-# what servo and clocks leave of the balance [J], and what they leave where devices missed their turns, so that their
-# work is summed over longer steps, as a part of the energy that the sample stores under the hand's newton [1]
+# Servo and clocks leave so much of the balance [J]. Where devices missed their turns their work is summed over longer
+# steps, which may leave so large a part of the energy that the sample stores under the hand's newton [1].
 LEAST_J, LEAST_HELD_UP = -1e-6, -0.01
 # an instrument that answers later than a period, as on a machine that others keep busy, is none of lockstep's
 PERIOD_NS = 1_000_000

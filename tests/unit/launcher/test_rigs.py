@@ -237,7 +237,7 @@ def test_a_name_that_another_command_only_looks_at_is_waited_for(tmp_path: Path,
     plan = plan_of(tmp_path)
     with holders(tmp_path, locks, 1) as [holder]:
         assert facts_of(holder)[0] == "main"
-        # as the first rig does where it looks whether the folder was left by one that was killed
+        # The first rig takes the lock so, when it looks whether a killed one left the folder.
         glance = EndpointLock(f"ipc://{base}/rig-2/rig@master")
         ended = threading.Timer(0.3, glance.release)
         ended.start()
