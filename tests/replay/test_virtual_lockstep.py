@@ -23,7 +23,6 @@ still decaying in the session, and nothing on the spring, where there is none. S
 4 ms, and the spring without delay.
 """
 
-import ast
 import dataclasses
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -44,7 +43,6 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
 from services.controller.config import LAWS, ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
-from studies.loops import sites
 from studies.loops.link import schedule_of
 from studies.loops.lockstep import Trajectory, simulate
 
@@ -60,7 +58,6 @@ SESSION_S = 1.0
 # that just is not
 Lost = tuple[tuple[int, int], ...]
 FIRST_PAUSE, SECOND_PAUSE = SETTLE_TICKS + 300, SETTLE_TICKS + 550
-ONE_PAUSE: Lost = ((FIRST_PAUSE, LONGEST_BRIDGED_PERIODS),)
 BOTH_PAUSES: Lost = ((FIRST_PAUSE, LONGEST_BRIDGED_PERIODS - 1), (SECOND_PAUSE, LONGEST_BRIDGED_PERIODS))
 STIFFNESS_N_PER_M = {"spring": 20.0, "contact": 40.0}
 
@@ -255,29 +252,3 @@ def test_a_changed_wait_of_the_instrument_is_seen(tmp_path: Path, monkeypatch: p
     assert differences(on_bus(cell, tmp_path / "same", lost, settings), expected) == {}
     monkeypatch.setattr(afm_node, "command_wait_ns", lambda period_ns: 2 * period_ns)
     assert "instrument_mode" in differences(on_bus(cell, tmp_path, lost, settings), expected)
-
-
-@pytest.mark.parametrize(
-    ("user", "module", "name"),
-    [
-        (sites, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
-        (afm_node, "services.afm_node.physics.step", "LONGEST_STEP_NS"),
-        (sites, "services.afm_node.physics.step", "command_wait_ns"),
-        (afm_node, "services.afm_node.physics.step", "command_wait_ns"),
-    ],
-)
-def test_shared_constants_are_imported(user: Any, module: str, name: str) -> None:
-    """LONGEST_STEP_NS acts only where a loop was held up: no session above would show another value of it."""
-    tree = ast.parse(Path(user.__file__).read_text(encoding="utf-8"))
-    imported = {
-        (node.module, alias.name) for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
-    }
-    assert (module, name) in imported
-    assigned = {
-        target.id
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Assign)
-        for target in node.targets
-        if isinstance(target, ast.Name)
-    }
-    assert name not in assigned

@@ -1,8 +1,10 @@
 """A connection between a driver and an emulated controller in virtual time, with the guard in between if wanted."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from operator import methodcaller
+from typing import Any, NamedTuple, TypeVar
 
+import pytest
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire, nanonis_model
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
@@ -14,6 +16,7 @@ from telenano_afm_controllers.retract_guard import SilenceJudge
 from telenano.extend.testing import afm_config, afm_node, instrument_of, merge, validate
 
 MS = 1_000_000
+NEAR_M = -70e-9
 PARAMS = afm_config().to_params()
 C = TypeVar("C", GwyscopeCalibration, NanonisCalibration)
 
@@ -32,9 +35,9 @@ class ControllerLine:
 
     resolved = True
 
-    def __init__(self, respond: Callable[[bytes, int], bytes | None], guarded: Any = None) -> None:
+    def __init__(self, guarded: Any = None) -> None:
         self.now_ns = 10**9
-        self.respond = respond
+        self.respond: Callable[[bytes, int], bytes | None] = self.served
         self.reachable = self.running = self.accepting = True
         self.latency_ms = 0.0
         self.to_host: Callable[[bytes], bytes] = lambda sent: sent
@@ -78,6 +81,16 @@ class ControllerLine:
     def close(self) -> None:
         self._connected = False
 
+    def mend(self) -> None:
+        self.reachable = self.running = self.accepting = True
+        self.latency_ms = 0.0
+        self.respond = self.served
+        self.to_host = lambda sent: sent
+
+    def served(self, request: bytes, now_ns: int) -> bytes | None:
+        """Return the answer of the emulated controller to a request."""
+        raise NotImplementedError
+
     def pass_ms(self, duration_ms: int) -> None:
         for _ in range(duration_ms):
             self.now_ns += MS
@@ -111,7 +124,7 @@ class Gwyscope(ControllerLine):
     ) -> None:
         document = gwyscope_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
         self.calibration = calibration(GwyscopeCalibration, document, **changes)
-        super().__init__(self.served, GuardedGwyscope(self.calibration) if guarded else None)
+        super().__init__(GuardedGwyscope(self.calibration) if guarded else None)
         afm = instrument_of() if config is None else config
         afm.open()
         self.model = gwyscope_model.GwyscopeModel(afm, tick_s=tick_s, now_ns=self.now_ns)
@@ -132,6 +145,15 @@ class Gwyscope(ControllerLine):
         """Return where the base really is, towards the sample [m]."""
         return self.model.z_m - gwyscope_model.REST_M
 
+    @property
+    def is_retracted(self) -> bool:
+        return self.model.z_m == 0.0
+
+    def mend(self) -> None:
+        super().mend()
+        self.model.stands = False
+        self.model.values["scanning_line"] = False
+
 
 class Nanonis(ControllerLine):
     """A Nanonis controller and its driver."""
@@ -141,7 +163,7 @@ class Nanonis(ControllerLine):
     ) -> None:
         document = nanonis_model.calibration_of(PARAMS.plant.volts_per_m, PARAMS.plant.stiffness_n_per_m)
         self.calibration = calibration(NanonisCalibration, document, **changes)
-        super().__init__(self.served, GuardedNanonis(self.calibration) if guarded else None)
+        super().__init__(GuardedNanonis(self.calibration) if guarded else None)
         afm = instrument_of() if afm is None else afm
         afm.open()
         self.model = nanonis_model.NanonisModel(afm, tap_s=tap_s, now_ns=self.now_ns)
@@ -165,6 +187,14 @@ class Nanonis(ControllerLine):
     def base_m(self) -> float:
         """Return where the base really is, towards the sample [m]."""
         return 0.0 - self.model.z_m
+
+    @property
+    def is_retracted(self) -> bool:
+        return self.model.z_m >= 5e-7 - 1e-12
+
+    def mend(self) -> None:
+        super().mend()
+        self.model.locked = ""
 
 
 class LogLine:
@@ -246,3 +276,70 @@ class ControllerRig:
     def control(self, command: str, **parameters: Any) -> str:
         fields = {"id": "a", "command": command, "target": "afm_node", "parameters": parameters}
         return str(self.node.on_control(self.bench.make("session/control", "console@slave", **fields)))
+
+
+class Fault(NamedTuple):
+    """A row of a table of faults.
+
+    begin, end: how it comes and goes; text: of the event; status: of driver and bus; at_ms: by when the base is
+    retracted at the latest, None where it cannot be while the fault lasts; retracts: whether and why the guard does;
+    moves: the base goes elsewhere.
+    """
+
+    begin: Callable[[Any], None]
+    text: str = ""
+    status: str = "lost"
+    duration_ms: int = 90
+    at_ms: int | None = 5
+    retracts: str = "device_lost"
+    end: Callable[[Any], None] = methodcaller("mend")
+    moves: bool = False
+
+
+def walk(rig: ControllerRig, fault: Fault, place: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Have a fault come and go while a rig follows near the sample, and see that the tip is retracted after it."""
+    line, retracted_m = rig.line, PARAMS.safety.retract_position_m
+    events: list[str] = []
+    retracted_ms = None
+
+    def tick() -> Any:
+        rig.tick(1, NEAR_M, place)
+        events.extend(event.text for event in rig.bench.take("session/event"))
+        return rig.bench.take("afm/state")[-1]
+
+    rig.bench.take("session/event")
+    fault.begin(line)
+    states, bases = [], []
+    for count in range(fault.duration_ms):
+        states.append(tick())
+        bases.append(line.base_m)
+        if retracted_ms is None and line.is_retracted:
+            retracted_ms = count + 1
+    # driver and bus
+    assert fault.status in {state.device for state in states} or line.driver.report.status == fault.status
+    assert sum(fault.text in text for text in events) == 1 or not fault.text, events
+    if fault.retracts:
+        assert any(f"the AFM is in mode retracting: {fault.retracts}" in text for text in events)
+        assert states[-1].mode in ("retracting", "retracted")
+    else:
+        assert {state.mode for state in states} == {"follow"}
+    # device: the tip, whatever its host knows of it
+    if fault.at_ms is not None:
+        assert retracted_ms is not None
+        assert retracted_ms <= fault.at_ms
+    elif fault.retracts == "force_invalid":
+        assert line.base_m <= retracted_m + 1e-15
+    elif not fault.moves:
+        assert bases == [pytest.approx(NEAR_M, abs=1e-12)] * len(bases)
+    # and on it goes: with the tip retracted, until armed
+    fault.end(line)
+    states = []
+    while not states or states[-1].device != "ok":
+        states.append(tick())
+        assert len(states) < 1500, events[-3:]
+    if not fault.retracts:
+        assert {state.mode for state in states} == {"follow"}
+        return
+    states += [tick() for _ in range(80)]
+    assert line.base_m <= retracted_m + 1e-12
+    assert (states[-1].mode, states[-1].device) == ("retracted", "ok")

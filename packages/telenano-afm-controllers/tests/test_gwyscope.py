@@ -6,12 +6,25 @@ import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gwyfile
 import numpy as np
 import pytest
-from controller_line import MS, PARAMS, ControllerRig, Gwyscope, answer_twice, interrupt, kill, stop, swallow
+from controller_line import (
+    MS,
+    NEAR_M,
+    PARAMS,
+    ControllerRig,
+    Fault,
+    Gwyscope,
+    answer_twice,
+    interrupt,
+    kill,
+    stop,
+    swallow,
+    walk,
+)
 from telenano_afm_controllers import gwyscope_model, gwyscope_wire
 from telenano_afm_controllers.calibration import GwyscopeCalibration, NanonisCalibration
 from telenano_afm_controllers.gwyscope_model import AssertionOfTheServerError
@@ -23,7 +36,6 @@ from telenano.extend.commands import ConfigError
 from telenano.extend.instruments import DeviceError, modbus_line, read_controller
 from telenano.extend.testing import RefusedError, afm_config, afm_node, instrument_of
 
-NEAR_M = -70e-9
 RETRACTED_M = PARAMS.safety.retract_position_m
 # of the base in the three periods of the longest cycle, at the guard's speed
 STEP_M = 3e-3 * PARAMS.safety.base_speed_m_per_s * 1.001
@@ -282,15 +294,6 @@ def test_calibration_of_the_document_is_valid(
 # --- faults
 
 
-def mend(line: Gwyscope) -> None:
-    line.reachable = line.running = line.accepting = True
-    line.model.stands = False
-    line.latency_ms = 0.0
-    line.respond = line.served
-    line.to_host = lambda sent: sent
-    line.model.values["scanning_line"] = False
-
-
 def stand(line: Gwyscope) -> None:
     line.model.stands = True
 
@@ -357,22 +360,6 @@ def desaturate(line: Gwyscope) -> None:
     del line.model._measure
 
 
-class Fault(NamedTuple):
-    """A row of the table.
-
-    begin, end: how it comes and goes; text: of the event; status: of driver and bus; at_ms: by when the base is
-    retracted at the latest, None where it cannot be while the fault lasts; retracts: whether and why the guard does.
-    """
-
-    begin: Callable[[Gwyscope], None]
-    text: str = ""
-    status: str = "lost"
-    duration_ms: int = 90
-    at_ms: int | None = 5
-    retracts: str = "device_lost"
-    end: Callable[[Gwyscope], None] = mend
-
-
 SEIZED = "somebody else has moved the tip"
 FAULTS = {
     "connection lost": Fault(interrupt, "the connection is gone", duration_ms=20),
@@ -423,54 +410,9 @@ def approach(rig: ControllerRig) -> None:
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_fault(rig: ControllerRig, name: str) -> None:
-    fault, line = FAULTS[name], rig.line
-    events: list[str] = []
-    retracted_ms = None
-
-    def tick() -> Any:
-        rig.tick(1, NEAR_M, (1e-8, 0.0))
-        events.extend(event.text for event in rig.bench.take("session/event"))
-        return rig.bench.take("afm/state")[-1]
-
-    rig.bench.take("session/event")
-    fault.begin(line)
-    states, bases = [], []
-    for count in range(fault.duration_ms):
-        states.append(tick())
-        bases.append(line.base_m)
-        if retracted_ms is None and line.model.z_m == 0.0:
-            retracted_ms = count + 1
-    # driver and bus
-    seen = {state.device for state in states}
-    assert fault.status in seen or line.driver.report.status == fault.status
-    assert sum(fault.text in text for text in events) == 1 or not fault.text, events
-    if fault.retracts:
-        assert any(f"the AFM is in mode retracting: {fault.retracts}" in text for text in events)
-        assert states[-1].mode in ("retracting", "retracted")
-    else:
-        assert {state.mode for state in states} == {"follow"}
-    # device: the tip, whatever its host knows of it
-    if fault.at_ms is not None:
-        assert retracted_ms is not None
-        assert retracted_ms <= fault.at_ms
-    elif fault.retracts == "force_invalid":
-        assert line.base_m <= RETRACTED_M + 1e-15
-    else:
-        assert bases == [pytest.approx(NEAR_M, abs=1e-12)] * len(bases)
-    # and on it goes: with the tip retracted, until armed
-    fault.end(line)
-    states, bases = [], []
-    while not states or states[-1].device != "ok":
-        states.append(tick())
-        bases.append(line.base_m)
-        assert len(states) < 800, events[-3:]
-    if not fault.retracts:
-        assert {state.mode for state in states} == {"follow"}
-        return
-    states += [tick() for _ in range(30)]
-    assert line.base_m <= RETRACTED_M + 1e-15
-    assert (states[-1].mode, states[-1].device) == ("retracted", "ok")
-    approach(rig)
+    walk(rig, FAULTS[name], (1e-8, 0.0))
+    if FAULTS[name].retracts:
+        approach(rig)
 
 
 def test_scan_that_somebody_runs_is_not_disturbed(rig: ControllerRig) -> None:

@@ -4,12 +4,27 @@ import math
 import random
 import struct
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
-from controller_line import MS, PARAMS, ControllerRig, Gwyscope, Nanonis, answer_twice, interrupt, kill, stop, swallow
+from controller_line import (
+    MS,
+    NEAR_M,
+    PARAMS,
+    ControllerRig,
+    Fault,
+    Gwyscope,
+    Nanonis,
+    answer_twice,
+    interrupt,
+    kill,
+    stop,
+    swallow,
+    walk,
+)
 from telenano_afm_controllers import nanonis_driver, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_driver import cut_frame
 from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
@@ -19,7 +34,6 @@ from telenano.extend.commands import ConfigError
 from telenano.extend.instruments import DeviceError, modbus_line, refusal
 from telenano.extend.testing import RefusedError, afm_node, instrument_of
 
-NEAR_M = -70e-9
 RETRACTED_M = PARAMS.safety.retract_position_m
 NAN = math.nan
 # as the vendor's client 1.0.9 sends and parses them: after the name of 32 bytes
@@ -360,14 +374,6 @@ def test_a_signal_that_the_controller_has_not_is_refused_by_its_key() -> None:
 # --- faults
 
 
-def mend(line: Nanonis) -> None:
-    line.reachable = line.running = line.accepting = True
-    line.latency_ms = 0.0
-    line.respond = line.served
-    line.to_host = lambda sent: sent
-    line.model.locked = ""
-
-
 def garble(line: Nanonis) -> None:
     line.to_host = lambda sent: b"HTTP/1.1 400 Bad Request\r\n" + bytes(40)
 
@@ -421,36 +427,25 @@ def saturate(line: Nanonis) -> None:
     line.model._move_z = move  # type: ignore[method-assign]
 
 
-class Fault(NamedTuple):
-    """A row of the table, as in `test_gwyscope.Fault`."""
-
-    begin: Callable[[Nanonis], None]
-    text: str = ""
-    status: str = "lost"
-    duration_ms: int = 120
-    at_ms: int | None = 30
-    retracts: str = "device_lost"
-    end: Callable[[Nanonis], None] = mend
-
-
 SEIZED = "somebody else"
+fault = partial(Fault, duration_ms=120, at_ms=30)
 FAULTS = {
-    "connection lost": Fault(interrupt, "the connection is gone", duration_ms=40),
-    "server killed": Fault(kill, "the connection is gone", at_ms=None, duration_ms=40),
-    "server stopped": Fault(stop, "has been silent for 250 ms", duration_ms=300, at_ms=None),
-    "server swallows": Fault(swallow, "does not answer: check address, cable and firewall", duration_ms=500, at_ms=30),
-    "garbage": Fault(garble, "is not the beginning of a message"),
-    "half answers": Fault(cut, "the connection is gone", duration_ms=90, at_ms=80),
-    "two answers": Fault(answer_twice, "has answered more than it was asked"),
-    "command refused": Fault(refuse, "The module is locked.", at_ms=None),
-    "z is not taken": Fault(clamp, SEIZED, at_ms=None, end=unclamp),
-    "safe tip latched": Fault(press_safe_tip, "The Safe Tip has been triggered", end=release_safe_tip),
-    "z moved from outside": Fault(others(("ZCtrl.ZPosSet", 4e-7), ("Util.AcqPeriodSet", 1e-3)), SEIZED, at_ms=60),
-    "z-controller from outside": Fault(others(("ZCtrl.OnOffSet", 1)), "must be off", at_ms=30),
-    "withdrawn from outside": Fault(others(("ZCtrl.Withdraw", 0, -1)), "must be off"),
-    "slow controller": Fault(slow_down, status="stale", duration_ms=400, at_ms=None, retracts=""),
+    "connection lost": fault(interrupt, "the connection is gone", duration_ms=40),
+    "server killed": fault(kill, "the connection is gone", at_ms=None, duration_ms=40),
+    "server stopped": fault(stop, "has been silent for 250 ms", duration_ms=300, at_ms=None),
+    "server swallows": fault(swallow, "does not answer: check address, cable and firewall", duration_ms=500, at_ms=30),
+    "garbage": fault(garble, "is not the beginning of a message"),
+    "half answers": fault(cut, "the connection is gone", duration_ms=90, at_ms=80),
+    "two answers": fault(answer_twice, "has answered more than it was asked"),
+    "command refused": fault(refuse, "The module is locked.", at_ms=None),
+    "z is not taken": fault(clamp, SEIZED, at_ms=None, end=unclamp, moves=True),
+    "safe tip latched": fault(press_safe_tip, "The Safe Tip has been triggered", end=release_safe_tip),
+    "z moved from outside": fault(others(("ZCtrl.ZPosSet", 4e-7), ("Util.AcqPeriodSet", 1e-3)), SEIZED, at_ms=60),
+    "z-controller from outside": fault(others(("ZCtrl.OnOffSet", 1)), "must be off", at_ms=30),
+    "withdrawn from outside": fault(others(("ZCtrl.Withdraw", 0, -1)), "must be off"),
+    "slow controller": fault(slow_down, status="stale", duration_ms=400, at_ms=None, retracts=""),
     # the value of a Tap is an average, which is beyond the force limit before it is beyond the input
-    "input out of range": Fault(saturate, status="ok", at_ms=None, retracts="force_limit", end=unclamp),
+    "input out of range": fault(saturate, status="ok", at_ms=None, retracts="force_limit", end=unclamp, moves=True),
 }
 
 
@@ -474,48 +469,9 @@ def approach(rig: ControllerRig) -> None:
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_fault(rig: ControllerRig, name: str) -> None:
-    fault, line = FAULTS[name], rig.line
-    events: list[str] = []
-    retracted_ms = None
-
-    def tick() -> Any:
-        rig.tick(1, NEAR_M)
-        events.extend(event.text for event in rig.bench.take("session/event"))
-        return rig.bench.take("afm/state")[-1]
-
-    rig.bench.take("session/event")
-    fault.begin(line)
-    states, bases = [], []
-    for count in range(fault.duration_ms):
-        states.append(tick())
-        bases.append(line.base_m)
-        if retracted_ms is None and line.model.z_m >= 5e-7 - 1e-12:
-            retracted_ms = count + 1
-    seen = {state.device for state in states}
-    assert fault.status in seen, events
-    assert sum(fault.text in text for text in events) == 1 or not fault.text, events
-    if fault.retracts:
-        assert any(f"the AFM is in mode retracting: {fault.retracts}" in text for text in events)
-        assert states[-1].mode in ("retracting", "retracted")
-    else:
-        assert {state.mode for state in states} == {"follow"}
-    if fault.at_ms is not None:
-        assert retracted_ms is not None
-        assert retracted_ms <= fault.at_ms
-    elif fault.retracts == "device_lost" and name != "z is not taken":
-        assert bases == [pytest.approx(NEAR_M, abs=1e-12)] * len(bases)
-    fault.end(line)
-    states = []
-    while not states or states[-1].device != "ok":
-        states.append(tick())
-        assert len(states) < 1500, events[-3:]
-    if not fault.retracts:
-        assert {state.mode for state in states} == {"follow"}
-        return
-    states += [tick() for _ in range(80)]
-    assert line.base_m <= RETRACTED_M + 1e-12
-    assert (states[-1].mode, states[-1].device) == ("retracted", "ok")
-    approach(rig)
+    walk(rig, FAULTS[name])
+    if FAULTS[name].retracts:
+        approach(rig)
 
 
 def test_scan_that_somebody_runs_is_not_disturbed(rig: ControllerRig) -> None:

@@ -364,24 +364,6 @@ def test_a_server_without_a_listed_key_is_not_connected_to_until_it_has_one(
     until(receives_more(master, AFM), master, slave)
 
 
-def test_a_plain_peer_receives_nothing(world: Callable[..., list[Machine]]) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(receives_more(master, AFM), master, slave)
-    plain = master.context.socket(zmq.SUB)
-    plain.subscribe(b"")
-    plain.connect(slave.book.network_endpoint(AFM))
-    try:
-        until(lambda: slave.network.rejected.get("handshake"), master, slave)
-        until(receives_more(master, AFM), master, slave)
-        assert not plain.poll(0)
-    finally:
-        plain.close()
-    assert slave.network.last_error.startswith(f"a client of {AFM}: ")
-    assert set(slave.network.rejected) == {"handshake"}
-
-
 def zmtp_greeting(mechanism: bytes) -> bytes:
     return b"\xff" + bytes(8) + b"\x7f\x03\x01" + mechanism.ljust(20, b"\0") + b"\0" + bytes(31)
 
@@ -948,6 +930,8 @@ def test_strangers_are_answered_a_few_at_a_time(world: Callable[..., list[Machin
     _, slave = world()
     slave.open().bind(AFM)
     requests = 3 * zap_authenticator._BATCH + 1
+    # a request takes up to 120 us, and the loop has a period of 1 ms
+    assert zap_authenticator._BATCH * 120e-6 <= 0.5e-3
     flood = slave.context.socket(zmq.DEALER)
     flood.set(zmq.LINGER, 0)
     flood.connect("inproc://zeromq.zap.01")

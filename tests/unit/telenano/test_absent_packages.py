@@ -33,6 +33,7 @@ from proto.nodes import SERVICES
 from services.runtime.wiring.main import node_kind
 for name in SERVICES:
     node_kind(name).config()
+import telenano.cli.root, telenano.cli.commands.up
 print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules if name.startswith("telenano_")})))
 """
 

@@ -1,9 +1,7 @@
 """What a package adds to the command line and to the doctor, and what its being there must not change."""
 
-import json
 import os
 import re
-import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -229,22 +227,6 @@ def test_an_environment_older_than_the_settings_of_its_checkout_is_stale(tmp_pat
     os.utime(checkout / "packages/telenano-x/pyproject.toml", (newer, newer))
     (finding,) = stale(environment, checkout)
     assert finding.found == "stale: older than packages/telenano-x/pyproject.toml" and finding.advice == "make setup"
-
-
-IMPORTED = """
-import json, sys
-from proto.nodes import SERVICES
-from services.runtime.wiring.main import node_kind
-for name in SERVICES:
-    node_kind(name)
-import telenano.cli.root, telenano.cli.commands.up
-print(json.dumps(sorted(name for name in sys.modules if name.startswith("telenano_"))))
-"""
-
-
-def test_nodes_and_commands_import_no_package_that_nothing_names() -> None:
-    done = subprocess.run([sys.executable, "-P", "-c", IMPORTED], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert json.loads(done.stdout) == []
 
 
 def test_a_format_of_a_package_exports_a_recording_and_one_that_is_missing_is_named(

@@ -203,19 +203,6 @@ def test_h_is_help(arguments: tuple[str, ...]) -> None:
         assert [line for line in out.splitlines() if line in ("Run:", "Look:", "Study:", "Set up:")]
 
 
-@pytest.mark.parametrize(
-    ("command", "usage"),
-    [
-        ("report", "[OPTIONS] {FILE}..."),
-        ("session", "[OPTIONS] {COMMAND} [KEY=VALUE]..."),
-        ("topic echo", "[OPTIONS] {TOPIC}"),
-        ("param list", "[OPTIONS] [PREFIX]"),
-    ],
-)
-def test_the_usage_names_arguments_by_their_metavars(command: str, usage: str) -> None:
-    assert run(*command.split(), "--help")[1].splitlines()[0].endswith(f"{command} {usage}")
-
-
 @pytest.mark.endurance
 def test_the_shell_completes_commands_options_and_values() -> None:
     root = Path(__file__).parents[3]
