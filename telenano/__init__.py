@@ -1,14 +1,12 @@
 """The `telenano` command, and what programs use.
 
-`open` a recording, `simulate` a session, connect to a `live` rig, take the transfer functions of a loop from `theory`.
+`open` a recording, `simulate` a session, connect to a `live` rig.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from studies.loops.linear_loop import LinearLoop as LinearLoop
-    from studies.loops.linear_loop import theory as theory
     from studies.loops.simulation import SimulatedSession as SimulatedSession
     from studies.loops.simulation import simulate_scenario as simulate
     from telenano.api import LiveRig as LiveRig
@@ -19,14 +17,11 @@ if TYPE_CHECKING:
     from telenano.api import open as open
 
 _ELSEWHERE = {
-    "LinearLoop": ("studies.loops.linear_loop", "LinearLoop"),
     "SimulatedSession": ("studies.loops.simulation", "SimulatedSession"),
     "simulate": ("studies.loops.simulation", "simulate_scenario"),
-    "theory": ("studies.loops.linear_loop", "theory"),
 }
 
 __all__ = [
-    "LinearLoop",
     "LiveRig",
     "RecordedSession",
     "SimulatedSession",
@@ -35,7 +30,6 @@ __all__ = [
     "live",
     "open",
     "simulate",
-    "theory",
 ]
 
 

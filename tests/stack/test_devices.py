@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import yaml
 from stack_rig import ROOT, Rig
+from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 from analysis.modes import modes_of
 from recording.arrays import columns
 from recording.reader import Recording
 from services.afm_node.devices.modbus_frames import Conversation
 from services.controller.config import ControllerConfig
-from studies.loops.theory import critical_link_delay_s, loop_model
 
 pytestmark = pytest.mark.endurance
 

@@ -233,7 +233,7 @@ ALONE = {
     "viz": "bag plot REFERENCE afm/state.tip_force_n.2 --out plot.png",
     "view": "-c import services.viz_node.server",
     "launcher": "report REFERENCE --out report",
-    "studies": "-c import telenano; telenano.theory(law='wave').transfer_function()",
+    "studies": "-c import control, scipy, telenano; telenano.simulate(law='wave')",
     "rig": "sample --sample dots --out dots",
     "dask": "-c import dask.distributed",
     "peers": "-c import zenoh, iceoryx2",

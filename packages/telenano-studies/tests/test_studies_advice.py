@@ -8,13 +8,13 @@ from telenano_studies.loops.advice import CANDIDATES, Question, advise, cells_of
 from telenano_studies.loops.cells import Cell, CellResult, Hand, run_cell, trajectory_of
 from telenano_studies.loops.merits import Network, Sample, Trial
 from telenano_studies.loops.sweep import Journal, Sweep
+from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import Jitter
 
 from services.controller.config import LAWS
 from services.haptic_node.operator_config import ARMS
 from studies.loops import lockstep
-from studies.loops.theory import critical_delay_s, loop_model
 
 
 def cell(hand: Any = "ordinary", **changes: Any) -> Cell:

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import pytest
 from stage_line import StageLine, calibration
+from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 from services.afm_node.devices.t7_model import T7Model
 from services.controller.config import ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
-from studies.loops.theory import critical_link_delay_s, loop_model
 
 PERIOD_S = 1e-3
 SPRING_N_PER_M = 38.0

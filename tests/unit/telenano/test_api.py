@@ -107,18 +107,8 @@ def test_every_public_class_shows_in_a_line_what_it_is(session: telenano.Recorde
     assert shown[2] == "<LiveRig: afm_node@slave, haptic_node@master>"
     classes = {name for name in telenano.__all__ if isinstance(getattr(telenano, name), type)}
     assert {name for name in classes if getattr(telenano, name).__repr__ is object.__repr__} == set()
-    assert classes == {"LinearLoop", "LiveRig", "RecordedSession", "SimulatedSession", "Table"}
+    assert classes == {"LiveRig", "RecordedSession", "SimulatedSession", "Table"}
     assert (str(statistic([1.0, 2.0, 3.0])), str(share(3, 4))) == ("2 ± 1 [-0.484, 4.48]", "0.75 [0.301, 0.954]")
-
-
-def test_a_loop_of_theory_shows_what_it_is_and_what_its_margins_lack(monkeypatch: pytest.MonkeyPatch) -> None:
-    loop = telenano.theory(law="virtual_impedance", stiffness_n_per_m=20.0, round_trip_ms=40.0)
-    assert repr(telenano.theory(law="wave", hand="soft")) == "<LinearLoop wave on 10 N/m, 0.5 ms in all, with an arm>"
-    monkeypatch.setitem(sys.modules, "control", None)
-    assert repr(loop) == "<LinearLoop virtual_impedance on 20 N/m, 40.5 ms in all>"
-    for asked in (lambda: loop.margin, loop.transfer_function, loop.sampled):
-        with pytest.raises(ConfigError, match=r"control is not installed: pip install (-e )?'.+\[studies\]'"):
-            asked()
 
 
 def test_a_table_becomes_a_labelled_data_set(session: telenano.RecordedSession) -> None:

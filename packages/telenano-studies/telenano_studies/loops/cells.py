@@ -33,11 +33,11 @@ from services.haptic_node.operator_config import ARMS
 from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
-from studies.loops.linear_loop import Hand as Hand
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
+from telenano_studies.loops.linear_loop import Hand as Hand
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
 
 ENVIRONMENTS = ("spring", "wall", "contact", "body")

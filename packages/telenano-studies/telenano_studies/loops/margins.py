@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from proto.errors import ConfigError
 from services.controller.config import late_periods
 from services.controller.law_rules import known_law
-from studies.loops.theory import critical_link_delay_s, loop_model
 from telenano_studies.loops.cells import Cell, run_cell
+from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 SHARES = (0.8, 1.2)
 

@@ -11,11 +11,11 @@ from pydantic import Field
 from analysis.statistics import Statistic, statistic
 from proto.errors import ConfigError
 from services.runtime.settings.option import Option
-from studies.loops.theory import loop_model
 from telenano_studies import option_values
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions
 from telenano_studies.loops.linear_cells import linear_loop, not_linear
 from telenano_studies.loops.sweep import Sweep
+from telenano_studies.loops.theory import loop_model
 from telenano_studies.option_values import Jitter
 
 

@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from services.controller.config import LAWS
-from studies.loops.theory import critical_delay_s, loop_model
+from telenano_studies.loops.theory import critical_delay_s, loop_model
 
 DELAYS_BORNE = 2.0
 _MOST_N_S_PER_M = 1e7

@@ -1,7 +1,7 @@
 """What a delay does to each law, for one slider: Nyquist curve, characteristic roots, course and energy of a session.
 
 The courses are those of the laws' own steps in lockstep, as in `study stability`: a hand presses with 1 N on a spring
-of 20 N/m. Curve and roots are those of the linear theory (`studies/loops/linear_loop.py`) for the laws that are linear.
+of 20 N/m. Curve and roots are those of the linear theory (`linear_loop.py`) for the laws that are linear.
 The data and what draws them lie in `services/viz_node/web/gallery`, so that the page of `telenano view` shows the same.
 """
 

@@ -5,13 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
-
-from services.controller.laws.position_force import PositionForceConfig
-from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
-from services.controller.laws.wave import WaveConfig
-from services.haptic_node.config import DeviceConfig
-from services.haptic_node.physics.motor import closed_loop_coefficients
-from studies.loops.theory import (
+from telenano_studies.loops.theory import (
     Arm,
     Device,
     LoopModel,
@@ -28,6 +22,12 @@ from studies.loops.theory import (
     transfer_function,
     wave_hybrid,
 )
+
+from services.controller.laws.position_force import PositionForceConfig
+from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
+from services.controller.laws.wave import WaveConfig
+from services.haptic_node.config import DeviceConfig
+from services.haptic_node.physics.motor import closed_loop_coefficients
 
 OMEGA = np.geomspace(0.1, 3000.0, 2000)
 PERIOD_S = 1e-3

@@ -27,9 +27,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 
-from proto.errors import ConfigError
-from proto.extras import missing
-
 Complex = npt.NDArray[np.complex128]
 Series = npt.NDArray[np.float64]
 
@@ -86,23 +83,18 @@ def loop_model(law: str, parameters: BaseModel, stiffness_n_per_m: float) -> Loo
     )
 
 
-def control_package() -> Any:
-    """Return python-control; ConfigError, which says what adds it, where it is not installed."""
-    try:
-        import control
-    except ImportError as error:
-        raise ConfigError(f"margins and transfer functions: {missing('control')}") from error
-    return control
-
-
 def transfer_function(loop: LoopModel) -> Any:
     """Return L(s) at T = 0 as a `control.TransferFunction`."""
-    return control_package().tf([loop.gain_n_per_m], [loop.mass_kg, loop.damping_n_s_per_m, loop.stiffness_n_per_m])
+    import control
+
+    return control.tf([loop.gain_n_per_m], [loop.mass_kg, loop.damping_n_s_per_m, loop.stiffness_n_per_m])
 
 
 def sampled_loop(loop: Any, period_s: float) -> Any:
     """Return the exact discretisation of a loop whose input is held over period_s [s]."""
-    return control_package().sample_system(loop, period_s, method="zoh")
+    import control
+
+    return control.sample_system(loop, period_s, method="zoh")
 
 
 def delay_margin(loop: Any) -> Margin:

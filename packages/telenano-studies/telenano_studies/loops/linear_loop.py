@@ -25,14 +25,13 @@ from services.haptic_node.config import DeviceConfig
 from services.haptic_node.operator_config import ARMS
 from services.haptic_node.physics.motor import closed_loop_coefficients
 from services.runtime.settings.config import Settings, merge, nested, validate
-from studies.loops.theory import (
+from telenano_studies.loops.theory import (
     Arm,
     Complex,
     Device,
     LoopModel,
     Margin,
     arm_response,
-    control_package,
     critical_link_delay_s,
     delay_margin,
     hybrid_of,
@@ -129,7 +128,8 @@ class LinearLoop:
 
     def transfer_function(self, pade_order: int = 6) -> Any:
         """Return L(s) as a `control.TransferFunction`, its delay as Padé's fraction of an order; 0 leaves it out."""
-        control = control_package()
+        import control
+
         up: Any
         down: Any
         up, down = control.pade(self.delay_s, pade_order) if pade_order else ([1.0], [1.0])
@@ -152,7 +152,8 @@ class LinearLoop:
         Raises:
             ConfigError: The law is `wave`, whose halves sample a filter each, or there is an arm, which is not sampled.
         """
-        control = control_package()
+        import control
+
         if self._direct is None or self.arm is not None:
             what = "wave has no sampled form here" if self._direct is None else "an arm is not sampled"
             raise ConfigError(f"{what}: take transfer_function(), or response() for the exact delay")
