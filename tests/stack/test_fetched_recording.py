@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from stack_rig import PATIENCE_S, ROOT, judged
 from two_sites import TwoSites, needs_namespaces
-from wide_area import WideAreaCable
+from wide_area_cable import WideAreaCable
 
 from recording.reader import Recording
 

@@ -11,7 +11,7 @@ import machine
 import pytest
 from ledger import record
 from two_sites import TwoSites, needs_namespaces
-from wide_area import ENDS, EXCLUDED, WideAreaCable, distorted, fig12, lateness
+from wide_area_cable import ENDS, EXCLUDED, WideAreaCable, distorted, fig12, lateness
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(300)]
 

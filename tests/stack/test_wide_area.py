@@ -12,7 +12,7 @@ import pytest
 from empty_loop import EmptyLoops
 from tun_cable import ATTACKS, REORDERED
 from two_sites import MASTER, SLAVE, Site, TwoSites, needs_namespaces
-from wide_area import ENDS, WideAreaCable, distorted, draws, fig12, lateness
+from wide_area_cable import ENDS, WideAreaCable, distorted, draws, fig12, lateness
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(600)]
 

@@ -113,7 +113,7 @@ def _no_jitter(draw: random.Random, at_s: float) -> float:
 
 
 def even(width_ms: float) -> Jitter:
-    """Give delays from nothing to twice a width, each as likely, as the cable of `wide_area.py` does."""
+    """Give delays from nothing to twice a width, each as likely, as the cable of `wide_area_cable.py` does."""
     return lambda draw, at_s: draw.uniform(0.0, 2.0 * width_ms)
 
 

@@ -1,18 +1,18 @@
 """A rig on two machines with a bad network between them: the cable of tun_cable.py in the place of the ordinary one.
 
-    python tests/stack/wide_area.py --delay-ms 50 --loss 0.02 [--law passivity] [--transport auto] [--injected]
+    python tests/stack/wide_area_cable.py --delay-ms 50 --loss 0.02 [--law passivity] [--transport auto] [--injected]
 
 runs `fig12` once at both sites and prints what became of it as a line of JSON.
 
-    python tests/stack/wide_area.py --delay-ms 20 --loss 0 --rate-mbit 1 [--queue-bytes 64000]
-    python tests/stack/wide_area.py --delay-ms 20 --loss 0.05 --burst 30
-    python tests/stack/wide_area.py --delay-ms 20 --loss 0.02 --jitter-ms 10 [--in-order]
+    python tests/stack/wide_area_cable.py --delay-ms 20 --loss 0 --rate-mbit 1 [--queue-bytes 64000]
+    python tests/stack/wide_area_cable.py --delay-ms 20 --loss 0.05 --burst 30
+    python tests/stack/wide_area_cable.py --delay-ms 20 --loss 0.02 --jitter-ms 10 [--in-order]
 
 do so over a line of a rate, with losses in bursts, and with jitter. With a rate each site records its own, and the
 slave's recording is fetched over a line of any width after the session. `--first-hold 1.8` gives the first hold of the
 programme 1.8 s in the place of 1.4, which `passivity` needs to come to rest in it over a wide line.
 
-    python tests/stack/wide_area.py --table cells.jsonl --laws all --delays-ms 10,50 --losses 0,0.02,0.05
+    python tests/stack/wide_area_cable.py --table cells.jsonl --laws all --delays-ms 10,50 --losses 0,0.02,0.05
 
 runs each law over the cable, over a perfect cable with the same network injected, and in lockstep with as many draws
 of it as `study validate` takes, and prints what became of each, side by side. Cells that are in the file are not run
