@@ -11,13 +11,12 @@ never returns when it is imported does so. What is recorded of one is its packag
 """
 
 import contextlib
-import hashlib
 import importlib.util
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable
 from functools import cache
-from importlib.metadata import Distribution, EntryPoint, entry_points, version
+from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -70,14 +69,16 @@ def installed(kind: str) -> dict[str, Plugin]:
 @cache
 def _installed() -> dict[str, dict[str, Plugin]]:
     # Both are read once, since their files are dear: the entries of all that is installed, and who each package is.
-    entries, packages = entry_points(), dict[int, tuple[str, str, str]]()
+    entries, packages, own = entry_points(), dict[int, tuple[str, str, str]](), version("telenano")
     found: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
     for kind, rows in found.items():
         for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):
-            dist, unknown = entry.dist, ("unknown", "unknown", "")
-            if id(dist) not in packages:
-                packages[id(dist)] = (dist.name, dist.version, _other_version(dist)) if dist else unknown
-            package, its_version, problem = packages[id(dist)]
+            dist = entry.dist
+            if dist and id(dist) not in packages:
+                read = dist.metadata  # parsed anew at every look
+                other = _other_version(read.get_all("Requires-Dist") or (), own)
+                packages[id(dist)] = read["Name"], read["Version"], other
+            package, its_version, problem = packages.get(id(dist), ("unknown", "unknown", ""))
             row = Plugin(kind, entry.name, package, its_version, entry.value, problem)
             if not NAME.fullmatch(entry.name):
                 text = "its name must be of lower-case letters, digits and _, begin with a letter, and have at most 32"
@@ -89,10 +90,9 @@ def _installed() -> dict[str, dict[str, Plugin]]:
     return found
 
 
-def _other_version(package: Distribution) -> str:
-    """Return that a package is for another version of telenano than this one, by what it requires; empty if not."""
-    own = version("telenano")
-    for text in package.requires or ():
+def _other_version(required: Iterable[str], own: str) -> str:
+    """Return that what a package requires is another version of telenano than this one; empty if not."""
+    for text in required:
         # What `telenano new` writes is read without the library, whose import takes longer than all the other work.
         usual = re.fullmatch(r"telenano(?:\[.*\])?==([\d.]+\.)\*", text)
         if re.match(r"telenano[^-\w.]", text) and not (usual and own.startswith(usual[1])):
@@ -201,7 +201,7 @@ def fault_of_package(error: BaseException) -> str:
 def digest_of_all(rows: Iterable[Plugin]) -> str:
     """Return a digest of the files of the packages of entries; empty without any."""
     found = [f"{row.kind}.{row.name} {row.digest}" for row in rows]
-    return hashlib.sha256("\n".join(found).encode()).hexdigest() if found else ""
+    return _sha256("\n".join(found).encode()) if found else ""
 
 
 def package_files(rows: Iterable[Plugin]) -> list[Path]:
@@ -211,11 +211,15 @@ def package_files(rows: Iterable[Plugin]) -> list[Path]:
 
 @cache
 def _digest(top_level: str) -> str:
-    digest = hashlib.sha256()
-    for name, path in _files(top_level):
-        digest.update(name.encode() + b"\0")
-        digest.update(path.read_bytes())
-    return f"sha256:{digest.hexdigest()}"
+    files = (name.encode() + b"\0" + path.read_bytes() for name, path in _files(top_level))
+    return "sha256:" + _sha256(b"".join(files))
+
+
+def _sha256(content: bytes) -> str:
+    # The list of commands has no time for this import.
+    from hashlib import sha256
+
+    return sha256(content).hexdigest()
 
 
 def _top_level(target: str) -> str:

@@ -110,9 +110,6 @@ def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
     Raises:
         ConfigError: The row of a package leads to no command.
     """
-    # What an import makes stays: looking through it for garbage, again and again, takes a sixth of its time.
-    collects = gc.isenabled()
-    gc.disable()
     try:
         return _made(name, getattr(importlib.import_module(row.module), row.attribute), row.about, path)
     except BaseException as error:
@@ -125,8 +122,8 @@ def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:
         command = f"the command {' '.join(path)!r} of the package {entry.package} {entry.version}"
         raise ConfigError(f"{command} cannot be used: {text} that can be imported") from error
     finally:
-        if collects:
-            gc.enable()
+        # The command may run for long.
+        gc.enable()
 
 
 def _made(name: str, found: Any, about: str, path: tuple[str, ...]) -> Any:

@@ -50,20 +50,26 @@ class EmulatedHandle:
         self._drive_n = drive_n_per_count(plant.motor)
         self._params = plant._replace(motor=plant.motor._replace(servo_gain_v_per_m=_SOURCE_V_PER_M))
         self._plant = initial_plant(plant, config.device.start_position_m)
-        self._config = config
-        self._drive = 0
-        self._session_ticks: int | None = None
         self._gauge_m: float | None = None
         self._load_n = 0.0
         self.time_us = 0
         self.estop_pressed = False
-        self.core = self._boot(session)
+        self.reset(session)
 
     def reset(self, session: int) -> None:
-        """Boot the firmware again, as after a loss of its supply; the arm stays where it is."""
-        self._drive = 0
-        self._session_ticks = None
-        self.core = self._boot(session)
+        """Boot the firmware, as after a loss of its supply; the arm stays where it is."""
+        self._drive = self._session_ticks = 0
+        identity = BoardIdentity(
+            device_id=DEVICE_ID,
+            session=session,
+            flags=_FLAGS,
+            reset_cause=0,
+            m_per_count=M_PER_COUNT,
+            n_per_count=N_PER_COUNT,
+            drive_n_per_count=self._drive_n,
+            model=MODEL,
+        )
+        self.core = FirmwareCore(identity)
 
     def place(self, position_m: float) -> None:
         """Put the arm against a gauge [m], towards the sample > 0, where it stays until it is driven."""
@@ -82,8 +88,8 @@ class EmulatedHandle:
     def advance(self) -> None:
         """Go on by a millisecond: plant, sample, firmware."""
         self.time_us += TICK_US
-        self._session_ticks = ((self._session_ticks or 0) + 1) if self.core.session_runs else None
-        session_s = -1.0 if self._session_ticks is None else self._session_ticks * _TICK_S
+        self._session_ticks = self._session_ticks + 1 if self.core.session_runs else 0
+        session_s = self._session_ticks * _TICK_S if self._session_ticks else -1.0
         if self.core.mode != MODE_OFF:
             self._gauge_m, self._load_n = None, 0.0
         elif self._gauge_m is not None:
@@ -120,19 +126,6 @@ class EmulatedHandle:
     def drive_v(self) -> float:
         """Voltage of the drive until the next tick [V]."""
         return self._drive * V_PER_COUNT
-
-    def _boot(self, session: int) -> FirmwareCore:
-        identity = BoardIdentity(
-            device_id=DEVICE_ID,
-            session=session,
-            flags=_FLAGS,
-            reset_cause=0,
-            m_per_count=M_PER_COUNT,
-            n_per_count=N_PER_COUNT,
-            drive_n_per_count=self._drive_n,
-            model=MODEL,
-        )
-        return FirmwareCore(identity)
 
 
 def calibration_of(config: HapticConfig) -> dict[str, object]:

@@ -1,5 +1,6 @@
 """What installed packages add is found by its entry points, and does no harm where it cannot be used."""
 
+from email.message import Message
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,8 +14,15 @@ from proto.errors import ConfigError
 
 def entry(kind: str, name: str, target: str, package: str = "pack") -> Any:
     found = EntryPoint(name, target, f"telenano.{kind}")
-    object.__setattr__(found, "dist", SimpleNamespace(name=package, version="1.2", requires=[]))
+    object.__setattr__(found, "dist", SimpleNamespace(metadata=metadata_of(package)))
     return found
+
+
+def metadata_of(package: str, *required: str) -> Message:
+    metadata = Message()
+    for key, value in (("Name", package), ("Version", "1.2"), *(("Requires-Dist", text) for text in required)):
+        metadata[key] = value
+    return metadata
 
 
 @pytest.fixture
@@ -61,13 +69,12 @@ def test_what_can_be_used_is_loaded_and_what_cannot_says_why(entries: list[Any],
 
 def test_a_package_of_many_entries_is_read_once(entries: list[Any]) -> None:
     class Package:
-        name, version = "pack", "1.2"
         reads = 0
 
         @property
-        def requires(self) -> list[str]:
+        def metadata(self) -> Message:
             self.reads += 1
-            return ["telenano>=99"]
+            return metadata_of("pack", "telenano>=99")
 
     package = Package()
     for kind in ("laws", "devices", "checks"):
