@@ -139,11 +139,9 @@ class HapticNode(DeviceNode):
         self.freshness.turn_ns = self._grid.deadline_ns
         self.overruns = self._grid.overruns
         elapsed_s = periods * self.period_s
-        if self._memory.session_ticks is not None:
-            self._memory.session_ticks += periods
         armed = self._memory.arm_requested
         applied, command = self._guarded(), self._memory.command or _NO_COMMAND
-        tick = Tick(command, applied, armed, elapsed_s, self._session_s())
+        tick = Tick(command, applied, armed, elapsed_s, self._session_s(periods))
         self._parts.prepare(tick, self._memory)
         self.device.write(
             DriveCommand(applied.mode, applied.position_reference_m, applied.force_reference_n, tick.spatial)
@@ -189,8 +187,12 @@ class HapticNode(DeviceNode):
         """Take the force from the motor."""
         self.device.close()
 
-    def _session_s(self) -> float:
-        return _NOT_RUNNING_S if self._memory.session_ticks is None else self._memory.session_ticks * self.period_s
+    def _session_s(self, periods: int) -> float:
+        """Return the time of the operator's programme after so many periods more [s], < 0 while none runs."""
+        if self._memory.session_ticks is None:
+            return _NOT_RUNNING_S
+        self._memory.session_ticks += periods
+        return self._memory.session_ticks * self.period_s
 
     def _on_operator_force(self, message: OperatorForce, received_ns: int) -> None:
         """Take the force of a person without a device; say once where the scenario has another operator."""
