@@ -76,6 +76,16 @@ def test_a_fraction_of_pade_is_the_response_where_its_order_is_enough(law: str, 
     assert np.allclose(found, loop.response(OMEGA), rtol=1e-6, atol=0)
 
 
+@pytest.mark.parametrize("hand", ["force", "ordinary"])
+@pytest.mark.parametrize("round_trip_ms", [0.0, 20.0, 100.0])
+def test_the_closed_loop_of_waves_has_the_poles_that_are_its_roots(hand: str, round_trip_ms: float) -> None:
+    loop = telenano.theory(law="wave", stiffness_n_per_m=38.0, round_trip_ms=round_trip_ms, hand=hand)
+    poles = control.feedback(loop.transfer_function(pade_order=8), 1).poles()
+    slowest = poles[np.argsort(-poles.real)][0]
+    assert complex(slowest.real, abs(slowest.imag)) == pytest.approx(loop.roots()[0], rel=1e-4)
+    assert poles.real.max() < -1.0
+
+
 def zeros_inside(loop: LinearLoop, left: float, right: float, top: float) -> int:
     """Return how many zeros 1 + 1/L has in a rectangle around the real axis, by the principle of the argument."""
     corners = [complex(left, -top), complex(right, -top), complex(right, top), complex(left, top)]

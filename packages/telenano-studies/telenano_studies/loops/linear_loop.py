@@ -124,7 +124,7 @@ class LinearLoop:
         twice = lag * lag * np.exp(-s * self.delay_s)
         line = (1.0 - twice) / (1.0 + twice)
         hand = np.polyval(above, s) / np.polyval(below, s)
-        return np.asarray(self._spring / s * (line / b + 4.0 * twice / (1.0 + twice) ** 2 / (hand + b * line)))
+        return np.asarray(self._spring / (b * s) * (b + hand * line) / (hand + b * line))
 
     def transfer_function(self, pade_order: int = 6) -> Any:
         """Return L(s) as a `control.TransferFunction`, its delay as Padé's fraction of an order; 0 leaves it out."""
@@ -139,10 +139,11 @@ class LinearLoop:
         lag = np.array([self._values["filter_s"], 1.0])
         down = np.polymul(down, np.polymul(lag, lag))
         b, plus, minus = self._values["impedance_n_s_per_m"], np.polyadd(down, up), np.polysub(down, up)
-        # k/s ((D - N)/(b (D + N)) + 4 N D Q / ((D + N)(P (D + N) + b Q (D - N)))) with ac = N/D and the hand's P/Q
+        # k/(b s) (P (D - N) + b Q (D + N)) / (P (D + N) + b Q (D - N)) with ac = N/D and the hand's P/Q. D - N and Q
+        # are 0 at s = 0, and so is the numerator, whose last coefficient goes with the s of the spring.
+        whole = np.polyadd(np.polymul(above, minus), b * np.polymul(below, plus))
         inner = np.polyadd(np.polymul(above, plus), b * np.polymul(below, minus))
-        whole = np.polyadd(np.polymul(minus, inner), 4.0 * b * np.polymul(np.polymul(up, down), below))
-        return control.tf(self._spring / b * whole, np.polymul([1.0, 0.0], np.polymul(plus, inner)))
+        return control.tf(self._spring / b * whole[:-1], inner)
 
     def sampled(self) -> Any:
         """Return the loop that really runs, as a `control.StateSpace` of whole periods: exact, the delay in its states.
