@@ -79,7 +79,7 @@ def test_a_fraction_of_pade_is_the_response_where_its_order_is_enough(law: str, 
 @pytest.mark.parametrize("hand", ["force", "ordinary"])
 @pytest.mark.parametrize("round_trip_ms", [0.0, 20.0, 100.0])
 def test_the_closed_loop_of_waves_has_the_poles_that_are_its_roots(hand: str, round_trip_ms: float) -> None:
-    loop = telenano.theory(law="wave", stiffness_n_per_m=38.0, round_trip_ms=round_trip_ms, hand=hand)
+    loop = theory(law="wave", stiffness_n_per_m=38.0, round_trip_ms=round_trip_ms, hand=hand)
     poles = control.feedback(loop.transfer_function(pade_order=8), 1).poles()
     slowest = poles[np.argsort(-poles.real)][0]
     assert complex(slowest.real, abs(slowest.imag)) == pytest.approx(loop.roots()[0], rel=1e-4)
