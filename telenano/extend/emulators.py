@@ -17,7 +17,6 @@ from services.haptic_node.coupling import GATE_RUNAWAY as GATE_RUNAWAY
 from services.haptic_node.coupling import GATE_SILENT as GATE_SILENT
 from services.haptic_node.coupling import GATES as GATES
 from services.haptic_node.coupling import CouplingSettings as CouplingSettings
-from services.haptic_node.devices.firmware import compiled
 from services.haptic_node.devices.servo_process import ProcessLink as ProcessLink
 from services.haptic_node.devices.servo_process import ServoLoop as ServoLoop
 from services.haptic_node.devices.servo_process import SharedServo as SharedServo
@@ -30,8 +29,6 @@ from services.haptic_node.servo import ServoCommand as ServoCommand
 from services.haptic_node.servo import ServoSample as ServoSample
 from telenano.extend.commands import section_of
 from telenano.extend.impedance import ZERO, Vector
-
-compile_library = compiled
 
 
 class HandMotion(NamedTuple):

@@ -223,7 +223,7 @@ def test_the_library_reads_a_recording_and_simulates_without_any_extra(
 # what each extra is for, done with that extra alone: a command, or a program
 ALONE = {
     "haptic": "device list",
-    "afm": "-c import services.afm_node.devices.modbus_driver, services.afm_node.devices.t7_server",
+    "afm": "-c import services.afm_node.devices.modbus_driver",
     "controller": "-c import services.runtime.datagram.sealing, services.controller.__main__",
     "delay": "-c import services.runtime.datagram.sealing, services.delay_node.__main__",
     "relay": "-c import services.relay.__main__",

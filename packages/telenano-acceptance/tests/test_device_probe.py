@@ -11,10 +11,10 @@ from typing import Any
 import library_doubles
 import pytest
 import yaml
+from telenano_emulators.t7_model import calibration_of
 from test_haply_service import Served
 from typer.testing import CliRunner
 
-from services.afm_node.devices.t7_model import calibration_of
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.coupling import passive_stiffness_n_per_m, stable_stiffness_n_per_m
 from telenano.cli.root import app
@@ -83,8 +83,8 @@ def test_probe_asks_for_one_kind_of_device() -> None:
 
 @needs_compiler
 def test_probe_tells_who_a_handle_is(tmp_path: Path) -> None:
-    from services.haptic_node.devices.emulated_handle import EmulatedHandle
-    from services.haptic_node.devices.handle_on_pty import HandleOnPty
+    from telenano_emulators.emulated_handle import EmulatedHandle
+    from telenano_emulators.handle_on_pty import HandleOnPty
 
     port = HandleOnPty(EmulatedHandle(HapticConfig(), session=7), tmp_path / "handle")
     running = threading.Event()

@@ -80,7 +80,7 @@ def simulate_nanonis(
 ) -> None:
     """Serve an emulated Nanonis controller with stage and cantilever behind it. Ctrl-C ends it."""
     with report_errors(as_json=False, interrupted="the emulated Nanonis has ended"):
-        from telenano.extend.controllers import simulated_afm, t7_in_front_of
+        from telenano.extend.controllers import simulated_afm
         from telenano_afm_controllers import nanonis_model, nanonis_wire
         from telenano_afm_controllers.request_server import Pushed, serve_requests
 
@@ -101,6 +101,8 @@ def simulate_nanonis(
             )
         ]
         if t7 is not None:
+            from telenano_emulators.simulate import t7_in_front_of
+
             ready = f"a model of a LabJack T7 at its external input is at {host}:{t7_port}"
             part = nanonis_model.ExternalInput(model)
             serving.append(t7_in_front_of(part, t7, afm, (host, t7_port), lambda: typer.echo(ready)))

@@ -13,9 +13,9 @@ import yaml
 from stage_line import PARAMS, StageLine, calibration
 from telenano_calibration.line_fit import CalibrationError
 from telenano_calibration.stage_calibration import Mover, fit_travel, press
+from telenano_emulators.t7_model import M_PER_V, T7Model
 from typer.testing import CliRunner
 
-from services.afm_node.devices.t7_model import M_PER_V, T7Model
 from telenano.cli.root import app
 
 V_PER_M = 6.25e6

@@ -6,8 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-
-from telenano.extend.emulators import compile_library
+from telenano_emulators.firmware import compiled as compile_library
 
 FOLDER = Path(__file__).parent
 # Scenarios of these tests name the doubles, and the processes of their rigs inherit that they may.

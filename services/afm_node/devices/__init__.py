@@ -1,1 +1,1 @@
-"""Real instruments over Modbus, and their emulators."""
+"""Real instruments over Modbus."""

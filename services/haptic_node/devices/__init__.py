@@ -1,1 +1,1 @@
-"""Real handles on a serial line, their calibration, and their emulators."""
+"""Real handles on a serial line, and their calibration."""

@@ -6,13 +6,13 @@ from typing import Any
 import yaml
 from pymodbus.framer import FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
+from telenano_emulators.t7_model import T7Model, calibration_of
+from telenano_emulators.t7_server import respond, served_requests
 
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.afm_node.devices.modbus_driver import ModbusAfm
 from services.afm_node.devices.register_map import RegisterMap, read_map
-from services.afm_node.devices.t7_model import T7Model, calibration_of
-from services.afm_node.devices.t7_server import respond, served_requests
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 from services.runtime.settings.config import merge, parse_yaml, validate

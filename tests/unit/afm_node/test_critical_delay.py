@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import pytest
 from stage_line import StageLine, calibration
+from telenano_emulators.t7_model import T7Model
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
-from services.afm_node.devices.t7_model import T7Model
 from services.controller.config import ControllerConfig
 from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 

@@ -13,8 +13,8 @@ from stage_line import PARAMS, Rig
 from telenano_afm_controllers import nanonis_client, nanonis_model, nanonis_wire
 from telenano_afm_controllers.nanonis_client import approach
 from telenano_afm_controllers.nanonis_model import ExternalInput
+from telenano_emulators.t7_model import T7Model
 
-from services.afm_node.devices.t7_model import T7Model
 from services.afm_node.driver import DeviceError
 from services.afm_node.physics.sim import simulated_afm
 

@@ -9,11 +9,11 @@ import pytest
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.register_message import WriteMultipleRegistersRequest, WriteMultipleRegistersResponse
 from stage_line import PARAMS, StageLine, calibration
+from telenano_emulators.t7_model import HeartbeatScript, T7Model
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.register_map import MAPS, RegisterMap, read_map
-from services.afm_node.devices.t7_model import HeartbeatScript, T7Model
 from services.afm_node.driver import DeviceError
 from services.afm_node.node import AfmNode
 from services.runtime.settings.config import validate

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 from pymodbus.pdu import ModbusPDU
 from stage_line import MS, PARAMS, Rig, StageLine, calibration
+from telenano_emulators import t7_model
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices import t7_model
 from services.afm_node.devices.modbus_driver import ModbusAfm
 from services.afm_node.devices.modbus_frames import Conversation, FeedbackRequest, FramingError, Operation
 from services.afm_node.devices.register_map import Register, RegisterMap, read_map

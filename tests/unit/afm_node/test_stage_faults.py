@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 import pytest
 from pymodbus.pdu import ExceptionResponse
 from stage_line import MS, PARAMS, Rig, StageLine
+from telenano_emulators import t7_model
+from telenano_emulators.t7_server import respond
 
 from proto.errors import ConfigError
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices import modbus_line, t7_model
-from services.afm_node.devices.t7_server import respond
+from services.afm_node.devices import modbus_line
 from services.afm_node.node import AfmNode
 
 DAC_STEP_V = 5.0 / 4095.0

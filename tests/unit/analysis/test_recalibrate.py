@@ -6,15 +6,15 @@ from typing import Any
 import pytest
 import yaml
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
+from telenano_emulators.emulated_handle import DEVICE_ID, POSITION_ZERO
+from telenano_emulators.emulated_handle import calibration_of as handle_file
+from telenano_emulators.t7_model import calibration_of as stage_file
 from typer.testing import CliRunner
 
 from proto import encode
 from recording.reader import Recording
 from recording.writer import RecordingWriter
-from services.afm_node.devices.t7_model import calibration_of as stage_file
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices.emulated_handle import DEVICE_ID, POSITION_ZERO
-from services.haptic_node.devices.emulated_handle import calibration_of as handle_file
 from services.recorder.config import RecorderConfig
 from services.runtime.settings.config import merge
 from telenano.cli.commands.bag import app

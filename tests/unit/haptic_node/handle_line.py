@@ -4,10 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import yaml
+from telenano_emulators.emulated_handle import EmulatedHandle, calibration_of
 
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.devices.calibration import HandleCalibration
-from services.haptic_node.devices.emulated_handle import EmulatedHandle, calibration_of
 from services.haptic_node.devices.serial_driver import SerialHandle
 from services.haptic_node.driver import DeviceError
 from services.haptic_node.node import HapticNode

@@ -9,6 +9,7 @@ if shutil.which("cc") is None:
     pytest.skip("the emulated handle needs a C compiler: apt install gcc libc6-dev", allow_module_level=True)
 
 from handle_line import PATH, Line, Rig, calibration
+from telenano_emulators.simulate import handled
 
 from proto.errors import ConfigError, RefusedError
 from services.haptic_node.config import HapticConfig
@@ -16,7 +17,6 @@ from services.haptic_node.devices.serial_driver import refusal
 from services.haptic_node.driver import DeviceError, DriveCommand
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
-from telenano.cli.commands.device import handled
 
 OFF = DriveCommand(MODE_OFF, 0.0, 0.0)
 

@@ -119,8 +119,9 @@ def test_holder_of_a_port_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")
 def test_handle_on_a_port_is_found_pulled_out_and_found_again(tmp_path: Path) -> None:
-    from services.haptic_node.devices.emulated_handle import EmulatedHandle
-    from services.haptic_node.devices.handle_on_pty import HandleOnPty
+    from telenano_emulators.emulated_handle import EmulatedHandle
+    from telenano_emulators.handle_on_pty import HandleOnPty
+
     from services.haptic_node.devices.serial_driver import SerialHandle
 
     link = tmp_path / "by-id/handle"

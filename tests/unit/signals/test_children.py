@@ -273,7 +273,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "deploy/entrypoint.py": (by_entrypoint,),
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
-    "services/haptic_node/devices/firmware.py": "a C compiler",
+    "packages/telenano-emulators/telenano_emulators/firmware.py": "a C compiler",
     "services/haptic_node/devices/servo_process.py": (by_servo,),
     "services/launcher/child_session.py": (by_child_session,),
     "services/launcher/fan_out.py": (by_fan_out,),

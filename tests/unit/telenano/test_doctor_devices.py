@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 import yaml
+from telenano_emulators.t7_model import calibration_of
 
 from proto.errors import ConfigError
-from services.afm_node.devices.t7_model import calibration_of
 from telenano.doctor.devices import check_instrument, check_serial_ports
 
 

@@ -5,8 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-
-from services.haptic_node.devices.firmware import SOURCES, FirmwareError, build_library
+from telenano_emulators.firmware import SOURCES, FirmwareError, build_library
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt install gcc libc6-dev")

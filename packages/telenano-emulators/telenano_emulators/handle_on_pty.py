@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from services.haptic_node.devices.emulated_handle import TICK_US
+from telenano_emulators.emulated_handle import TICK_US
 
 _TICK_NS = TICK_US * 1000
 _READ_BYTES = 4096

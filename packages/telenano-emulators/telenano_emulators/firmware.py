@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import presets
 from presets.regular_files import is_own
 from proto.errors import TelenanoError
 from services.signals import children
 
-SOURCES = Path(__file__).parents[3] / "firmware" / "handle"
+SOURCES = Path(presets.__file__).parents[1] / "firmware" / "handle"
 _FILES = ("core/frame.c", "core/handle.c", "boards/posix/posix.c")
 _HEADERS = ("core/frame.h", "core/handle.h")
 _FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")

@@ -8,11 +8,11 @@ from datetime import UTC, datetime
 
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.devices import wire
-from services.haptic_node.devices.firmware import BoardIdentity, BoardSample, FirmwareCore
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.physics.motor import MotorParams, MotorState
 from services.haptic_node.physics.step import initial_plant, plant_step
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from telenano_emulators.firmware import BoardIdentity, BoardSample, FirmwareCore
 
 TICK_US = 1000
 _TICK_S = TICK_US * 1e-6

@@ -16,7 +16,7 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from services.afm_node.devices.modbus_frames import FeedbackAnswer, FeedbackRequest
-from services.afm_node.devices.t7_model import RegisterError, T7Model
+from telenano_emulators.t7_model import RegisterError, T7Model
 
 # the step of a script on the device
 _WATCH_S = 0.005

@@ -8,11 +8,11 @@ import ctypes
 from typing import Any
 
 from services.haptic_node.config import HapticConfig
-from services.haptic_node.devices.emulated_handle import drive_n_per_count
-from services.haptic_node.devices.firmware import SOURCES, FirmwareError, compiled
 from services.haptic_node.driver import DriveCommand
 from services.haptic_node.physics.step import initial_plant, plant_step
 from services.haptic_node.safety import MODE_OFF, MODE_POSITION
+from telenano_emulators.emulated_handle import drive_n_per_count
+from telenano_emulators.firmware import SOURCES, FirmwareError, compiled
 
 IMAGE = SOURCES / "boards" / "avr328p" / "handle.hex"
 RUNNER = SOURCES.parent / "emulator" / "avr328p.c"

@@ -5,10 +5,10 @@ import os
 from collections.abc import Callable
 
 import pytest
+from telenano_emulators.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
+from telenano_emulators.firmware import FirmwareError
 
 from services.haptic_node.devices import wire
-from services.haptic_node.devices.avr_board import CYCLES_A_TICK, DEVICE_ID, FREQUENCY_HZ, AvrBoard
-from services.haptic_node.devices.firmware import FirmwareError
 from services.haptic_node.safety import MODE_FORCE, MODE_OFF, MODE_POSITION
 
 WATCHDOG_MS = 20
