@@ -29,9 +29,6 @@ def benchmark(
         list[str] | None,
         typer.Option("--set", metavar="LAW.KEY=VALUE", help="Change a parameter of a law (SI units); may be repeated."),
     ] = None,
-    recordings: Annotated[
-        bool, typer.Option("--recordings", help="Write the reference set of recordings as well, with its checksums.")
-    ] = False,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     formats: FormatOption = "png",
@@ -42,7 +39,6 @@ def benchmark(
     with report_errors(as_json, INTERRUPTED):
         from analysis.page import write_images
         from telenano_experiments.benchmark.plan import plan_of
-        from telenano_experiments.benchmark.recordings import write_recordings
         from telenano_experiments.benchmark.results import rows_of, runs_text, summary_of
         from telenano_experiments.benchmark.run import RUNS
         from telenano_experiments.benchmark_page import CHOICE_HEAD, benchmark_figure, benchmark_page, choice_rows
@@ -58,9 +54,6 @@ def benchmark(
             with styled(options):
                 images = write_images(folder, {"benchmark": benchmark_figure(rows)}, command, options)
             write_study(folder, benchmark_page(plan, summary, rows, images["benchmark.png"], command), summary)
-        if recordings:
-            with results_in(out / "recordings") as folder:
-                write_recordings(plan, folder)
         print_result(summary, CHOICE_HEAD, choice_rows(rows), out, as_json=as_json)
         if not as_json:
             typer.echo(f"digest: {summary['digest']}")
