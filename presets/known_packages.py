@@ -31,7 +31,6 @@ KNOWN_PACKAGES = {
     "export nexus": "telenano-nexus",
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
-    "law margins": "telenano-studies",
     "link probe": "telenano-networks",
     "particles": "telenano-assembly",
     "push": "telenano-assembly",

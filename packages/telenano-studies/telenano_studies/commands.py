@@ -9,8 +9,4 @@ COMMANDS = {
         "telenano_studies.reproduce_command:reproduce",
         "Make figures and equations of the paper again, on one page.",
     ),
-    "law margins": (
-        "telenano_studies.margins_command:margins",
-        "Show what a law keeps with slow devices, and with each parameter a fifth more or less.",
-    ),
 }

@@ -1,12 +1,7 @@
 """What each law keeps with slow devices and with a fifth more or less of a parameter: the table of docs/laws.md."""
 
-import json
-
 import pytest
-from telenano_studies.loops.margins import SHARES, margins
-from typer.testing import CliRunner
-
-from telenano.cli.root import app
+from law_margins import SHARES, margins
 
 
 def test_the_margins_of_the_paper_are_those_of_the_document() -> None:
@@ -57,10 +52,3 @@ def test_a_fifth_of_any_parameter_and_slow_devices_leave_each_law_stable(
         prompt = [row for row in rows if row.changed != "devices of 15 ms"]
         limits = [row.stiffness_n_per_m for row in prompt if row.stiffness_n_per_m is not None]
         assert (limits[0], min(limits)) == (pytest.approx(limit, rel=1e-3), pytest.approx(least_limit, rel=2e-2))
-
-
-def test_the_command_prints_the_table_and_names_an_unknown_law() -> None:
-    done = CliRunner().invoke(app, ["law", "margins", "position_force", "--delay", "20", "--json"])
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["margins"][1]["changed"] == "devices of 15 ms"
-    assert CliRunner().invoke(app, ["law", "margins", "nothing"]).exit_code == 2

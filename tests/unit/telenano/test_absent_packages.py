@@ -83,7 +83,6 @@ def test_a_driver_and_a_file_that_need_a_package_name_it_and_its_command(tmp_pat
         ("device guard nanonis", PACKAGE),
         ("device probe --device haply", "telenano-acceptance"),
         ("device simulate gwyscope", PACKAGE),
-        ("law margins", "telenano-studies"),
         ("link probe", "telenano-networks"),
         ("reproduce equations", "telenano-studies"),
         ("sample import", "telenano-afm-files"),

@@ -4,13 +4,13 @@ The linear laws have a delay margin from theory. All are also run in lockstep on
 least energy of two-port and device, and the force in the hold. The slave half's own loop has a greatest stiffness.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from telenano_studies.loops.cells import Cell, run_cell
+from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 from proto.errors import ConfigError
 from services.controller.config import late_periods
-from services.controller.law_rules import known_law
-from telenano_studies.loops.cells import Cell, run_cell
-from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
 SHARES = (0.8, 1.2)
 
@@ -40,7 +40,6 @@ def margins(law: str, round_trip_ms: float, stiffness_n_per_m: float, latency_ms
     cell = Cell(
         law=law, environment="spring", round_trip_ms=round_trip_ms, stiffness_n_per_m=stiffness_n_per_m, session_s=None
     )
-    known_law(law)
     values = cell.controller().law_config().model_dump()
     rows = [
         _margin("", cell),
@@ -67,8 +66,3 @@ def _margin(changed: str, cell: Cell) -> Margin:
     result = run_cell(cell)
     limit = controller.stiffness_limit_n_per_m(late_periods(1e-3 * cell.device_latency_ms, controller.period_s))
     return Margin(changed, link_ms, limit, result.verdict, result.lowest_energy_j, result.tip_n)
-
-
-def as_dict(row: Margin) -> dict[str, Any]:
-    """Return a row as plain data."""
-    return row._asdict()
