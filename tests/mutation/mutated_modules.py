@@ -12,7 +12,6 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "services/afm_node/programs/runner.py": ("tests/unit/afm_node/test_program_runner.py",),
     "services/haptic_node/safety.py": (
-        "tests/unit/haptic_node/test_haptic_guard_edges.py",
         "tests/unit/haptic_node/test_haptic_safety.py",
         "tests/unit/afm_node/test_safety_codes.py",
     ),
@@ -31,10 +30,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/runtime/test_loop_admission.py",
         "tests/unit/runtime/test_runtime_node.py",
     ),
-    "services/runtime/loop/commands.py": (
-        "tests/unit/runtime/test_command_edges.py",
-        "tests/unit/runtime/test_runtime_commands.py",
-    ),
+    "services/runtime/loop/commands.py": ("tests/unit/runtime/test_runtime_commands.py",),
     "services/runtime/security/zap_authenticator.py": (
         "tests/unit/runtime/test_zap_enforcement.py",
         "tests/unit/runtime/test_runtime_transport.py",

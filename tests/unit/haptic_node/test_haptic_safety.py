@@ -1,4 +1,4 @@
-"""The guard: every transition at its bound and just past it."""
+"""The guard: every transition at its bound and just past it, which way it moves, what it names, and a lost device."""
 
 import math
 
@@ -85,13 +85,6 @@ def test_estop_is_latched_while_commands_are_stale_too():
     assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_COMMAND_STALE)
 
 
-def test_force_mode_is_refused_where_the_device_has_none():
-    _, out = guard(mode=MODE_FORCE, force_reference_n=1.0)
-    assert (out.mode, out.reason, out.force_reference_n) == (MODE_OFF, safety.REASON_MODE_REFUSED, 0.0)
-    _, out = guard(mode=MODE_POSITION, params=FORCE_DEVICE)
-    assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_MODE_REFUSED)
-
-
 def test_force_limit_at_the_bound_and_just_past():
     for sign in (1.0, -1.0):
         _, at = guard(mode=MODE_FORCE, params=FORCE_DEVICE, force_reference_n=sign * 4.0)
@@ -117,6 +110,62 @@ def test_a_reference_that_the_mode_does_not_use_is_not_judged():
 def test_unknown_mode_turns_off(code):
     _, out = guard(mode=code)
     assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_MODE_UNKNOWN)
+
+
+@pytest.mark.parametrize(("start", "wanted", "way"), [(0.5, 0.25, -1.0), (-0.125, -0.0625, 1.0), (0.5, 0.7, 1.0)])
+def test_a_limited_reference_goes_towards_the_command_on_either_side_of_the_origin(
+    start: float, wanted: float, way: float
+) -> None:
+    state = SafetyState(False, MODE_POSITION, start)
+    _, out = guard(state, position_reference_m=wanted, position_m=start)
+    assert (out.position_reference_m, out.reason) == (start + way * REACH, safety.REASON_SPEED_LIMIT)
+
+
+def test_a_command_beyond_the_travel_is_named_as_that_while_the_reference_is_on_its_way() -> None:
+    _, out = guard(SafetyState(False, MODE_POSITION, 0.5), position_reference_m=2.0)
+    assert (out.position_reference_m, out.reason) == (0.5 + REACH, safety.REASON_TRAVEL_LIMIT)
+
+
+def test_a_lost_device_is_off_and_begins_where_it_is_when_it_comes_back() -> None:
+    state, out = guard(SafetyState(False, MODE_POSITION, 0.5), position_reference_m=0.5, device_lost=True)
+    assert (out.mode, out.reason) == (MODE_OFF, safety.REASON_DEVICE_LOST)
+    _, out = guard(state, position_reference_m=0.5, position_m=0.25)
+    assert (out.mode, out.position_reference_m) == (MODE_POSITION, 0.25 + REACH)
+
+
+@pytest.mark.parametrize(
+    ("mode", "changes", "reason"),
+    [
+        (MODE_POSITION, {"has_position_mode": False}, safety.REASON_MODE_REFUSED),
+        (MODE_FORCE, {"has_force_mode": False}, safety.REASON_MODE_REFUSED),
+        (MODE_OFF, {"has_position_mode": False}, safety.REASON_NONE),
+    ],
+)
+def test_a_mode_that_the_device_lacks_is_off_with_its_reason(mode: int, changes: dict[str, bool], reason: int) -> None:
+    state, out = guard(SafetyState(False, MODE_OFF, 0.0), PARAMS._replace(**changes), mode)
+    assert (state.mode, out.mode, out.reason) == (MODE_OFF, MODE_OFF, reason)
+
+
+def test_an_emergency_stop_comes_before_every_other_reason() -> None:
+    state, out = guard(SafetyState(False, MODE_OFF, 0.0), estop=True, device_lost=True, command_age_s=math.inf)
+    assert (out.reason, out.estop_latched, state.estop_latched) == (safety.REASON_ESTOP, True, True)
+    _, out = guard(SafetyState(True, MODE_OFF, 0.0))
+    assert out.reason == safety.REASON_ESTOP
+    _, out = guard(SafetyState(True, MODE_OFF, 0.0), arm_requested=True)
+    assert (out.mode, out.estop_latched) == (MODE_POSITION, False)
+
+
+def test_device_that_waits_is_off_where_the_arm_is_and_begins_there() -> None:
+    state, out = guard(SafetyState(False, MODE_POSITION, 0.5), position_reference_m=0.5, device_waits=True)
+    assert (out.mode, out.reason, state.mode) == (MODE_OFF, safety.REASON_DEVICE_WAITS, MODE_OFF)
+    lost = guard(SafetyState(False, MODE_OFF, 0.0), device_lost=True, device_waits=True)[1]
+    stopped = guard(SafetyState(False, MODE_OFF, 0.0), estop=True, device_waits=True, command_age_s=math.inf)[1]
+    stale = guard(SafetyState(False, MODE_OFF, 0.0), device_waits=True, command_age_s=math.inf)[1]
+    assert [found.reason for found in (lost, stopped, stale)] == [
+        safety.REASON_DEVICE_LOST,
+        safety.REASON_ESTOP,
+        safety.REASON_DEVICE_WAITS,
+    ]
 
 
 def test_every_code_has_its_words():

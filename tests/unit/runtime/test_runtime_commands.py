@@ -13,16 +13,18 @@ MS = 1_000_000
 SECOND = 1_000_000_000
 BOTH = ("afm_node@slave", "haptic_node@master")
 ARM = Command("arm", "*", BOTH)
+ARM_HAND = Command("arm", "haptic_node", BOTH[1:])
+QUOTED = {"node_latch", "node_t_ns", "validity_s"}
 
 
 class Sender:
     """A client, and what it has sent."""
 
-    def __init__(self, *commands: Command, retry_ns: int = 0) -> None:
+    def __init__(self, *commands: Command, **options: Any) -> None:
         self.clock = VirtualClock(start_ns=MS, epoch_offset_ns=10**18)
         self.sent: list[dict[str, Any]] = []
         self.times_ms: list[int] = []
-        self.client = CommandClient(self.clock, self.publish, commands, retry_ns=retry_ns)
+        self.client = CommandClient(self.clock, self.publish, commands, **options)
 
     def publish(self, topic: str, **fields: Any) -> None:
         assert topic == "session/control"
@@ -35,6 +37,11 @@ class Sender:
                 return True
             self.clock.advance_ns(MS)
         return False
+
+    def pass_ms(self, duration_ms: int) -> None:
+        for _ in range(duration_ms):
+            self.clock.advance_ns(MS)
+            self.client.advance()
 
     def answer(
         self, node: str, kind: Literal["ack", "refused", "mode"] = "ack", identifier: str = "", **data: Any
@@ -51,6 +58,18 @@ class Sender:
             data=data,
         )
         return self.client.on_event(event)
+
+    def hear(self, kind: Literal["ack", "refused"], node: str = BOTH[1], **data: Any) -> None:
+        """Let an answer to what was sent last arrive, and the client act on it."""
+        self.answer(node, kind, **data)
+        self.client.advance()
+
+
+def asker(*commands: Command, **options: Any) -> Sender:
+    """Return a client that has sent its first command, an `arm` to the hand if none is given."""
+    found = Sender(*(commands or [ARM_HAND]), **options)
+    found.client.advance()
+    return found
 
 
 # --- the client ---
@@ -164,6 +183,106 @@ def test_a_pattern_that_nobody_answers_fails_at_the_deadline() -> None:
     assert sender.client.failure == "no node answered arm"
 
 
+def test_the_time_of_a_refusal_that_is_quoted_has_the_whole_round_trip_to_come_back() -> None:
+    sender = asker(Command("start", "haptic_node", BOTH[1:]))
+    asked_ns = sender.clock.now_ns()
+    sender.clock.advance_ns(300 * MS)
+    refused_ns = sender.clock.now_ns()
+    sender.answer(BOTH[1], "refused", expired=True, sent_t_ns=asked_ns)
+    sender.pass_ms(200)
+    assert sender.sent[-1]["node_t_ns"] == {BOTH[1]: refused_ns}
+    first_s = sender.sent[-1]["validity_s"]
+    assert first_s > 1.0
+    # the least round trip counts, and a longer one later changes nothing
+    for round_trip_ms, less_s in ((500, 0.0), (100, 0.2)):
+        sender.answer(BOTH[1], "refused", expired=True, sent_t_ns=sender.clock.now_ns() - round_trip_ms * MS)
+        sender.pass_ms(200)
+        assert first_s - sender.sent[-1]["validity_s"] == pytest.approx(less_s, rel=1e-6, abs=1e-12)
+
+
+def test_an_event_before_the_first_command_is_no_answer_to_it() -> None:
+    sender = Sender(ARM_HAND)
+    assert not sender.answer(BOTH[1], identifier="other")
+    assert sender.client.answers == {}
+
+
+def test_a_command_quotes_nothing_until_a_node_has_refused_it() -> None:
+    sender = asker()
+    sender.pass_ms(300)
+    assert len(sender.sent) == 2
+    assert not any(QUOTED & set(fields) for fields in sender.sent)
+    sender.hear("refused", latch="run-1", estop_age_s=60.0)
+    assert set(sender.sent[-1]) >= QUOTED
+    assert sender.sent[-1]["node_latch"] == {BOTH[1]: "run-1"}
+
+
+def test_a_refusal_that_names_a_stop_is_answered_at_once_and_its_repetition_in_turn() -> None:
+    sender = asker()
+    sender.pass_ms(10)
+    sender.hear("refused", latch="run-1", estop_age_s=60.0)
+    assert len(sender.sent) == 2
+    # the same refusal again, of what was sent before the quotation arrived
+    sender.pass_ms(10)
+    sender.hear("refused", latch="run-1", estop_age_s=60.0)
+    sender.pass_ms(189)
+    assert len(sender.sent) == 2
+    sender.pass_ms(1)
+    assert len(sender.sent) == 3
+
+
+def test_a_refusal_of_what_had_expired_is_answered_in_turn() -> None:
+    sender = asker()
+    sender.pass_ms(10)
+    sender.hear("refused", expired=True, latch="run-0")
+    sender.pass_ms(189)
+    assert len(sender.sent) == 1
+    sender.pass_ms(1)
+    assert len(sender.sent) == 2
+
+
+@pytest.mark.parametrize("releases_stops", [True, False])
+@pytest.mark.parametrize("latched", [True, False])
+def test_a_launcher_leaves_a_device_in_emergency_stop_to_a_person(releases_stops: bool, latched: bool) -> None:
+    sender = asker(releases_stops=releases_stops, retry_ns=60 * SECOND)
+    sender.hear("refused", latch="run-1", estop_age_s=60.0, latched=latched)
+    waits = latched and not releases_stops
+    assert sender.client.latched == (BOTH[1] if waits else "")
+    # a quotation of the stop would release the device, so whoever waits for a person sends none
+    assert [fields["node_latch"] for fields in sender.sent[1:]] == ([] if waits else [{BOTH[1]: "run-1"}])
+    assert (sender.client.failure, sender.client.void) == ("", False)
+
+
+@pytest.mark.parametrize(("stop_age_s", "void"), [(0.4, True), (0.6, False)])
+def test_a_wish_is_as_old_as_whoever_had_it_says(stop_age_s: float, void: bool) -> None:
+    # the wish came half a second before the client
+    sender = asker(issued_ns=MS - SECOND // 2)
+    sender.hear("refused", latch="run-1", estop_age_s=stop_age_s)
+    assert sender.client.void is void
+    assert ("came to haptic_node@master after it" in sender.client.failure) is void
+
+
+def test_only_an_emergency_stop_makes_a_command_void() -> None:
+    sender = asker()
+    sender.hear("refused", command="arm")
+    assert (sender.client.failure != "", sender.client.void) == (True, False)
+    stopped = asker()
+    stopped.hear("ack", command="estop")
+    assert stopped.client.failure == "haptic_node@master was stopped by an emergency stop"
+    assert stopped.client.void
+
+
+def test_the_emergency_stop_of_another_device_does_not_end_a_command() -> None:
+    sender = asker()
+    sender.hear("ack", "afm_node@slave", command="estop")
+    assert (sender.client.failure, sender.client.void) == ("", False)
+
+
+def test_a_device_that_is_expected_to_answer_is_concerned_whatever_the_target_says() -> None:
+    sender = asker(Command("arm", "hand", (BOTH[1],)))
+    sender.hear("ack", command="estop")
+    assert sender.client.void
+
+
 # --- the handler ---
 
 
@@ -242,7 +361,7 @@ def test_a_refusal_says_why_and_is_remembered_too() -> None:
 def test_an_unknown_command_is_refused_by_the_node_named_and_passed_over_by_a_pattern() -> None:
     node = Receiver()
     for target in ("*", "controller@*", "contro[l]ler", "controlle?"):
-        node.take("mark", target=target, identifier="m")
+        assert not node.take("mark", target=target, identifier="m")
     assert node.answers == []
     node.take("mark", target="controller", identifier="m")
     assert node.answers == [("m", "refused", "controller@master does not know mark")]
@@ -257,6 +376,24 @@ def test_answers_are_remembered_to_a_bound() -> None:
     node.take(identifier="n0", gain=1.0)
     assert node.carried_out[-1] == "n0"
     assert len(node.carried_out) == 258
+
+
+def test_whoever_connected_for_an_emergency_stop_can_do_that_and_no_more() -> None:
+    node = Receiver()
+    node.header = {"src": "estop@master"}
+    for command in ("arm", "set"):
+        assert not node.take(command, target="controller", identifier=command, gain=1.0)
+    assert (node.carried_out, node.answers) == ([], [])
+    assert node.take("estop")
+    assert node.carried_out == ["a"]
+
+
+def test_a_node_that_was_never_held_up_believes_fresh_commands_from_its_first_moment() -> None:
+    node = Receiver()
+    node.header = {"t_ns": 0}
+    node.clock = VirtualClock()
+    assert node.take(target="controller", gain=1.0)
+    assert node.carried_out == ["a"]
 
 
 # --- expiry ---
@@ -296,6 +433,17 @@ def test_a_command_is_obeyed_while_it_is_valid(age_s: float, keys: dict[str, Any
         assert ("cannot be shown to be fresh: the clock of console@master" in text) == (age_s < 0.0)
         said = {"command": "arm", "expired": True, "sent_t_ns": node.header["t_ns"]}
         assert node.data == [{**said, "latch": node.handler.latch.quotation, "latched": False}]
+
+
+def test_a_command_is_valid_to_the_last_moment_of_its_validity() -> None:
+    for late_ns, obeyed in ((0, True), (1, False)):
+        node = Receiver()
+        then_ns = node.clock.now_ns() - SECOND - late_ns
+        node.header = {"t_ns": then_ns}
+        assert node.take(gain=1.0) is obeyed
+        # and so is the time that it quotes, where the clock of its sender is an hour off
+        sent(node, 3600.0, node_t_ns={"controller@master": then_ns})
+        assert node.take(identifier="b", gain=1.0) is obeyed
 
 
 @pytest.mark.parametrize("command", ["start", "set", "arm", "mark"])
