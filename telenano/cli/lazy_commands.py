@@ -49,7 +49,6 @@ _ABOUT = {
     "bag": "Inspect a recording, and make others from it.",
     "scenario": "List, show, check and make scenarios.",
     "param": "List the keys of a scenario, and get their values.",
-    "graph": "Draw the nodes, and the topics between them.",
     "law": "List, show and check laws, those of packages included.",
     "new": "Make a package with a law, device, sample or program.",
     "sample": "Make or read a surface as a round tip sees it.",
@@ -67,7 +66,7 @@ LAZY_COMMANDS = {
 # The order of the list of commands; those of packages of the project stand in it where they are installed.
 GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
-    "Look": ("status", "view", "topic", "link", "graph", "bridge"),
+    "Look": ("status", "view", "topic", "link", "bridge"),
     "Record and report": ("record", "bag", "report", "compare"),
     "Study": ("experiment", "study", "benchmark", "law", "curve", "scan", "sample", "particles", "push", "assemble",
               "calibrate", "reproduce"),

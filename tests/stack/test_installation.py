@@ -144,7 +144,6 @@ VERBS = {
     "scenario list": "base",
     "scenario show fig12": "base",
     "param list controller": "base",
-    "graph": "base",
     "law list": "base",
     "law show wave": "base",
     "bag info REFERENCE": "base",

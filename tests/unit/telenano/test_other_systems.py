@@ -32,7 +32,7 @@ for name in ("getuid", "geteuid", "getgid", "sched_getaffinity", "sched_setsched
              "O_NOFOLLOW", "O_CLOEXEC", "SCHED_FIFO", "getppid"):
     delattr(os, name)
 from telenano.cli.lazy_commands import LAZY_COMMANDS, package_commands
-for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "graph", "curve", "scan", "sample",
+for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "curve", "scan", "sample",
              "reproduce", "new", "up", "topic", "record"):
     importlib.import_module((LAZY_COMMANDS.get(name) or package_commands()[name,]).module)
 import json, pathlib, telenano

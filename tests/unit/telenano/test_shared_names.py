@@ -26,7 +26,7 @@ def overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, st
     return {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
 
 
-@pytest.mark.parametrize("arguments", [["graph"], ["doctor"], ["estop"]])
+@pytest.mark.parametrize("arguments", [["status"], ["doctor"], ["estop"]])
 def test_the_command_says_whose_package_is_in_the_way(overwritten: dict[str, str], arguments: list[str]) -> None:
     command = [sys.executable, "-c", "from telenano.cli.app import main; main()", *arguments]
     done = subprocess.run(command, env=overwritten, capture_output=True, text=True, timeout=60)
