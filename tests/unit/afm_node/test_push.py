@@ -9,9 +9,9 @@ from telenano_assembly.virtual import VirtualInstrument
 from proto.errors import RefusedError
 from services.afm_node.config import AfmConfig
 from services.afm_node.driver import Oscillation
-from services.afm_node.physics.particles.push import push_step
+from services.afm_node.physics.particles.push import KINETIC, RADIUS, RESTED, push_step
 from services.afm_node.physics.particles.settings import ParticlesConfig
-from services.afm_node.physics.particles.tip_shape import Spring, tip_shape
+from services.afm_node.physics.particles.tip_shape import Spring, tip_shape, touch_distance_m
 from services.afm_node.programs import push, scan
 from services.afm_node.programs.lateral import LateralParams, Place
 from services.afm_node.programs.program import Inputs, Instrument
@@ -81,6 +81,26 @@ def test_a_steered_push_turns_the_particle_to_its_goal(first_deg: float, way_nm:
     assert why == push.AT_GOAL
     assert math.dist(before, (2e-6, 0.0)) < 2.5e-9
     assert way * 1e9 == pytest.approx(way_nm, rel=0.02)
+
+
+@pytest.mark.parametrize("first_deg", [5.0, 15.0, 30.0])
+@pytest.mark.parametrize(("tick_m", "least", "most"), [(2e-9, 0.015, 0.025), (2e-8, 0.055, 0.085)])
+def test_the_part_of_the_force_along_a_push_is_late_by_a_tick(
+    first_deg: float, tick_m: float, least: float, most: float
+) -> None:
+    fixed, moving = ParticlesConfig(places=((0.0, 0.0),)).rows(10e-9, 1e-5, 1e-5)
+    # it never rests for so long that its static friction is back
+    shape, spring = tip_shape(10e-9, math.radians(15.0)), Spring(1.0, 1e6, 0.0, False, 1e9)
+    d, half = touch_distance_m(shape, fixed[0, RADIUS], 0.0), math.tan(0.5 * math.radians(first_deg))
+    x, y = -d * math.cos(math.radians(first_deg)), -d * math.sin(math.radians(first_deg))
+    moving[0, RESTED], way = 0.0, 0.0
+    while way < 0.9 * d * math.log(1.0 / half):
+        moving, contact = push_step(shape, spring, fixed, moving, (x, y, x + tick_m, y), (0.0, -20e-9), 1e-3)
+        x, way = x + tick_m, way + tick_m
+    force = math.hypot(contact.push_x_n, contact.push_y_n)
+    assert force == pytest.approx(fixed[0, KINETIC], rel=1e-9)
+    expected = force * math.cos(2.0 * math.atan(half * math.exp(way / d)))
+    assert least < 1.0 + contact.push_x_n / expected < most
 
 
 def test_a_steered_push_finds_its_goal_from_beside_the_particle() -> None:
