@@ -123,26 +123,21 @@ def test_a_task_that_comes_within_the_gap_is_run_at_once_and_after_it_in_the_nex
     assert ticking.after(250 * US).take() == ["b"]
 
 
-def test_a_task_begins_where_it_fits_into_the_middle_half(ticking: Loop) -> None:
-    ticking.took("a", 100 * US)
-    ticking.ticks(1)
-    ticking.add("a")
-    # a little too late
-    assert ticking.after(650 * US + 1).take() == []
-    assert ticking.due_in_ns == PATIENCE_NS - 650 * US - 1
-    ticking.after(350 * US - 1).event()
-    assert ticking.after(650 * US).take() == ["a"]
-
-
-def test_a_task_that_is_too_long_for_any_gap_begins_in_the_second_quarter_of_one(ticking: Loop) -> None:
-    ticking.took("a", 5 * MS)
+@pytest.mark.parametrize(
+    ("takes_ns", "latest_ns"),
+    # where it fits into the middle half; and in the second quarter of a gap where it is too long for any
+    [(100 * US, 650 * US), (5 * MS, 500 * US)],
+)
+def test_a_task_begins_where_it_fits_into_a_gap(ticking: Loop, takes_ns: int, latest_ns: int) -> None:
+    ticking.took("a", takes_ns)
     ticking.ticks(1)
     ticking.add("a")
     assert ticking.due_in_ns == 250 * US
-    assert ticking.after(500 * US + 1).take() == []
-    assert ticking.due_in_ns == PATIENCE_NS - 500 * US - 1
-    ticking.after(500 * US - 1).event()
-    assert ticking.after(500 * US).take() == ["a"]
+    # a little too late
+    assert ticking.after(latest_ns + 1).take() == []
+    assert ticking.due_in_ns == PATIENCE_NS - latest_ns - 1
+    ticking.after(MS - latest_ns - 1).event()
+    assert ticking.after(latest_ns).take() == ["a"]
 
 
 def test_the_time_that_a_task_takes_is_a_mean(ticking: Loop) -> None:

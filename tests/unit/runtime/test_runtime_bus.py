@@ -231,16 +231,6 @@ def test_what_is_refused_is_counted_and_the_next_message_is_taken(
     assert 0 < len(reader.last_error) < 1000
 
 
-def test_all_of_it_at_once_leaves_an_account(sender: Sender, reader: Subscriber) -> None:
-    for reason, frames in REFUSED.values():
-        assert reason
-        sender.send(*frames)
-    until(lambda: sum(reader.rejected.values()) == len(REFUSED), reader)
-    assert reader.rejected == {
-        "frames": 3, "topic": 2, "malformed": 4, "oversized": 2, "newer_version": 1, "schema": 2, "range": 1,
-    }  # fmt: skip
-
-
 def test_a_frame_beyond_all_measure_costs_its_sender_the_connection_and_nobody_else(
     context: Context, sender: Sender, endpoint: str, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-from proto.errors import ConfigError, TelenanoError
+from proto.errors import ConfigError
 from services.runtime.settings.config import (
     environment_overrides,
     flag_overrides,
@@ -240,10 +240,6 @@ def test_merging_changes_none_of_its_layers() -> None:
     assert below == {"a": {"b": 1, "c": 2}, "d": [1]}
     assert merge({"a": 1}, {"a": {"b": 2}}) == {"a": {"b": 2}}
     assert merge() == {}
-
-
-def test_errors_are_of_the_one_tree() -> None:
-    assert issubclass(ConfigError, TelenanoError)
 
 
 def test_a_key_of_very_many_parts_is_refused() -> None:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
@@ -38,11 +37,10 @@ from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
-from services.runtime.security.accept_limiter import BURST, PER_S, AcceptLimiter
+from services.runtime.security.accept_limiter import BURST, PER_S
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
-from services.runtime.security.zap_authenticator import BoundEndpoint
 from services.runtime.wiring import transport
 from services.runtime.wiring.transport import Transport
 from telenano.extend.testing import VirtualClock
@@ -589,54 +587,6 @@ def test_a_list_that_breaks_is_reported_once_and_changes_nothing(world: Callable
     slave.ring.allowed_path.write_text(good)
     slave.ring.revoke("master")
     until(lambda: master.texts("refused"), master, slave)
-
-
-class StubbornSocket:
-    """A socket whose port somebody else takes as soon as it is let go."""
-
-    def __init__(self) -> None:
-        self.stubborn = True
-        self.calls: list[str] = []
-
-    def unbind(self, endpoint: str) -> None:
-        self.calls.append("unbind")
-
-    def bind(self, endpoint: str) -> None:
-        self.calls.append("bind")
-        if self.stubborn:
-            raise zmq.ZMQError(zmq.EADDRINUSE)
-
-
-def test_an_endpoint_that_cannot_be_bound_again_is_reported_and_retried_without_holding_the_loop(
-    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(zap_authenticator, "_FAST_REBINDS", 3)
-    _, slave = world()
-    slave.open()
-    authenticator, stubborn = slave.network._authenticator, StubbornSocket()
-    quiet = SimpleNamespace(events=list, has_pending=False, socket=None)
-    publisher = SimpleNamespace(socket=stubborn, node=AFM)
-    bound = BoundEndpoint(publisher, quiet, "tcp://127.0.0.1:1", AcceptLimiter((), slave.clock.monotonic_ns()))
-    authenticator.endpoints.append(bound)
-    try:
-        bound.accepted.add(zmq.curve_keypair()[0].decode())
-        authenticator.apply_permissions()
-        assert [authenticator.process_events() for _ in range(4)] == [True, False, False, False]
-        texts = [event.text for event in authenticator.take_events()]
-        assert len(texts) == 2
-        assert texts[1] == (
-            f"{AFM} cannot bind tcp://127.0.0.1:1 again: Address already in use; retrying twice a second"
-        )
-        # a client that was being answered when the endpoint was unbound, and is revoked in his turn
-        bound.accepted.add(zmq.curve_keypair()[0].decode())
-        authenticator.apply_permissions()
-        stubborn.stubborn = False
-        assert not authenticator.process_events()
-        authenticator.process_events()
-        assert stubborn.calls == ["unbind"] + ["bind"] * 7
-        assert bound.unbound is False
-    finally:
-        authenticator.endpoints.remove(bound)
 
 
 # --- what may be sent ---

@@ -1,4 +1,4 @@
-"""What a revocation closes: its endpoint, once, and no other."""
+"""What a revocation closes: its endpoint, once, and no other; and an endpoint that cannot be bound again."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +10,7 @@ import pytest
 import zmq
 from network_bench import AFM, CONTROLLER, PATIENCE_S, Machine, two_machine_book, until
 
+from services.runtime.security import zap_authenticator
 from services.runtime.security.accept_limiter import AcceptLimiter
 from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
 from services.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
@@ -63,16 +64,19 @@ def handshake(
 
 
 class PlainSocket:
-    """A socket that notes what is done to it."""
+    """A socket that notes what is done to it; while it is stubborn, somebody else has its port when it is let go."""
 
     def __init__(self) -> None:
         self.calls: list[str] = []
+        self.stubborn = False
 
     def unbind(self, endpoint: str) -> None:
         self.calls.append(f"unbind {endpoint}")
 
     def bind(self, endpoint: str) -> None:
         self.calls.append(f"bind {endpoint}")
+        if self.stubborn:
+            raise zmq.ZMQError(zmq.EADDRINUSE)
 
 
 def endpoint_of(machine: Machine, node: str, port: int) -> tuple[BoundEndpoint, PlainSocket]:
@@ -106,6 +110,34 @@ def test_a_revocation_closes_its_endpoint_once_and_no_other(machines: tuple[Mach
         authenticator.apply_permissions()
         assert len(first_socket.calls) == 2
         assert authenticator.take_events() == []
+    finally:
+        authenticator.endpoints.clear()
+
+
+def test_an_endpoint_that_cannot_be_bound_again_is_reported_and_retried_without_holding_the_loop(
+    machines: tuple[Machine, Machine], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(zap_authenticator, "_FAST_REBINDS", 3)
+    authenticator = machines[1].network._authenticator
+    bound, socket = endpoint_of(machines[1], AFM, 1)
+    socket.stubborn = True
+    try:
+        bound.accepted.add(zmq.curve_keypair()[0].decode())
+        authenticator.apply_permissions()
+        assert [authenticator.process_events() for _ in range(4)] == [True, False, False, False]
+        texts = [event.text for event in authenticator.take_events()]
+        assert len(texts) == 2
+        assert texts[1] == (
+            f"{AFM} cannot bind tcp://127.0.0.1:1 again: Address already in use; retrying twice a second"
+        )
+        # a client that was being answered when the endpoint was unbound, and is revoked in his turn
+        bound.accepted.add(zmq.curve_keypair()[0].decode())
+        authenticator.apply_permissions()
+        socket.stubborn = False
+        assert not authenticator.process_events()
+        authenticator.process_events()
+        assert [call.split()[0] for call in socket.calls] == ["unbind"] + ["bind"] * 7
+        assert bound.unbound is False
     finally:
         authenticator.endpoints.clear()
 
