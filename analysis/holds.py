@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.swings import Swing, swings_of
-from analysis.verdict import GUARD_ACTED, Circumstances, Kind, Verdict, judge
+from analysis.verdict import GUARD_ACTED, SMALL_SHARE, Circumstances, Kind, Verdict, judge, struck
 
 Series = npt.NDArray[np.float64]
 
@@ -43,7 +43,7 @@ _CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
 # a session that swings and drifts swings: what a person meets first, and what does not end by itself
 _WORST_FIRST: tuple[Kind, ...] = (
     *("diverged", "guarded", "limit_cycle", "contact_lost", "wrong_force", "no_data", "drifting", "cannot_say"),
-    *("settling", "released", "stable"),
+    *("struck", "settling", "released", "stable"),
 )
 
 
@@ -229,7 +229,33 @@ def judge_holds(
     holds = [hold for hold in holds if not _covered(hold, swings)]
     judged = [_judge_hold(times, tip, hold, greatest, programme) for hold in holds]
     judged += [_judge_swing(times, tip, swing, greatest, programme) for swing in swings]
+    followed = np.ones(len(tip_time_s), dtype=bool) if tip is None else tip.following.copy()
+    for from_s, to_s in away:
+        followed &= (tip_time_s < from_s) | (tip_time_s > to_s)
+    times = times._replace(tip_s=tip_time_s[followed], scaled_force_n=scaled_force_n[followed])
+    ends = [hold.end_s for hold in judged]
+    judged = [_struck(times, hold, greatest, [end for end in ends if end <= hold.start_s]) for hold in judged]
     return sorted(judged, key=lambda hold: hold.start_s)
+
+
+class _Times(NamedTuple):
+    hand_s: Series
+    hand_force_n: Series
+    tip_s: Series
+    scaled_force_n: Series
+
+
+def _struck(series: _Times, hold: Hold, greatest_n: float, before_s: Sequence[float]) -> Hold:
+    """Say so where the tip came to rest in a hold after a blow in it, or since the last of those that ended before.
+
+    It is compared with the hand's greatest force in that time, or with what is small in the session if that is more.
+    """
+    start_s = max(before_s, default=-np.inf)
+    tip = (series.tip_s >= start_s) & (series.tip_s <= hold.end_s)
+    hand = (series.hand_s >= start_s) & (series.hand_s <= hold.end_s)
+    pressed_n = float(series.hand_force_n[hand].max(initial=max(hold.hand_force_n, SMALL_SHARE * greatest_n)))
+    found = struck(Verdict(*hold[3:8]), float(series.scaled_force_n[tip].max(initial=0.0)), pressed_n)
+    return hold._replace(verdict=found.kind, reason=found.reason)
 
 
 def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -> list[tuple[float, float]]:
@@ -259,13 +285,6 @@ def _covered(stretch: tuple[float, ...], spans: Sequence[tuple[float, ...]]) -> 
     """Return whether more than half of a stretch is in spans; each begins with its start and its end [s]."""
     start_s, end_s = stretch[:2]
     return sum(max(0.0, min(end_s, span[1]) - max(start_s, span[0])) for span in spans) > 0.5 * (end_s - start_s)
-
-
-class _Times(NamedTuple):
-    hand_s: Series
-    hand_force_n: Series
-    tip_s: Series
-    scaled_force_n: Series
 
 
 def _judge_hold(

@@ -15,6 +15,7 @@ One function decides, for recordings, maps and the check of the bus against lock
 - contact_lost: the tip does not touch although the hand presses;
 - wrong_force: the tip's force differs from the hand's by more than a tenth;
 - settling: the tip came to rest with the right force, from one side, but too late for a later half at rest;
+- struck: the tip came to rest as it should after it was pressed with more than twice the hand's force;
 - cannot_say as well: the tip met the surface in the hold, and was on its way to the hand's force when it ended;
 - stable: none of these.
 
@@ -60,6 +61,7 @@ Kind = Literal[
     "cannot_say",
     "settling",
     "no_data",
+    "struck",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
@@ -69,6 +71,8 @@ _LATE_WINDOWS = 6
 # These are shares of the hand's force.
 SMALL_SHARE = 0.05
 FORCE_ERROR_SHARE = 0.1
+# A step onto an undamped spring overshoots to twice its force; what strikes harder has been given energy by the loop.
+STRUCK_FORCES = 2.0
 # a read-out noisier than this, as a standard deviation, is taken for motion
 MOST_NOISE_SHARE = 0.08
 # below this share of the hand's force nothing is left to fit
@@ -188,6 +192,14 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, known: Circumsta
     if known.landed_s is not None and kind in _OF_LANDINGS and (known.touching or 0.0) > _AIR_SHARE:
         kind, reason = _landing(values, motion, small, known, known.landed_s) or (kind, reason)
     return Verdict(kind, growth, min(size, float(np.ptp(values))), noise, reason)
+
+
+def struck(found: Verdict, peak_n: float, hand_force_n: float) -> Verdict:
+    """Return a verdict, which is `struck` where it was stable although the tip was pressed with peak_n [N] before."""
+    if found.kind != "stable" or peak_n <= STRUCK_FORCES * hand_force_n:
+        return found
+    blow = f"before, the tip was pressed with {peak_n:.3g} N, {peak_n / hand_force_n:.3g} times the force of the hand"
+    return found._replace(kind="struck", reason=f"{found.reason}; {blow}")
 
 
 def _decided(

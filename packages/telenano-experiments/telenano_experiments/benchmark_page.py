@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from telenano_studies.loops.cells import STRUCK_FORCES
+
 from analysis.page import Page, text
 from services.delay_node.profiles import PROFILES
 from telenano_experiments.benchmark.plan import HANDS, TASKS, VERSION, Plan
 from telenano_experiments.benchmark.results import Row, Spread, choices
-from telenano_experiments.benchmark.run import DIGITS, MEASURES, MOST_PEAK
+from telenano_experiments.benchmark.run import DIGITS, MEASURES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,8 +96,9 @@ def benchmark_page(plan: Plan, summary: dict[str, Any], rows: Sequence[Row], ima
     page.table(CHOICE_HEAD, choice_rows(rows))
     page.paragraph(
         "Held: the verdict is stable, that is, the force comes to rest where the hand means it to, and it was never"
-        f" above {MOST_PEAK:g} times that; where it was, the run is struck. At least: lower end of the 95 % interval of"
-        " the share held (Wilson). The law to take held most runs, and of equal ones it followed the swing nearest."
+        f" above {STRUCK_FORCES:g} times that; where it was, the run is struck. At least: lower end of the 95 %"
+        " interval of the share held (Wilson). The law to take held most runs, and of equal ones it followed the swing"
+        " nearest."
         " Made energy: runs in which the loop gave at least 1 uJ more than the hand had put in. The laws are as they"
         " come, none is tuned for a network."
     )

@@ -15,7 +15,8 @@ from telenano_experiments.benchmark import plan as plan_module
 from telenano_experiments.benchmark.etvo import LAG_WEIGHT, etvo
 from telenano_experiments.benchmark.plan import HANDS, NETWORKS, TASKS, Plan, Run, is_random, plan_of
 from telenano_experiments.benchmark.results import choices, digest_of, rows_of, runs_text, summary_of
-from telenano_experiments.benchmark.run import MEASURES, MOST_PEAK, RUNS, STRUCK, Outcome, outcome_from, run
+from telenano_experiments.benchmark.run import MEASURES, RUNS, Outcome, outcome_from, run
+from telenano_studies.loops.cells import STRUCK_FORCES
 from telenano_studies.loops.sweep import Journal, Sweep
 from typer.testing import CliRunner
 
@@ -121,11 +122,11 @@ def test_a_word_does_not_hide_the_force_that_it_stands_beside():
     assert quiet.verdict == "stable"
     assert quiet.measures["peak_force_n"] < 1.0
     struck = run(run_of("smith", "hold", "satellite"))
-    assert struck.verdict == STRUCK
-    assert "times the force to hold" in struck.reason
-    assert struck.measures["peak_force_n"] > MOST_PEAK * TASKS["hold"].force_n
+    assert struck.verdict == "struck"
+    assert "times the force of the hand" in struck.reason
+    assert struck.measures["peak_force_n"] > STRUCK_FORCES * TASKS["hold"].force_n
     (row,) = rows_of([struck])
-    assert (row.held, row.verdicts) == (0, {STRUCK: 1})
+    assert (row.held, row.verdicts) == (0, {"struck": 1})
 
 
 def test_a_longer_draw_of_a_link_begins_with_the_shorter_one():

@@ -55,6 +55,17 @@ def test_what_the_step_before_left_behind_is_not_looked_at() -> None:
     assert verdicts(HAND_N + swing(5.0, end_s, 0.0, 1.0)) == ["stable"] * 3
 
 
+@pytest.mark.parametrize(("forces", "kind"), [(1.9, "stable"), (2.1, "struck")])
+def test_a_blow_belongs_to_the_hold_that_it_is_in_or_that_follows(forces: float, kind: str) -> None:
+    for at_s, pressed_n, blown in ((4.7, 2.0, 2), (5.1, 2.0, 2), (1.2, 1.0, 1), (1.7, 1.0, 1)):
+        tip_n = HAND_N.copy()
+        tip_n[round(1e3 * at_s)] = forces * pressed_n
+        found = verdicts(tip_n)
+        assert found == [kind if index == blown else "stable" for index in range(3)], at_s
+        session = verdict_of(judge_holds(TIME_S, HAND_N, TIME_S, tip_n))
+        assert session[0] == kind
+
+
 def test_small_is_measured_by_the_greatest_force_of_the_session() -> None:
     # 0.08 N from peak to peak: 8 % of the hold's own force, 4 % of the greatest
     assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.04)) == ["stable"] * 3

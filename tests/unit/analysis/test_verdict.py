@@ -11,6 +11,7 @@ from analysis.verdict import (
     Verdict,
     growth_rate,
     judge,
+    struck,
     window_sizes,
 )
 
@@ -366,6 +367,19 @@ def test_two_tenths_of_a_millinewton_that_settle_do_not_diverge() -> None:
     settled = np.where(time_s < 7.9, swing, 0.0)
     for force in (swing, settled):
         assert judge(time_s, 1.0 + force, 1.0).kind == "stable"
+
+
+@pytest.mark.parametrize(("peak_n", "kind"), [(1.9, "stable"), (2.1, "struck"), (30.0, "struck")])
+def test_rest_after_a_blow_of_twice_the_force_of_the_hand_has_a_word(peak_n: float, kind: str) -> None:
+    for force_n in (1.0, 2.0):
+        found = struck(judge(TIME_S, np.full_like(TIME_S, force_n), force_n), peak_n * force_n, force_n)
+        assert found.kind == kind
+        assert ("times the force of the hand" in found.reason) == (kind == "struck")
+
+
+def test_a_blow_does_not_hide_what_is_worse_than_it() -> None:
+    assert struck(judge(TIME_S, ringing(0.4), 1.0), 30.0, 1.0).kind == "diverged"
+    assert struck(judge(TIME_S, ringing(0.0), 1.0), 30.0, 1.0).kind == "limit_cycle"
 
 
 def test_windows_cover_the_hold() -> None:

@@ -23,9 +23,6 @@ from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task, is_r
 
 # Every figure of the result has so many digits: those after them are beyond what a model means.
 DIGITS = 9
-# A step onto an undamped spring overshoots to twice its force; what strikes harder has been given energy by the loop.
-MOST_PEAK = 2.0
-STRUCK = "struck"
 # Signals that are warped onto one another are sampled at this step, and may lag by so much.
 ETVO_STEP_S, ETVO_LONGEST_S = 0.005, 1.0
 
@@ -86,17 +83,7 @@ def run(run: Run) -> Outcome:
     found = {**dict.fromkeys(MEASURES), **_held(result, held, scales, TASKS[run.task])}
     if TASKS[run.task].follows and _followed(course):
         found |= _swung(course, begin_s, scales, TASKS[run.task])
-    verdict, reason = _verdict(result, TASKS[run.task])
-    return Outcome(run, verdict, reason, {name: rounded(value) for name, value in found.items()})
-
-
-def _verdict(result: CellResult, task: Task) -> tuple[str, str]:
-    """Return the verdict with its reason; a hold that came to rest after a blow has a word of its own."""
-    peak = (result.peak_n or 0.0) / task.force_n
-    if result.verdict != "stable" or peak <= MOST_PEAK:
-        return result.verdict, result.reason
-    blow = f"before, the tip was pressed with {result.peak_n:.3g} N, {peak:.3g} times the force to hold"
-    return STRUCK, f"{result.reason}; {blow}"
+    return Outcome(run, result.verdict, result.reason, {name: rounded(value) for name, value in found.items()})
 
 
 def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:

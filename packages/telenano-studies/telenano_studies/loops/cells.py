@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from analysis.verdict import Circumstances, judge
+from analysis.verdict import STRUCK_FORCES as STRUCK_FORCES
+from analysis.verdict import Circumstances, judge, struck
 from proto.errors import ConfigError, known_names
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.afm_node.physics.cantilever import Plant
@@ -395,6 +396,8 @@ def judged(cell: Cell, course: Trajectory, *, noisy: bool = False) -> CellResult
             starved=bool(starved),
         ),
     )
+    peak_n = float(force[:ended].max(initial=0.0))
+    found = struck(found, peak_n, _LEVELS_N[cell.environment][-1])
     pressed = force[hold] > 0.0
     return CellResult(
         cell,
@@ -406,7 +409,7 @@ def judged(cell: Cell, course: Trajectory, *, noisy: bool = False) -> CellResult
         float(energies_of(course, scales).stored_j.min()),
         ended < len(lost),
         found.reason,
-        float(force[:ended].max(initial=0.0)),
+        peak_n,
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
         float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
