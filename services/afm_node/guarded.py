@@ -283,6 +283,9 @@ class GuardedInstrument:
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
         step = Step(allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
+        # A tip that taps goes on until it is away: at rest it would lie on the sample, and push what is beside it.
+        if not step.follows and allowed.base_m <= self._limits.retract_position_m:
+            self._vibration.vibrate(0.0)
         step.sample = self._driver.exchange(allowed.base_m)
         memory.force_n = step.sample.force_n
         self.parts.measure(step, memory)
@@ -296,12 +299,11 @@ class GuardedInstrument:
         felt, moving = (memory.force_n, memory.lateral_n), self._vibration.oscillation
         inputs = Inputs(base_m, memory.place, *felt, moving, memory.pointer, own=self._own_line())
         action, wanted = programs.step(inputs, elapsed_s)
-        self._vibration.vibrate(wanted.amplitude_m)
+        if action == safety.ACTION_POSITION:
+            self._vibration.vibrate(wanted.amplitude_m)
         arm = mode == safety.MODE_RETRACTED and action == safety.ACTION_POSITION
         # The references of the program are made in this step, and so have no age.
         step = self.step(memory, memory.asks(wanted.base_m, action, 0.0, arm, estop, lost), wanted, elapsed_s)
         step.inputs = inputs
         programs.follow_guard(step.allowed.mode, step.allowed.reason)
-        if programs.is_over:
-            self._vibration.vibrate(0.0)
         return step

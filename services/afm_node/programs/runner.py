@@ -130,9 +130,7 @@ class ProgramRunner:
         wanted = program.step(self._plan, self._reached, inputs._replace(is_paused=self.state == "paused"), dt)
         self._reached = wanted.state
         self._notice = self._notice or wanted.notice
-        if wanted.is_done:
-            return Asked(safety.ACTION_RETRACT, wanted._replace(amplitude_m=0.0))
-        return Asked(safety.ACTION_POSITION, wanted)
+        return Asked(safety.ACTION_RETRACT if wanted.is_done else safety.ACTION_POSITION, wanted)
 
     def follow_guard(self, mode: int, reason: int) -> None:
         """Take note of what the guard made of a step: it ends a program that is done, and one that it stops itself."""

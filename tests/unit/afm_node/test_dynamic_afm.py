@@ -15,7 +15,7 @@ from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K, Disturbanc
 from services.afm_node.physics.dynamic import free_amplitude_m
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.physics.sim import SimulatedInstrument, simulated_afm
-from services.afm_node.safety import MODE_RETRACTED
+from services.afm_node.safety import MODE_ESTOP, MODE_FOLLOW, MODE_RETRACTED, MODE_RETRACTING
 from services.runtime.loop.node_state import pack, restore
 
 SOFT = {
@@ -128,10 +128,32 @@ def test_a_tapping_image_holds_the_amplitude_and_its_lines_carry_amplitude_and_p
         taken_j = np.median(line.dissipated_j.to_numpy())
         assert taken_j == pytest.approx(np.median(given_j - damped_j), rel=0.05, abs=0.0)
     # away from the sample the tip comes to rest
+    afm.run(until=lambda: afm.node._memory.guard.mode == MODE_RETRACTED)
     assert afm.driver.oscillation == (0.0, 0.0, 0.0)
     assert tip_of(afm.driver).motion.contact is False
     reports = afm.bench.take("afm/program")
     assert (reports[-1].state, "the amplitude settles" in {report.text for report in reports}) == ("finished", True)
+
+
+@pytest.mark.parametrize("ends", ["finished", "aborted", "stopped", "pressed too hard"])
+def test_a_tip_taps_until_it_is_away_however_its_image_ends(bench_of: Any, ends: str) -> None:
+    afm = Tapper(bench_of("afm_node@slave"))
+    afm.set(**TAPPING)
+    memory, retracted_m = afm.node._memory, afm.config.safety.retract_position_m
+    if ends != "finished":
+        afm.run(until=lambda: memory.guard.mode == MODE_FOLLOW and memory.guard.base_m > retracted_m + 10e-9)
+    if ends == "aborted":
+        afm.set(program="abort")
+    elif ends == "stopped":
+        stop = {"id": "b", "command": "estop", "target": "", "parameters": {}}
+        afm.node.on_control(afm.bench.make("session/control", "console@master", **stop))
+    elif ends == "pressed too hard":
+        memory.force_n = 1.0
+    afm.run(until=lambda: memory.guard.mode in (MODE_RETRACTING, MODE_ESTOP))
+    while memory.guard.base_m > retracted_m:
+        assert afm.driver.state.inputs.amplitude_m == 20e-9
+        afm.run(until=lambda: True)
+    assert afm.driver.state.inputs.amplitude_m == 0.0
 
 
 def test_a_proportional_gain_follows_an_edge_more_closely_in_tapping_mode_too(bench_of: Any) -> None:
