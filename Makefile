@@ -23,7 +23,8 @@ COMPILE := $(BIN)/uv pip compile --quiet --generate-hashes --no-emit-index-url -
 COMPOSE ?= $(shell docker compose version >/dev/null 2>&1 && echo docker compose || echo docker-compose)
 
 # `make test` runs it beside the tests
-LINT = $(BIN)/ruff check . && \
+LINT = ! git grep -nE '^(<{7}|>{7}) ' && \
+  $(BIN)/ruff check . && \
   $(BIN)/ruff format --check . && \
   $(BIN)/mypy && \
   $(BIN)/lint-imports --no-cache && \
