@@ -94,18 +94,19 @@ def simulate_nanonis(
             f" {tap * 1e3:g} ms; Ctrl-C ends it"
         )
         pushed = Pushed(log_port, model.log.take)
-        # one client at a port, as at the instrument
-        serving = [
-            serve_requests(
-                nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
-            )
-        ]
+        serving = []
         if t7 is not None:
             from telenano_emulators.simulate import t7_in_front_of
 
             ready = f"a model of a LabJack T7 at its external input is at {host}:{t7_port}"
             part = nanonis_model.ExternalInput(model)
             serving.append(t7_in_front_of(part, t7, afm, (host, t7_port), lambda: typer.echo(ready)))
+        # one client at a port, as at the instrument
+        serving.append(
+            serve_requests(
+                nanonis_wire.cut, model.serve, model.pass_time, host, ports, lambda: typer.echo(text), 1, pushed
+            )
+        )
         asyncio.run(_all_of(serving))
 
 
