@@ -150,9 +150,18 @@ def test_second_rig_of_the_same_name_names_who_has_it(rig: Any, tmp_path: Any) -
 
 
 def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
-    rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 5e-9, "a tip pressed onto the sample")
+
+    def rests() -> bool:
+        before = newest(rig, "afm/state")
+        time.sleep(0.2)
+        after = newest(rig, "afm/state")
+        moved_m = abs(after.base_position_m[2] - before.base_position_m[2])
+        return after.t_ns - before.t_ns > 100_000_000 and moved_m < 20e-12 and after.tip_force_n[2] > 5e-9
+
     begin_ns = time.time_ns()
     for law in ("wave", "virtual_impedance"):
+        # a tip that has just landed moves by itself
+        rig.wait_until(rests, "a tip at rest on the sample")
         switched = rig.telenano("session", "set", f"law={law}", "--target", "controller")
         assert switched.returncode == 0, switched.stdout + switched.stderr
         rig.wait_until(lambda law=law: newest(rig, "teleop/backward").law == law, f"{law} on the bus")
