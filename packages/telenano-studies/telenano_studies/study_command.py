@@ -23,7 +23,7 @@ from telenano_studies.loops.advice import Question
 from telenano_studies.loops.sample import drawn_cells
 from telenano_studies.loops.stability import Axes, LineResult, run_stability
 from telenano_studies.network_command import network_command
-from telenano_studies.pages.compare import (
+from telenano_studies.pages.transparency_page import (
     OVER_SEEDS,
     OVER_SEEDS_HEAD,
     Feel,

@@ -14,7 +14,7 @@ from telenano_studies.loops.cells import CellResult
 from telenano_studies.loops.merits import FIGURES, SAMPLES, Merit, Network, figures_of
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.option_values import Jitter
-from telenano_studies.pages.compare import over_seeds_rows
+from telenano_studies.pages.transparency_page import over_seeds_rows
 from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
