@@ -27,9 +27,9 @@ class Jitter:
         return f"{100.0 * self.value:g}%" if self.relative else f"{self.value:g} ms"
 
 
-def delays(text: str, option: str = "--delay") -> tuple[float, ...]:
+def delays(text: str) -> tuple[float, ...]:
     """Read round trips [ms]."""
-    return numbers(option, text, 0.0, LONGEST_MS, "ms")
+    return numbers("--delay", text, 0.0, LONGEST_MS, "ms")
 
 
 def stiffnesses(text: str) -> tuple[float, ...]:

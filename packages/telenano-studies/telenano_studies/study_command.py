@@ -1,4 +1,4 @@
-"""`telenano study`: stability maps, transparency, all laws compared, and the check that the bus agrees.
+"""`telenano study`: stability maps, transparency, advice, and the check that the bus agrees.
 
 What imports matplotlib is imported when a command runs, so that `telenano study --help` answers at once.
 """
@@ -15,7 +15,7 @@ from services.viz_node.figure_style import figure_options, styled
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group
-from telenano.cli.output import print_rows, report_errors, results_folder
+from telenano.cli.output import report_errors, results_folder
 from telenano.cli.sample_options import results_in
 from telenano_studies.gallery_command import gallery_command
 from telenano_studies.loops import advice
@@ -24,16 +24,9 @@ from telenano_studies.loops.sample import drawn_cells
 from telenano_studies.loops.stability import Axes, LineResult, run_stability
 from telenano_studies.network_command import network_command
 from telenano_studies.pages.transparency_page import (
-    OVER_SEEDS,
-    OVER_SEEDS_HEAD,
     Feel,
-    Request,
     measure_all,
-    over_seeds_rows,
-    run_comparison,
-    spectra_of,
     spectrum_figures,
-    write_comparison,
     write_spectra,
     write_transparency,
     z_width_of,
@@ -55,6 +48,7 @@ if TYPE_CHECKING:
     from telenano_studies.loops.validate import Agreement
 
 _BUS_INTERRUPTED = "interrupted: each session that ended has its folder, no other result was written"
+_OVER_SEEDS = "Over the seeds of a random link: mean ± standard deviation and, in brackets, the interval of 95 %."
 # A study of one link and one environment does not have these options.
 _ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances", "seeds")
 # defaults of a study in place of those of the model, as a person would write them
@@ -119,8 +113,7 @@ def transparency(
     with report_errors(as_json, NO_JOURNAL):
         axes, tables = validated(Feel, given), table_formats(table)
         warn_of(*axes.check())
-        rows = measure_all(axes, axes.delays_ms, for_delay=axes.tuned)
-        spectra = spectra_of(axes, axes.delays_ms, axes.frequencies_hz, for_delay=axes.tuned)
+        rows, spectra = measure_all(axes)
         options = figure_options(formats, style)
         records = [
             {**asdict(row), "hand": axes.hand, **z_width_of(found)} for row, found in zip(rows, spectra, strict=True)
@@ -145,38 +138,7 @@ def transparency(
 
 
 @app.command()
-@with_options(Request)
-def compare(
-    given: Given,
-    out: OutOption,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    formats: FormatOption = "png",
-    style: StyleOption = "screen",
-    table: TableOption = "parquet",
-    as_json: JsonOption = False,
-) -> None:
-    """Compare all laws on one page: advice, critical delays, holds with a force and with arms, transparency."""
-    with report_errors(as_json, INTERRUPTED):
-        request, tables = validated(Request, given), table_formats(table)
-        with sweep_in(out, workers, scheduler, shown=not as_json) as sweep:
-            result = run_comparison(request, sweep)
-        summary = write_comparison(result, out, command_line(), figure_options(formats, style), tables)
-        if not as_json:
-            for sentence in summary["advice"]:
-                typer.echo(sentence)
-            if over_seeds := over_seeds_rows(summary["take"]):
-                typer.echo(OVER_SEEDS)
-                print_rows([dict(zip(OVER_SEEDS_HEAD, row, strict=True)) for row in over_seeds])
-        head = ("law", *(f"spring {k:g} N/m" for k in request.spring_n_per_m), "contact")
-        print_result(summary, head, [
-            (name, *(_ms(v) for v in found["critical_delay_ms"].values()), _ms(found["critical_delay_contact_ms"]))
-            for name, found in summary["laws"].items()
-        ], out, as_json=as_json)  # fmt: skip
-
-
-@app.command()
-@with_options(Question, ("seed", "hands"))
+@with_options(Question)
 def advise(
     given: Given,
     out: Annotated[
@@ -210,11 +172,11 @@ def advise(
             page.paragraph(sentence)
         page.table(head, rows)
         if repeated:
-            page.paragraph(OVER_SEEDS)
+            page.paragraph(_OVER_SEEDS)
         with results_in(out) as folder:
             write_study(folder, page, summary, tables, advise=records)
         if not as_json:
-            for sentence in [*words, *([OVER_SEEDS] if repeated else [])]:
+            for sentence in [*words, *([_OVER_SEEDS] if repeated else [])]:
                 typer.echo(sentence)
             typer.echo(f"set: {candidates[0].as_flags()}")
         print_result(summary, head, rows, out, as_json=as_json)

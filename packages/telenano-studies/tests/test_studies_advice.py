@@ -1,12 +1,11 @@
 """Arms, tuning for a delay, and the advice that is made of them."""
 
 import math
-from typing import Any, get_args
+from typing import Any
 
 import pytest
-from telenano_studies.loops.advice import CANDIDATES, Question, advise, cells_of, in_words
-from telenano_studies.loops.cells import Cell, CellResult, Hand, run_cell, trajectory_of
-from telenano_studies.loops.merits import Network, Sample, Trial
+from telenano_studies.loops.advice import CANDIDATES, Question, advise, in_words
+from telenano_studies.loops.cells import Cell, CellResult, run_cell, trajectory_of
 from telenano_studies.loops.sweep import Journal, Sweep
 from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
@@ -126,15 +125,3 @@ def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
     sweep = Told({}, tmp_path)
     advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4
-
-
-def test_the_page_runs_what_the_advice_runs() -> None:
-    question = Question(
-        round_trip_ms=120.0, jitter=Jitter(0.5, relative=True), loss=0.03, stiffness_n_per_m=80.0, seeds=2
-    )
-    network = Network(question.round_trip_ms, question.jitter, question.loss)
-    hands: tuple[Hand, ...] = get_args(Hand)
-    trial = Trial(tuple(LAWS), (network,), hands, (Sample("wall", 80.0),), seed=0, seeds=2)
-    for law, clamp in CANDIDATES:
-        ran = [cell for hand in hands for cell in trial.cells(trial.samples[0], law, clamp, network, hand)]
-        assert ran == cells_of(question, law, clamp)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_studies.loops.cells import Cell
-from telenano_studies.loops.transparency import FREQUENCY_HZ, Spectrum, drift_m, hand_programme, measure, spectrum
+from telenano_studies.loops.transparency import FREQUENCY_HZ, Spectrum, hand_programme, measure, spectrum
 
 from services.haptic_node.config import DeviceConfig
 from services.haptic_node.physics.motor import closed_loop_coefficients
@@ -102,12 +102,6 @@ def test_z_width_ends_where_the_impedance_turns_active() -> None:
     # seven halvings of a factor of 800 leave 5 %
     assert found.passive_n_per_m == pytest.approx(passive_to(0.06, frequencies), rel=0.08, abs=0.0)
     assert found.z_width_db is not None
-
-
-def test_hand_walks_only_where_the_law_lets_it() -> None:
-    still = drift_m(cell(20.0))
-    assert still is not None
-    assert abs(still) < 1e-6
 
 
 def test_a_law_with_an_energy_account_moves_without_delay_and_its_figures_make_sense() -> None:

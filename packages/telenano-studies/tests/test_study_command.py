@@ -8,13 +8,11 @@ from pathlib import Path
 
 import pytest
 from telenano_studies import option_values
-from telenano_studies.loops import advice, transparency
+from telenano_studies.loops import advice
 from telenano_studies.loops.advice import Candidate, Question, cells_of
 from telenano_studies.loops.cells import CellResult
-from telenano_studies.loops.merits import FIGURES, SAMPLES, Merit, Network, figures_of
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.option_values import Jitter
-from telenano_studies.pages.transparency_page import over_seeds_rows
 from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
@@ -174,36 +172,13 @@ def test_transparency_prints_one_object(tmp_path: Path) -> None:
     assert {p.name for p in tmp_path.iterdir()} >= {"impedances.png", "hybrid-0ms.png", "spectra.parquet"}
 
 
-def test_compare_puts_laws_on_one_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # 400 s of a random link take long to draw; `test_studies_drift.py` has the drift of so many cycles
-    monkeypatch.setattr(transparency, "_LONG_CYCLES", 20)
-    options = ["--law", "virtual_impedance", "--delay", "60", "--map-delay", "0,100", "--stiffness", "20"]
-    options += ["--hand", "force", "--sample", "contact", "--seeds", "1", "--frequency", "5"]
-    result = RUN.invoke(app, ["compare", *options, "--workers", "1", "--out", str(tmp_path), "--json"])
-    assert result.exit_code == 0, result.output
-    summary = json.loads(result.stdout)
-    law = summary["laws"]["virtual_impedance"]
-    # tuned for the delay it holds, and that is what the page tells to take
-    assert {row["verdict"] for row in law["merits"] if row["loss"] == 0.0} == {"stable"}
-    assert summary["advice"][0].startswith("Over a constant link take virtual_impedance with the clamp o")
-    assert summary["advice"][0].endswith(" (contact: 60 ms).")
-    assert len(summary["advice"]) == 3
-    assert [row["network"] for row in summary["take"]] == ["60 ms", "60 ms, loss 3 %", "60 ms, jitter 50%, loss 20 %"]
-    for kind in ("constant", "loss", "jitter"):
-        assert (tmp_path / f"merits-contact-40-{kind}.png").exists()
-    assert law["critical_delay_ms"]["20"] == pytest.approx(45.51, rel=2e-3, abs=0.0)
-    assert 50.0 < law["critical_delay_contact_ms"] < 53.0
-    assert law["contact"]["60"]["verdict"] == "limit_cycle"
-    assert (tmp_path / "compare.html").exists()
-
-
 def test_help_is_there_at_once() -> None:
     code = "import sys; import telenano_studies.study_command; "
     code += "bad = {'numba', 'matplotlib', 'control', 'pyarrow', 'dask'}; "
     code += "print(sorted(bad & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-    for command in ("stability", "transparency", "compare", "validate"):
+    for command in ("stability", "transparency", "advise", "validate"):
         assert RUN.invoke(app, [command, "--help"]).exit_code == 0
 
 
@@ -251,29 +226,6 @@ def test_advise_answers_in_sentences_and_leaves_a_page(tmp_path: Path, monkeypat
     assert {path.suffix for path in tmp_path.glob("advise.*")} == {".html", ".json", ".csv", ".parquet", ".mat"}
     refused = RUN.invoke(app, [*network, "--table", "xlsx"])
     assert (refused.exit_code, "--table xlsx: name one or more of csv, parquet, mat" in refused.output) == (2, True)
-
-
-def test_figures_of_merit_have_mean_deviation_and_interval_over_the_seeds() -> None:
-    cells = cells_of(Question(round_trip_ms=60.0, loss=0.03, hands=("force",)), "wave", clamp=False)
-    results = [
-        CellResult(cell, "stable", None, 0.0, 0.0, 1.0, 0.0, False, "", 1.0 + 0.1 * cell.seed, 1.0, 1.0, 0.0, 0.0)
-        for cell in cells
-    ]
-    spread = figures_of(results, None)["peak_n"]
-    assert spread is not None
-    assert (spread.median, spread.least, spread.most) == pytest.approx((1.1, 1.0, 1.2), rel=1e-12)
-    assert str(spread) == "1.1 ± 0.1 [0.852, 1.35]"
-    merit = Merit(SAMPLES["contact"], "wave", False, Network(60.0, loss=0.03), "force", tuple(results), {
-        **dict.fromkeys(FIGURES), "peak_n": spread
-    })  # fmt: skip
-    row = merit.as_dict()
-    assert (row["peak_n_n"], row["peak_n_mean"], row["peak_n_deviation"]) == pytest.approx((3, 1.1, 0.1), rel=1e-9)
-    assert (row["drift_mm_mean"], row["drift_mm_low"]) == (None, None)
-    best = Candidate("wave", False, cells[0].settings, tuple(results))
-    (told,) = over_seeds_rows(
-        [{"sample": "s", "network": "n", "take": "wave", "over_seeds": best.over_seeds_as_dict()}]
-    )
-    assert told == ("s", "n", "wave", "1 [0.439, 1]", "1 ± 0 [1, 1]", "1.1 ± 0.1 [0.852, 1.35]")
 
 
 @pytest.mark.parametrize(

@@ -12,66 +12,13 @@ from matplotlib.figure import Figure
 from telenano_experiments.benchmark import results
 from telenano_experiments.benchmark_page import benchmark_figure
 from telenano_networks.network_trace import NetworkTrace, trace_figure
-from telenano_studies.loops.cells import Cell, CellResult
-from telenano_studies.loops.merits import FIGURES, SAMPLES, Merit, Network, figures_of
 from telenano_studies.loops.push_study import Row
-from telenano_studies.option_values import Jitter
-from telenano_studies.pages.figures import merits_figure
 from telenano_studies.pages.stability_page import _edges, _up_to
 from telenano_studies.push_command import push_figure
 from typer.testing import CliRunner
 
 from services.controller.config import LAWS as ALL_LAWS
 from telenano.cli.root import app
-
-HANDS = ("force", "soft", "ordinary", "stiff")
-LAWS = ("virtual_impedance", "wave", "passivity", "position_force")
-
-
-def merit(law: str, clamp: bool, network: Network, hand: Any, failed: bool) -> Merit:
-    """Return what a law did over three seeds, of which one may have failed."""
-    results = []
-    for seed in range(3):
-        cell = Cell(
-            law=law,
-            environment="contact",
-            stiffness_n_per_m=40.0,
-            hand=hand,
-            round_trip_ms=network.round_trip_ms,
-            seed=seed,
-        )
-        verdict = "limit_cycle" if failed and seed == 0 else "stable"
-        figures = 1.0 + 0.1 * seed + LAWS.index(law), 0.97, 1.0, 2e-4 * (1 + seed), 3e-3, 0.0
-        results.append(CellResult(cell, verdict, None, 0.0, 0.0, 1.0, -1e-6 * seed, False, "", *figures))
-    return Merit(SAMPLES["contact"], law, clamp, network, hand, tuple(results), figures_of(results, 1e-4))
-
-
-@pytest.mark.parametrize(
-    "delays",
-    [
-        (50.0, 120.0),
-        pytest.param((50.0,), marks=pytest.mark.endurance),
-        pytest.param((50.0, 120.0, 250.0), marks=pytest.mark.endurance),
-    ],
-)
-def test_figures_of_merit_are_whole_and_failed_runs_stand_where_no_tick_reads_them(delays: tuple[float, ...]) -> None:
-    networks = [Network(delay, Jitter(0.5, relative=True), 0.2) for delay in delays]
-    merits = [
-        merit(law, clamp, network, hand, failed=law == "wave" and hand == "stiff")
-        for network in networks for law in LAWS for clamp in (False, True) for hand in HANDS
-    ]  # fmt: skip
-    figure = merits_figure(merits)
-    assert faults(figure) == []
-    for axes, name in zip(figure.axes[:: len(delays)], FIGURES, strict=True):
-        (strip,) = [patch for patch in axes.patches if patch.get_width() > 0.9]
-        top = strip.get_y() + strip.get_height()
-        assert min(axes.get_yticks()) >= top - 1e-12
-        crosses = [line for line in axes.lines if line.get_marker() == "x"]
-        assert len(crosses) == 2
-        low, high = axes.get_ylim()
-        assert all(low + line.get_ydata()[0] * (high - low) < top for line in crosses)
-        if name in ("peak_n", "guarded_percent"):
-            assert min(axes.get_yticks()) >= 0.0
 
 
 def test_a_fault_in_a_layout_is_found() -> None:
@@ -139,8 +86,6 @@ COMMANDS = {
     "study stability --law virtual_impedance,wave --environment spring --stiffness 10,20 --delay 0:80:20"
     " --workers 1": 4,
     "study transparency --law virtual_impedance,wave,passivity --delay 0,60": 3,
-    "study compare --law wave,position_force --delay 50,120 --map-delay 0,100 --stiffness 20 --hand force,stiff"
-    " --sample contact --seeds 2 --frequency 1,5 --workers 1": 8,
     "report RECORDING": 1,
     "report RECORDING --style paper": 1,
     "compare RECORDING OTHER": 1,

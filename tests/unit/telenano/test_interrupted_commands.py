@@ -42,9 +42,6 @@ RECIPES = {
         True,
     ),
     "study transparency": Recipe("study transparency --law position_force --delay 0 --out {out}"),
-    "study compare": Recipe(
-        "study compare --law wave --map-delay 0,40 --delay 40 --stiffness 10 --seeds 1 --workers 2 --out {out}"
-    ),
     "study advise": Recipe("study advise --delay 40 --seeds 1 --workers 2 --out {out}"),
     "study promises": Recipe("study promises --law passivity --seeds 1 --workers 2 --out {out}"),
     "study push": Recipe("study push --law passivity --delay 50 --loss 0 --seeds 2 --workers 2 --out {out}"),

@@ -55,8 +55,6 @@ class Question(StrictSettings):
         default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], in place of --sample"
     )
     seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network")
-    seed: int = 0
-    hands: tuple[Hand, ...] = get_args(Hand)
 
     @property
     def tip_n_per_m(self) -> float:
@@ -170,8 +168,8 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
             seed=seed,
             settings=settings,
         )
-        for hand in question.hands
-        for seed in range(question.seed, question.seed + (question.seeds if random else 1))
+        for hand in get_args(Hand)
+        for seed in range(question.seeds if random else 1)
     ]
 
 

@@ -20,7 +20,6 @@ nothing. After the transient the fundamental of each signal is taken over whole 
 What is unstable has no such numbers: they are None.
 """
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -46,12 +45,6 @@ _RAMP_S = 0.5
 _POINTS_PER_PERIOD = 200
 _SETTLE_PERIODS, _MEASURED_PERIODS = 3, 3
 _LEAST_SETTLE_S, _LEAST_MEASURED_S = 2.0, 2.0
-# how many cycles a drift is looked for in; of 200 the last 100, with corners enough for a programme of 10 000
-_SHORT_CYCLES, _LONG_CYCLES, _LONG_POINTS_PER_PERIOD = 6, 200, 40
-# part of the hand's work that a loop takes in a cycle, below which its balance is not judged by six of them
-_DAMPED_SHARE = 0.5
-# what has to be left of the swing of the hand after the long run, so that there is something that could walk
-_KEPT_SWING = 0.5
 # a spring that nobody feels: its force over the motion of a run stays below a piconewton
 _NOTHING_N_PER_M = 1e-6
 
@@ -225,51 +218,6 @@ def _hybrid(free: _Tones, pressed: _Tones, omega: float) -> tuple[complex, compl
     return h11, h12, h21, h22
 
 
-def drift_m(cell: Cell) -> float | None:
-    """Return how far the hand walks in a cycle [m], pressing with 1 +- 0.3 N at 0.5 Hz; None where nothing follows it.
-
-    The balance of energy is judged first. A loop that takes more than `_DAMPED_SHARE` of what the hand gives in a cycle
-    is as it stays: the slope of the mean of x_m over six cycles is its drift. One that takes less may live on what a
-    law was granted, which lasts for a hundred cycles: its drift is that of the last 100 of 200 cycles. A law that has
-    spent it all may stand, and walks no more: where the swing has fallen to half there is no drift to tell.
-    """
-    found = _walk_of(cell, _SHORT_CYCLES)
-    if found is None or found.taken_share > _DAMPED_SHARE:
-        return None if found is None else found.slope_m
-    long = _walk_of(cell, _LONG_CYCLES)
-    return None if long is None or long.swing_m <= _KEPT_SWING * found.swing_m else long.slope_m
-
-
-class _Walk(NamedTuple):
-    """Way of the hand in a cycle [m], and the part of the work that it gives in a cycle that it does not get back.
-
-    swing_m: how far it moves in the last cycle, from peak to peak [m].
-    """
-
-    slope_m: float
-    taken_share: float
-    swing_m: float
-
-
-def _walk_of(cell: Cell, cycles: int) -> _Walk | None:
-    """Return the walk over cycles after the first three, of 200 over the last 100; None where a guard ended it."""
-    corners = _POINTS_PER_PERIOD if cycles == _SHORT_CYCLES else _LONG_POINTS_PER_PERIOD
-    points, begin_s = hand_programme(_MEAN_N, 0.5 + 20.0 * cell.round_trip_s, cycles=cycles, corners=corners)
-    course = course_of(cell, points, begin_s + cycles / FREQUENCY_HZ)
-    if not _followed(course):
-        return None
-    first = 0 if cycles == _SHORT_CYCLES else cycles // 2
-    edges = [int(np.searchsorted(course.time_s, begin_s + n / FREQUENCY_HZ - 1e-9)) for n in range(first, cycles + 1)]
-    means = [float(course.hand_position_m[a:b].mean()) for a, b in itertools.pairwise(edges)]
-    middle = 0.5 * (len(means) - 1)
-    weights = [n - middle for n in range(len(means))]
-    slope_m = sum(w * m for w, m in zip(weights, means, strict=True)) / sum(w * w for w in weights)
-    work = np.diff(course.hand_energy_j[edges[0] : edges[-1]])
-    given_j = float(work[work > 0.0].sum())
-    swing_m = float(np.ptp(course.hand_position_m[edges[-2] : edges[-1]]))
-    return _Walk(slope_m, float(work.sum()) / given_j if given_j > 0.0 else 0.0, swing_m)
-
-
 def _on_nothing(cell: Cell) -> Cell:
     return cell.model_copy(update={"environment": "spring", "stiffness_n_per_m": _NOTHING_N_PER_M})
 
@@ -279,7 +227,6 @@ def hand_programme(
     settle_s: float,
     frequency_hz: float = FREQUENCY_HZ,
     cycles: int = _MEASURED_PERIODS,
-    corners: int = _POINTS_PER_PERIOD,
 ) -> tuple[list[tuple[float, float]], float]:
     """Return the corners (time [s], force [N]) of a ramp and a sine on top, and when the measurement begins [s].
 
@@ -288,13 +235,12 @@ def hand_programme(
         settle_s: The time that the rig has to settle [s].
         frequency_hz: The frequency of the sine [Hz].
         cycles: The number of periods that are measured.
-        corners: The number of corners of the sine in a period.
     """
     begin = _RAMP_S + settle_s
     before = _settle_periods(frequency_hz)
     points = [(0.0, 0.0), (_RAMP_S, mean_n)]
     # Two corners are at least two ticks apart.
-    each = min(corners, round(500.0 / frequency_hz))
+    each = min(_POINTS_PER_PERIOD, round(500.0 / frequency_hz))
     for n in range((before + cycles) * each + 1):
         time = n / (each * frequency_hz)
         points.append((begin + time, mean_n + _AMPLITUDE_N * math.sin(2.0 * math.pi * frequency_hz * time)))
