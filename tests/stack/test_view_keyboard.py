@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import AXE, FILLED, PATIENT, Page, View, browser, needs_browser, open_page, until
+from browser_page import AXE, BESIDE_A_BROWSER, FILLED, Page, View, browser, needs_browser, open_page, until
 from made_sessions import Made
 from stack_rig import Rig
 from test_view_recording import DRAWN_NN, DRAWN_S, JUMP_S, touched
@@ -89,7 +89,7 @@ def newest(rig: Rig, topic: str) -> Any:
 def test_a_rig_is_operated_by_keys_from_the_first_press_to_the_emergency_stop(chromium: Any, tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     try:
-        rig.start("--duration", "300", "--no-view", "--set", PATIENT, scenario="image")
+        rig.start("--duration", "300", "--no-view", *BESIDE_A_BROWSER, scenario="image")
         rig.wait_until(rig.running, "a running session")
         view = View(rig.environment)
         try:
@@ -114,7 +114,7 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     keys.reach('[role="tab"][aria-selected="true"]')
     while page.value("document.activeElement.id") != "tab-image":
         keys.press("ArrowRight")
-    for key, value in {"pixels": "32", "lines": "16", "dwell_s": "2"}.items():
+    for key, value in {"pixels": "32", "lines": "16", "dwell_s": "8"}.items():
         keys.type(f"#program-scan-{key}", value)
     assert "acknowledged" in keys.answered("#program-scan")
     page.until(f"{FILLED} === 16", "the whole image")

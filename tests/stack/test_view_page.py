@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser_page import AXE, FILLED, PATIENT, Page, View, browser, has, needs_browser, open_page, until
+from browser_page import AXE, BESIDE_A_BROWSER, FILLED, Page, View, browser, has, needs_browser, open_page, until
 from stack_rig import Rig
 
 pytestmark = [pytest.mark.browser, needs_browser]
@@ -24,7 +24,7 @@ def chromium() -> Iterator[Any]:
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     rig = Rig(tmp_path_factory.mktemp("viewed"))
     try:
-        rig.start("--duration", "600", "--no-view", "--set", PATIENT, scenario="image")
+        rig.start("--duration", "600", "--no-view", *BESIDE_A_BROWSER, scenario="image")
         rig.wait_until(rig.running, "a running session")
         yield rig
     finally:
@@ -295,7 +295,7 @@ def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_
         assert not any(state.operator_force_n[2] for state in since(rig, "haptic/state", begin_ns))
 
     hold()
-    for key, value in {"pixels": "16", "lines": "8", "dwell_s": "2"}.items():
+    for key, value in {"pixels": "16", "lines": "8", "dwell_s": "8"}.items():
         operator.fill(f"#program-scan-{key}", value)
     assert "acknowledged" in operator.answered(lambda: operator.click("#program-scan"))
     rig.wait_until(lambda: force_n() == 0.0, "a hand that has let go")
@@ -316,7 +316,7 @@ def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_
 @pytest.mark.endurance
 def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_says(rig: Rig, operator: Page) -> None:
     operator.until("!document.querySelector('#instrument').hidden", "the controls of the instrument")
-    for key, value in {"pixels": "64", "lines": "40", "dwell_s": "3"}.items():
+    for key, value in {"pixels": "32", "lines": "40", "dwell_s": "12"}.items():
         operator.fill(f"#program-scan-{key}", value)
     begin_ns = time.time_ns()
     answer = operator.answered(lambda: operator.click("#program-scan"))

@@ -19,7 +19,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from browser_page import AXE, PATIENCE_S, PATIENT, View, browser, needs_browser, until
+from browser_page import AXE, BESIDE_A_BROWSER, PATIENCE_S, View, browser, needs_browser, until
 from stack_rig import Rig
 from telenano_experiments.asked import CONSENT, CONSENT_TEXT, NASA_TLX
 from telenano_experiments.bus import Answer, ExperimentBus
@@ -129,7 +129,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
     found = Rig(tmp_path)
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(found.sockets))
     try:
-        found.start("--duration", "300", "--no-view", "--set", PATIENT, scenario="touch")
+        found.start("--duration", "300", "--no-view", *BESIDE_A_BROWSER, scenario="touch")
         found.wait_until(found.running, "a running session")
         yield found
     finally:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import PATIENCE_S, PATIENT, Page, View, browser, has, needs_browser, open_page
+from browser_page import BESIDE_A_BROWSER, PATIENCE_S, Page, View, browser, has, needs_browser, open_page
 from stack_rig import Rig
 
 from recording.reader import Recording
@@ -94,7 +94,7 @@ def begin_to_steer(page: Page, share: float) -> int:
 def test_a_hand_in_the_browser_pushes_a_particle_a_micrometre(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     try:
-        rig.start("--duration", "300", "--no-view", "--set", ONE, "--set", PATIENT, scenario="assembly")
+        rig.start("--duration", "300", "--no-view", "--set", ONE, *BESIDE_A_BROWSER, scenario="assembly")
         rig.wait_until(rig.running, "a running session")
         view = View(rig.environment)
         try:
@@ -170,7 +170,7 @@ def pushes(rig: Rig, begin_ns: int) -> list[Any]:
 def test_a_program_begins_a_hand_takes_over_and_the_program_ends_it(tmp_path: Path, headset: bool) -> None:
     rig = Rig(tmp_path)
     try:
-        rig.start("--duration", "600", "--no-view", "--set", ONE, "--set", PATIENT, scenario="assembly")
+        rig.start("--duration", "600", "--no-view", "--set", ONE, *BESIDE_A_BROWSER, scenario="assembly")
         rig.wait_until(rig.running, "a running session")
         view = View(rig.environment)
         try:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from browser_page import AXE, FILLED, PATIENT, Page, View, browser, keep, needs_browser, open_page, until
+from browser_page import AXE, BESIDE_A_BROWSER, FILLED, Page, View, browser, keep, needs_browser, open_page, until
 from stack_rig import Rig
 
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
@@ -86,7 +86,7 @@ def chromium() -> Iterator[Any]:
 def test_the_states_of_a_running_rig(chromium: Any, tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     try:
-        rig.start("--duration", "300", "--no-view", "--set", STIFFNESS, "--set", PATIENT, scenario="image")
+        rig.start("--duration", "300", "--no-view", "--set", STIFFNESS, *BESIDE_A_BROWSER, scenario="image")
         rig.wait_until(rig.running, "a running session")
         view = View(rig.environment)
         try:
@@ -133,7 +133,7 @@ def states(rig: Rig, chromium: Any, view: View) -> None:
     page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
     page.until("document.querySelectorAll('#law-name option').length > 1", "the forms of the law")
     theme(page, "light")
-    for key, value in {"pixels": "96", "lines": "64", "dwell_s": "3"}.items():
+    for key, value in {"pixels": "48", "lines": "48", "dwell_s": "12"}.items():
         page.fill(f"#program-scan-{key}", value)
     assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
     page.until(f"{FILLED} > 24", "a part of the image")

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from browser_page import FILLED, PATIENCE_S, PATIENT, Page, View, browser, needs_browser, open_page
+from browser_page import BESIDE_A_BROWSER, FILLED, PATIENCE_S, Page, View, browser, needs_browser, open_page
 from stack_rig import Rig
 
 from analysis.verdict import Circumstances, Verdict, judge
@@ -65,7 +65,7 @@ def held(rig: Rig, most_n: float) -> Watched:
 def test_a_newcomer_images_touches_delays_and_holds(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     try:
-        rig.start("--duration", "300", "--no-view", "--set", STIFFNESS, "--set", PATIENT, scenario="image")
+        rig.start("--duration", "300", "--no-view", "--set", STIFFNESS, *BESIDE_A_BROWSER, scenario="image")
         rig.wait_until(rig.running, "a running session")
         view = View(rig.environment)
         try:
@@ -80,10 +80,10 @@ def test_a_newcomer_images_touches_delays_and_holds(tmp_path: Path) -> None:
 def walk(rig: Rig, page: Page) -> None:
     page.until("telenano.store.rings.get('tip')?.length > 200", "curves on the page")
     page.until("document.querySelectorAll('#law-name option').length > 1", "the forms of the law")
-    for key, value in {"pixels": "64", "lines": "32", "dwell_s": "3"}.items():
+    for key, value in {"pixels": "32", "lines": "16", "dwell_s": "12"}.items():
         page.fill(f"#program-scan-{key}", value)
     assert "acknowledged" in page.answered(lambda: page.click("#program-scan"))
-    page.until(f"{FILLED} === 32", "the whole image")
+    page.until(f"{FILLED} === 16", "the whole image")
     page.until("telenano.store.fact('afm/state/slave', 'mode') === 'retracted'", "a tip that is away")
     page.follow()
     page.fill("#tip-x", "0")

@@ -90,8 +90,8 @@ DOCUMENT: dict[str, Any] = {
 }
 
 
-def plan_of(folder: Path, **changes: Any) -> Plan:
+def plan_of(folder: Path, known: Mapping[str, Task] = TASKS, **changes: Any) -> Plan:
     """Return a plan with some keys of its file changed."""
     path = folder / "experiment.yaml"
     path.write_text(yaml.safe_dump({**DOCUMENT, **changes}, sort_keys=False), encoding="utf-8")
-    return load_plan(path, TASKS)
+    return load_plan(path, known)

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from experiment_bench import plan_of
+from telenano_experiments import tasks
+from telenano_experiments.apparatus.base import Course, Take
 from telenano_experiments.apparatus.live import Live
 from telenano_experiments.apparatus.wanted import Wanted, constant_delays_ns, kept_keys, wanted_of
 from telenano_experiments.desk import Desk
@@ -89,6 +91,25 @@ def test_a_recording_without_a_programme_is_no_trial(tmp_path: Path, recording_o
     filter_recording(recording_of("fig12_wave"), out, Selection.of(["node/*"]))
     with pytest.raises(RecordingError, match="no programme of an operator ran in it"):
         RecordedTrial(out)
+
+
+class Recorded(Live):
+    """A rig whose trial is recorded already."""
+
+    def take(self, course: Course) -> Take:
+        return self._judged(course, self._folder / "trial.mcap", {}, [])
+
+
+@pytest.mark.parametrize("task", [task.name for task in tasks.OWN_TASKS])
+def test_a_trial_whose_recording_has_no_state_of_the_tip_is_disturbed_and_not_judged(
+    tmp_path: Path, recording_of: Callable[[str], Path], task: str
+) -> None:
+    topics = ["haptic/state", "link/*", "law/status", "session/*"]
+    filter_recording(recording_of("fig12_wave"), tmp_path / "trial.mcap", Selection.of(topics))
+    plan = plan_of(tmp_path, tasks=[task], known=tasks.TASKS)
+    outcome = Recorded(plan, tmp_path, Desk(plan)).run(plan.trials("P01")[0], 0)
+    assert (outcome.status, outcome.measures) == ("disturbed", {})
+    assert "its recording has no state of the tip" in outcome.disturbance
 
 
 class Moved(Live):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from recording.column_table import ColumnTable
-from telenano.extend.tasks import Series, TrialData
+from telenano.extend.tasks import Judged, Series, TrialData
 from telenano_experiments.desk import AbortedError, Answers, Desk
 from telenano_experiments.journal import now_utc
 from telenano_experiments.operators import Simulated
@@ -20,13 +20,13 @@ class Take(NamedTuple):
     """One interval of a trial, as it was measured.
 
     Args:
-        data: The tables, with times from its beginning.
+        data: The tables, with times from its beginning; None where it was disturbed so that nothing can be judged.
         disturbance: What disturbed it, in words; empty for nothing.
         recording: The path of its recording from the experiment's folder; empty without one.
         verified: What link and law reported before it counted.
     """
 
-    data: TrialData
+    data: TrialData | None
     disturbance: str
     recording: str
     verified: Mapping[str, Any]
@@ -89,12 +89,16 @@ class Apparatus(ABC):
             duration_s = math.fsum(interval.duration_s for interval in intervals)
             return TrialOutcome({}, "aborted", str(error), duration_s, started_utc, "", {})
         durations_s = [interval.duration_s for interval in intervals[: len(takes)]]
-        data = takes[0].data if len(takes) == 1 else joined([take.data for take in takes], durations_s)
+        parts = [take.data for take in takes if take.data is not None]
         disturbance = takes[-1].disturbance
-        answers = data.answers
-        if not disturbance:
-            answers = (*answers, *self._answers(trial, task, parameters, data))
-        measures = task.judge(data._replace(answers=answers), parameters, trial.seed)
+        answers: Answers = ()
+        measures: Judged = {}
+        if len(parts) == len(takes):
+            data = joined(parts, durations_s) if len(parts) > 1 else parts[0]
+            answers = data.answers
+            if not disturbance:
+                answers = (*answers, *self._answers(trial, task, parameters, data))
+            measures = task.judge(data._replace(answers=answers), parameters, trial.seed)
         return TrialOutcome(
             measures={name: _finite(value) for name, value in measures.items()},
             status="disturbed" if disturbance else "done",

@@ -27,9 +27,7 @@ from services.haptic_node.config import HapticConfig
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command, CommandName
 from services.runtime.wiring.observer import Observer
-from telenano.extend.tasks import TrialData
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
-from telenano_experiments.apparatus.lockstep import empty
 from telenano_experiments.apparatus.page_hand import PageHand
 from telenano_experiments.apparatus.rig_process import RigProcess, wait_for_others
 from telenano_experiments.apparatus.wanted import (
@@ -56,7 +54,6 @@ _LISTEN_S = 0.05
 # The hand is at rest below this speed [m/s], for this time [s], and at its start within this distance [m].
 _REST_M_PER_S, _REST_S, _HOME_M, _HOME_S, _REST_MOST_S = 2e-4, 0.1, 2e-4, 6.0, 6.0
 _CLEAN: dict[str, Scalar] = {"profile": "clean"}
-_NOTHING = TrialData(empty("afm/state"), empty("haptic/state"), empty("law/status"))
 # What is under way when the programme ends still belongs to the trial.
 _AFTER_S = 0.3
 # Hand and tip are coupled where the base is as near as this to the place of the hand, at the scale of the law [m].
@@ -151,7 +148,7 @@ class Live(Apparatus):
         try:
             recorded = RecordedTrial(path)
         except RecordingError as error:
-            return Take(_NOTHING, f"the recording cannot be read: {error}", name, verified)
+            return Take(None, f"the recording cannot be read: {error}", name, verified)
         band = section_of(course.document, "controller", ControllerConfig).deadband
         evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
         found = disturbances(evidence, self.plan.experiment.disturbed.stall_s)
@@ -160,6 +157,8 @@ class Live(Apparatus):
         timed = [{**answer, "time_s": 1e-9 * (answer["given_ns"] - recorded.start_ns)} for answer in answers]
         answered = ({key: answer[key] for key in ("name", "value", "time_s")} for answer in timed)
         data = recorded.data(course.duration_s, answered)
+        if not data.afm["time_s"].size:
+            return Take(None, "; ".join([*found, "its recording has no state of the tip"]), name, verified)
         return Take(data, "; ".join(found), name, verified)
 
     def prepare(self, trial: Trial) -> None:
