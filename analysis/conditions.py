@@ -12,7 +12,7 @@ from recording.messages import readable
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.controller.config import ControllerConfig
-from services.delay_node.config import CONSTANT_DELAY, LinkSettings, network_name
+from services.delay_node.config import EVEN, LinkSettings, network_name
 from services.runtime.settings.config import validate
 from services.runtime.settings.scenario import Scenario
 
@@ -79,7 +79,7 @@ def title(found: dict[str, Any]) -> str:
         is_changed = name.endswith("link") and greatest_ms - least_ms > max(_CHANGED_MS, _CHANGED_SHARE * found[key])
         words.append(f"{name} {least_ms:g} to {greatest_ms:g} ms" if is_changed else f"{name} {found[key]:g} ms")
         break
-    if found["link_profile"] not in ("clean", CONSTANT_DELAY):
+    if found["link_profile"] not in EVEN:
         words.append(f"link {found['link_profile']}")
     return ", ".join(words)
 

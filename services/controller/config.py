@@ -96,35 +96,46 @@ class _OwnSections(Settings):
         """Return the constants of the lateral path."""
         return self.lateral.to_params()
 
-    def stiffness_limit_n_per_m(self, late: int = 0) -> float | None:
+    def stiffness_limit_n_per_m(self, late: int = 0, *, even: bool = True) -> float | None:
         """Return the stiffest sample [N/m] that the slave half bears; None where it closes no loop of its own.
 
-        An integrator with a dead time of `late` periods, by which the instrument answers late, is stable up to
-        sin(pi / (4 late + 2)) of what one without is. Laws of packages state theirs as this project's do:
-        `stiffness_limit_n_per_m(period_s)` of their settings.
+        Args:
+            late: The periods by which the instrument answers late: the loop is an integrator with that dead time,
+                stable up to sin(pi / (4 late + 2)) of what one without is.
+            even: Whether the line brings every signal after the same time. Else a step in a gap and the one of the next
+                signal may both go against one force, so that forces are 0 to n = late + 1 steps old in any order: an
+                integrator bears (3/2 + 1/(2 (n + 1))) / (2 (n + 1)) then (L. Berezansky, E. Braverman, Advances in
+                Difference Equations 2009, 104310).
+
+        Laws of packages state theirs as this project's do: `stiffness_limit_n_per_m(period_s)` of their settings.
         """
         section, clamp = self.law_config(), self.clamp_params()
         limits = [section.stiffness_limit_n_per_m(self.period_s)] if hasattr(section, "stiffness_limit_n_per_m") else []
         if clamp.enabled:
             limits.append(2.0 / (clamp.force_scale * clamp.reach_m_per_n))
-        return float(min(limits)) * math.sin(math.pi / (4 * late + 2)) if limits else None
+        steps = 2.0 * (late + 2)
+        share = math.sin(math.pi / (4 * late + 2)) if even else (1.5 + 1.0 / steps) / steps
+        return float(min(limits)) * share if limits else None
 
-    def stiffness_doubts(self, stiffness_n_per_m: float, latency_s: float = 0.0) -> str:
+    def stiffness_doubts(self, stiffness_n_per_m: float, latency_s: float = 0.0, *, even: bool = True) -> str:
         """Return why a sample [N/m] is too stiff for the law in force; empty where it is not.
 
         Args:
             stiffness_n_per_m: The stiffness that the base meets [N/m].
             latency_s: By how much the instrument answers late [s]; a part of a period counts as a whole one.
+            even: Whether the line brings every signal after the same time.
         """
         prompt, late = self.stiffness_limit_n_per_m(), late_periods(latency_s, self.period_s)
-        limit = self.stiffness_limit_n_per_m(late)
+        limit = self.stiffness_limit_n_per_m(late, even=even)
         if prompt is None or limit is None or stiffness_n_per_m <= limit:
             return ""
-        behind = f" with an instrument that answers {1e3 * latency_s:.4g} ms late ({prompt:.4g} N/m with a prompt one)"
+        behind = f" with an instrument that answers {1e3 * latency_s:.4g} ms late" if late else ""
+        behind += "" if even else " over a line that loses signals or holds them back"
+        behind += f" ({prompt:.4g} N/m without that)" if behind else ""
         remedy = "an instrument that answers sooner" if late else "a smaller controller.period_s"
         return (
             f"law {self.law}: {stiffness_n_per_m:g} N/m is stiffer than the {limit:.4g} N/m that its slave half bears"
-            f"{behind if late else ''}, beyond which the force swings and the sample gets energy that no hand has paid;"
+            f"{behind}, beyond which the force swings and the sample gets energy that no hand has paid;"
             f" {remedy}, a greater damper of the half, or a smaller force_scale times position_scale raises that"
         )
 

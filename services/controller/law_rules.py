@@ -4,8 +4,9 @@ They are what the rig relies on whatever the law: no jump where it takes over, a
 corners of every range. Passivity and the delay that a law bears are no rules: `telenano study` measures them.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from proto.errors import ConfigError, known_names
@@ -131,7 +132,7 @@ def _silence(name: str) -> Iterator[str]:
 
 def _holds_spring(name: str) -> Iterator[str]:
     for period_s in (5e-4, 1e-3, 2e-3):
-        shown_n = _held_n(LAWS[name], _params(name, period_s), period_s)
+        shown_n = 1e8 * _Bench(name, period_s=period_s).run(round(_HOLD_S / period_s), 1.0)[-1][1]
         if not abs(shown_n - 1.0) <= _HOLD_SHARE:
             yield (
                 f"a hand of 1 N holds a spring of {_SPRING_N_PER_M:g} N/m with {shown_n:.3g} N after {_HOLD_S:g} s"
@@ -139,32 +140,22 @@ def _holds_spring(name: str) -> Iterator[str]:
             )
 
 
-def stiffness_limit_n_per_m(name: str, late: int = 0) -> float | None:
-    """Return the stiffest sample that a law states to bear with its defaults [N/m]; None where it states none.
-
-    Args:
-        name: The name of the law.
-        late: By how many periods the instrument answers late.
-    """
-    return ControllerConfig.model_validate({"law": name}).stiffness_limit_n_per_m(late)
-
-
 def _touches(name: str) -> Iterator[str]:
-    yield from _touched_badly(name, _SPRING_N_PER_M, 0)
-    for late in (0, LATE_PERIODS):
-        limit = stiffness_limit_n_per_m(name, late)
+    yield from _touched_badly(name, _SPRING_N_PER_M, (0,))
+    for late, even in ((0, True), (LATE_PERIODS, True), (0, False)):
+        limit = ControllerConfig(law=name).stiffness_limit_n_per_m(late, even=even)
         if limit is not None:
-            yield from _touched_badly(name, _NEAR_LIMIT * limit, late)
+            yield from _touched_badly(name, _NEAR_LIMIT * limit, (late,) if even else (late, late + 1))
 
 
-def _touched_badly(name: str, stiffness: float, late: int) -> Iterator[str]:
-    bench = _Bench(name, stiffness_n_per_m=stiffness, wall_m=_WALL_M, late=late)
+def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterator[str]:
+    bench = _Bench(name, stiffness_n_per_m=stiffness, wall_m=_WALL_M, lates=lates)
     bench.run(20, 0.0, retracted=True)
     rows = bench.run(_SESSION_TICKS, 1.0)
     held = [1e8 * force_n for _, force_n in rows[-_HOLD_TICKS:]]
     mean, swing = sum(held) / len(held), max(held) - min(held)
     if not abs(mean - 1.0) <= _HOLD_SHARE or not swing <= _HOLD_SHARE:
-        told = f" and tells the law of it {late} ms later," if late else ""
+        told = f" and tells the law of it {' and '.join(map(str, lates))} ms later," if any(lates) else ""
         yield (
             f"a hand of 1 N that goes to a wall of {stiffness:.4g} N/m, {1e9 * _WALL_M:g} nm away,{told} presses with"
             f" {mean:.3g} N on average and swings by {swing:.3g} N in the end; 1 N within"
@@ -172,36 +163,24 @@ def _touched_badly(name: str, stiffness: float, late: int) -> Iterator[str]:
         )
 
 
-def _held_n(law: Law, params: Any, period_s: float) -> float:
-    """Return alpha_f F_s that a hand of 1 N holds against a spring without delay [N]."""
-    x, tip = 0.0, NO_TIP._replace(in_contact=True, following=True)
-    master, slave = law.master_start(params, HandSample(0.0, 0.0, 0.0, True)), law.slave_start(params, tip)
-    answer = NO_SIGNAL
-    for _ in range(round(_HOLD_S / period_s)):
-        hand = HandSample(x, 0.0, 1.0, True)
-        master, signal = law.master_send(params, master, hand, period_s)
-        slave, wanted = law.slave_receive(params, slave, signal._replace(silence_s=0.0), tip, period_s)
-        base = wanted.position_m
-        tip = tip._replace(base_position_m=base, force_n=_SPRING_N_PER_M * base)
-        slave, answer = law.slave_send(params, slave, tip, period_s)
-        master, reference = law.master_receive(params, master, hand, answer._replace(silence_s=0.0), period_s)
-        x = reference.position_m
-    return float(1e8 * tip.force_n)
-
-
 class _Bench:
     """Both halves of a law over a link without delay, and a spring under the tip, or a wall that only pushes.
 
-    late: by how many ticks the slave half is told later what the instrument measures.
+    lates: by how many ticks the slave half is told later what the instrument measures, in turn.
     """
 
     def __init__(
-        self, name: str, stiffness_n_per_m: float = _SPRING_N_PER_M, wall_m: float | None = None, late: int = 0
+        self,
+        name: str,
+        stiffness_n_per_m: float = _SPRING_N_PER_M,
+        wall_m: float | None = None,
+        lates: Sequence[int] = (0,),
+        period_s: float = _PERIOD_S,
     ) -> None:
-        self.law, self.params = LAWS[name], _params(name)
+        self.law, self.params, self.period_s = LAWS[name], _params(name, period_s), period_s
         self.stiffness_n_per_m, self.wall_m = stiffness_n_per_m, wall_m
         self.x, self.tip = 0.0, NO_TIP
-        self.measured = [NO_TIP] * (late + 1)
+        self.measured, self.lates = [NO_TIP] * (max(lates) + 1), itertools.cycle(lates)
         self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
         self.slave = self.law.slave_start(self.params, self.tip)
 
@@ -212,9 +191,9 @@ class _Bench:
         rows = []
         for _ in range(ticks):
             hand = HandSample(self.x, 0.0, force_n, not off)
-            self.master, signal = self.law.master_send(self.params, self.master, hand, _PERIOD_S)
+            self.master, signal = self.law.master_send(self.params, self.master, hand, self.period_s)
             signal = signal._replace(silence_s=0.0)
-            self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, _PERIOD_S)
+            self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, self.period_s)
             base = 0.0 if retracted else wanted.position_m
             pushed_n = self.stiffness_n_per_m * (base - (self.wall_m or 0.0))
             if self.wall_m is not None:
@@ -223,11 +202,11 @@ class _Bench:
                 base_position_m=base, force_n=pushed_n, in_contact=pushed_n != 0.0, following=not retracted
             )
             self.measured = [*self.measured[1:], newest]
-            told = self.measured[0]
+            told = self.measured[-1 - next(self.lates)]
             self.tip = told._replace(outstanding_m=base - told.base_position_m)
-            self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, _PERIOD_S)
+            self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, self.period_s)
             answer = answer._replace(silence_s=0.0)
-            self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, _PERIOD_S)
+            self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, self.period_s)
             self.x = self.x if off else reference.position_m
             rows.append((self.x, newest.force_n))
         return rows
@@ -284,8 +263,8 @@ RULES = (
     Rule("lets the hand go while the other half is silent", _silence),
     Rule("holds a spring without delay", _holds_spring),
     Rule(
-        "touches a wall and holds it, up to nine tenths of the stiffness that it bears with a prompt instrument and"
-        f" with one that answers {LATE_PERIODS} ms late",
+        "touches a wall and holds it, up to nine tenths of the stiffness that it bears with a prompt instrument, with"
+        f" one that answers {LATE_PERIODS} ms late, and over a line that loses every second signal",
         _touches,
     ),
     Rule("a session after a new arming is as the first", _arms_anew),

@@ -35,6 +35,7 @@ _MOST_BYTES = MAX_MESSAGE_BYTES // 4
 
 # the name of a network that does nothing but delay every message alike
 CONSTANT_DELAY = "constant delay"
+EVEN = ("clean", CONSTANT_DELAY)  # the networks that bring every message after the same time
 
 
 class Jitter(Settings):

@@ -26,7 +26,7 @@ from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
 from services.controller.config import KNOWN_LAWS, ControllerConfig
-from services.delay_node.config import LinkSettings, changes_text
+from services.delay_node.config import EVEN, LinkSettings, changes_text, network_name
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
 from services.runtime.settings.option import Option
@@ -159,13 +159,14 @@ class Plan:
 
     @property
     def stiffness_warning(self) -> str:
-        """Why the sample of the scenario is too stiff for its law, or for how late its instrument is; else empty."""
+        """Why the sample is too stiff for the law with such an instrument and line; else empty."""
         if driver_is_absent(self.loaded, "afm_node"):
             return ""
         afm = self.loaded.section("afm_node", AfmConfig)
         controller = self.loaded.section("controller", ControllerConfig)
         stiffness, latency_s = (afm.stiffest_n_per_m, 0.0) if afm.simulated else _declared(afm, self.scenario.period_s)
-        return controller.stiffness_doubts(stiffness, latency_s) if stiffness is not None else ""
+        even = not self.book.spans_machines and network_name(self.loaded.section(LINK, LinkSettings)) in EVEN
+        return controller.stiffness_doubts(stiffness, latency_s, even=even) if stiffness is not None else ""
 
     @property
     def fetches(self) -> bool:

@@ -5,6 +5,7 @@ seconds of Fig. 12 take a fraction of one. What the processes add to it, their o
 jitter, is not in it.
 """
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +25,7 @@ from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
 from services.controller.config import ControllerConfig
-from services.delay_node.config import CONSTANT_DELAY, LinkSettings, network_name
+from services.delay_node.config import EVEN, LinkSettings, network_name
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
@@ -105,7 +106,7 @@ class Conditions:
 
     def title(self) -> str:
         """Return the words of a title."""
-        link = "" if self.link_profile in ("clean", CONSTANT_DELAY) else f", link {self.link_profile}"
+        link = "" if self.link_profile in EVEN else f", link {self.link_profile}"
         return f"{self.scenario}, {self.law}, round trip {self.round_trip_ms:g} ms{link} (simulated in lockstep)"
 
 
@@ -301,6 +302,8 @@ def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers |
     if steers is not None and (path is None or controller.lateral.mode != "rate"):
         text = "a hand that steers the tip needs mode rate, and a section haptic_node.lateral"
         raise ConfigError(f"{origin}: controller.lateral.mode: {text}")
+    if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=network_name(link) in EVEN):
+        warnings.warn(text, stacklevel=3)
     hand = None if steers is None else steers(schedule.window, period_s)
     course = simulate(rig, schedule, settle, hand, path)
     section = controller.law_config()

@@ -18,6 +18,7 @@ from telenano_studies.loops.cells import (
     settle_ticks,
 )
 
+from services.controller.laws.shared.virtual_mass import FOLLOWED_M
 from services.delay_node.config import parse_settings
 from studies.loops.link import Schedule, schedule_from
 from studies.loops.lockstep import simulate
@@ -60,7 +61,8 @@ def bursts(ticks: int, pause_ms: int, apart_ns: int) -> Schedule:
 @pytest.mark.check("a grid of bursts and laws")
 @pytest.mark.parametrize("law", ["wave", "passivity", "model_mediated"])
 @pytest.mark.parametrize("apart_us", [20, 100, 300])
-@pytest.mark.parametrize(("stiffness", "pause_ms"), [(80.0, 60), (200.0, 40), (20.0, 120)])
+@pytest.mark.parametrize("stiffness", [20.0, 80.0, 150.0])
+@pytest.mark.parametrize("pause_ms", [30, 40, 60, 120])
 def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     law: str, apart_us: int, stiffness: float, pause_ms: int
 ) -> None:
@@ -72,9 +74,11 @@ def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
     result = judged(cell, simulate(rig, bursts(ticks, pause_ms, 1000 * apart_us), settle))
     # `model_mediated` lets the hand go in a pause of more than 50 ms, and what the tip then does no hand has paid
-    assert result.lowest_energy_j > (-1e-4 if law == "model_mediated" else LEAST_J)
+    assert result.lowest_energy_j > {"wave": -4e-6, "passivity": LEAST_J, "model_mediated": -2e-4}[law]
     assert result.peak_n is not None
-    assert result.peak_n < 1.4
+    # after a pause of the guard the base lags by what counts as followed, which it makes up for at once
+    lag_n = scales_of(cell.controller()).force_scale * stiffness * FOLLOWED_M if pause_ms > 50 else 0.0
+    assert result.peak_n < 1.02 + lag_n
 
 
 def hand_at_hz(law: str, frequency_hz: float) -> float:

@@ -28,7 +28,7 @@ E = int u^2/2 dt as `energy_j` (and w likewise). The receiver rebuilds its wave 
 
 The first is at once the wave filter, a first-order low-pass of time constant tau_f, and the cure for drift: every metre
 that was sent arrives. The second spreads what is due so that way and energy run out together; then u^2/2 Ts <= D
-always, and each half is passive whatever the link does:
+always, and each half is passive on samples up to the limit of its line:
 
 - constant delay T each way: lossless but for the filter. At rest F_m = alpha_f F_s and x - x_s/alpha_p is about
   F (T + tau_f) / b: the line is a spring of stiffness b / (T + tau_f).

@@ -65,22 +65,27 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
 def check(law: LawArgument, as_json: JsonOption = False) -> None:
     """Check the rules that the rig relies on; exit code 1 and a sentence for each that the law breaks."""
     with report_errors(as_json):
-        from services.controller.law_rules import LATE_PERIODS, broken_rules, known_law, stiffness_limit_n_per_m
+        from services.controller.config import ControllerConfig
+        from services.controller.law_rules import LATE_PERIODS, broken_rules, known_law
 
         known_law(law)
         if not as_json:
             typer.echo("trying the rules; the first time the steps are compiled, up to a minute", err=True)
         broken = broken_rules(law)
-        limit, *behind = (stiffness_limit_n_per_m(law, late) for late in range(LATE_PERIODS + 1))
+        limit_of = ControllerConfig(law=law).stiffness_limit_n_per_m
+        limit, *behind = map(limit_of, range(LATE_PERIODS + 1))
+        uneven = [limit_of(late, even=False) for late in range(LATE_PERIODS + 1)]
     if as_json:
         limits = {"stiffness_limit_n_per_m": limit, "late_stiffness_limits_n_per_m": behind}
-        print_json({"law": law, "rules": broken, "keeps_all": not any(broken.values()), **limits})
+        found = {"law": law, "rules": broken, "keeps_all": not any(broken.values()), **limits}
+        print_json(found | {"uneven_stiffness_limits_n_per_m": uneven})
     else:
         if limit is not None:
-            late = (
-                f"{', '.join(f'{value:.4g}' for value in behind)} where the instrument is 1 to {LATE_PERIODS} ms late"
+            late, lossy = (", ".join(f"{value:.4g}" for value in values) for values in (behind, uneven))
+            typer.echo(
+                f"bears samples of up to {limit:.4g} N/m; {late} with an instrument 1 to {LATE_PERIODS} ms late;"
             )
-            typer.echo(f"bears samples of up to {limit:.4g} N/m as it comes; {late}")
+            typer.echo(f"over a line that loses signals or holds them back {lossy}, 0 to {LATE_PERIODS} ms late")
         for rule, faults in broken.items():
             typer.echo(f"{'broken' if faults else 'kept  '}  {rule}")
             for fault in faults:

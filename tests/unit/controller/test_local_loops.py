@@ -1,9 +1,12 @@
 """The slave halves against the sample: how stiff one they bear, and what a burst of messages does to them."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
+import numpy as np
 import pytest
 
 from services.afm_node.config import AfmConfig
@@ -15,7 +18,7 @@ from services.controller.law import (
     SlaveReference,
     TipMeasurement,
 )
-from services.controller.law_rules import RULES, stiffness_limit_n_per_m
+from services.controller.law_rules import RULES
 from services.controller.laws.shared.virtual_mass import FOLLOWED_M
 
 T = 1e-3
@@ -29,18 +32,20 @@ def config_of(name: str, **section: Any) -> ControllerConfig:
     return ControllerConfig.model_validate({"law": name, name: section})
 
 
-def swing_after(name: str, stiffness: float, steps: int, late: int = 0, **section: Any) -> float:
+def swing_after(name: str, stiffness: float, steps: int, *lates: int, **section: Any) -> float:
     """Return how far the force of a half swings in the end [N]: alone on a spring, a hand of 1 N that gives way.
 
-    late: how many steps late the instrument tells what it measured.
+    lates: how many steps late the instrument tells what it measured, in turn.
     """
+    lates = lates or (0,)
     law, params = LAWS[name], config_of(name, **section).params()
     base, dt = 1e-11, STEPS[name] * T
     tip = TipMeasurement(base, stiffness * base, 0.0, False, True, True, 0.0)
     slave = law.slave_start(params, tip)
     signal = NO_SIGNAL._replace(position_m=2e-8, force_n=1e-8, energy_j=0.0, active=True, silence_s=0.0)
-    forces, told = [], [tip] * (late + 1)
+    forces, told = [], [tip] * (max(lates) + 1)
     for n in range(steps):
+        late = lates[n % len(lates)]
         tip = told[-1 - late]._replace(outstanding_m=told[-1].base_position_m - told[-1 - late].base_position_m)
         # waves that go on as those of a hand of 1 N do, and energy for all that may happen
         if name == "wave":
@@ -79,8 +84,56 @@ def test_an_instrument_that_is_late_lowers_the_limit_as_the_document_derives(nam
     assert swing_after(name, 1.1 * limit, 1500, late) > 0.2
 
 
+# orders in which forces may be up to n steps old, by the gaps of a line before an instrument that is n - 1 periods late
+ORDERS = {1: [(0, 1), (0, 1, 1), (0, 0, 1)], 3: [(2, 3), (2, 2, 3), (0, 1, 2, 3), (0, 1, 2, 3, 3, 3)]}
+
+
+@pytest.mark.parametrize("oldest", ORDERS)
+@pytest.mark.parametrize("name", LOCAL)
+def test_over_a_line_with_gaps_a_half_bears_what_is_stated_in_any_order_of_late_forces(name: str, oldest: int) -> None:
+    config = config_of(name)
+    limit, even = config.stiffness_limit_n_per_m(oldest - 1, even=False), config.stiffness_limit_n_per_m()
+    assert limit is not None
+    assert even is not None
+    assert max(swing_after(name, 0.9 * limit, 1500, *lates) for lates in ORDERS[oldest]) < 0.05
+    # at half of what it bears without gaps, where every second signal is lost; the old limit is twice that
+    if oldest == 1:
+        assert swing_after(name, 0.45 * even, 1500, 0, 1) < 0.05
+        assert swing_after(name, 0.55 * even, 1500, 0, 1) > 0.2
+
+
+def growth(gain: float, lates: Sequence[int]) -> float:
+    """Return the spectral radius of e[k+1] = e[k] - gain e[k-d] over a round of the delays d."""
+    size = max(lates) + 1
+    turned = np.eye(size)
+    for late in lates:
+        step = np.diag(np.ones(size - 1), -1)
+        step[0, 0] = 1.0
+        step[0, late] -= gain
+        turned = step @ turned
+    return float(np.abs(np.linalg.eigvals(turned)).max())
+
+
+@pytest.mark.parametrize(
+    ("oldest", "longest", "sharp"), [(1, 8, 1.0), (2, 6, 2.0 - math.sqrt(2.0)), (3, 5, 0.4450418679)]
+)
+def test_the_stated_share_keeps_an_integrator_stable_for_all_orders_of_delays(
+    oldest: int, longest: int, sharp: float
+) -> None:
+    """The least gain at which some order grows lies a tenth above the stated one, and at 2 sin(pi/(4n+2)) or below."""
+    config = config_of("model_mediated")
+    limit, even = config.stiffness_limit_n_per_m(oldest - 1, even=False), config.stiffness_limit_n_per_m()
+    assert limit is not None
+    assert even is not None
+    stated = 2.0 * limit / even
+    orders = [lates for n in range(1, longest + 1) for lates in product(range(oldest + 1), repeat=n)]
+    assert max(growth(stated, lates) for lates in orders) <= 1.0 + 1e-9
+    assert max(growth(1.001 * sharp, lates) for lates in orders) > 1.0
+    assert 0.87 * sharp < stated < sharp
+
+
 def test_the_limits_are_those_that_the_document_derives() -> None:
-    limits = {name: stiffness_limit_n_per_m(name) for name in LAWS}
+    limits = {name: config_of(name).stiffness_limit_n_per_m() for name in LAWS}
     assert limits == {
         "virtual_impedance": None,
         "position_force": None,
@@ -105,12 +158,26 @@ def test_a_sample_beyond_the_limit_is_named_with_the_remedy() -> None:
     assert config_of("virtual_impedance").stiffness_doubts(1e6) == ""
 
 
+def test_a_line_that_is_not_even_is_named_with_both_limits() -> None:
+    config = config_of("wave")
+    assert config.stiffness_doubts(194.0, even=False) == config.stiffness_doubts(440.0) == ""
+    text = config.stiffness_doubts(195.0, even=False)
+    assert text.startswith(
+        "law wave: 195 N/m is stiffer than the 194.4 N/m that its slave half bears over a line that loses signals or"
+        " holds them back (444.4 N/m without that)"
+    )
+    both = config_of("model_mediated").stiffness_doubts(53.0, 4e-3, even=False)
+    assert "the 52.78 N/m that its slave half bears with an instrument that answers 4 ms late over a line" in both
+    limits = [config_of(name).stiffness_limit_n_per_m(even=False) for name in LOCAL]
+    assert limits == pytest.approx([350.0, 194.4, 175.0], rel=1e-3)
+
+
 def test_a_late_instrument_is_named_with_both_limits() -> None:
     config = config_of("model_mediated")
     assert config.stiffness_doubts(69.0, 4e-3) == config.stiffness_doubts(399.0) == ""
     text = config.stiffness_doubts(70.0, 4e-3)
     assert text.startswith("law model_mediated: 70 N/m is stiffer than the 69.46 N/m that its slave half bears with")
-    assert "an instrument that answers 4 ms late (400 N/m with a prompt one)" in text
+    assert "an instrument that answers 4 ms late (400 N/m without that)" in text
     # a part of a period counts as a whole one, and a sample beyond both limits is one of them still
     assert config.stiffness_doubts(70.0, 3.1e-3) == text.replace("4 ms", "3.1 ms")
     assert "4 ms late" in config.stiffness_doubts(500.0, 4e-3)

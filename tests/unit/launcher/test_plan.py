@@ -85,6 +85,13 @@ def test_a_sample_that_is_too_stiff_for_the_law_is_named(tmp_path: Path) -> None
     assert make_plan(borne, tmp_path).stiffness_warning == ""
     stiff = make_plan(request(tmp_path, settings=(*spring, "afm_node.spring.stiffness_n_per_m=500")), tmp_path)
     assert stiff.stiffness_warning.startswith("law wave: 500 N/m is stiffer than the 444.4 N/m")
+    lossy = (*spring, "afm_node.spring.stiffness_n_per_m=200", "delay_node.forward.loss.probability=0.2")
+    told = make_plan(request(tmp_path, settings=lossy), tmp_path).stiffness_warning
+    assert told.startswith("law wave: 200 N/m is stiffer than the 194.4 N/m that its slave half bears over a line")
+    # what a network between two machines does nobody knows beforehand
+    two = request(tmp_path, site="slave", site_file=TWO_SITES_FILE, settings=lossy[:-1])
+    assert make_plan(two, tmp_path).stiffness_warning == told
+    assert make_plan(request(tmp_path, settings=lossy[:-1]), tmp_path).stiffness_warning == ""
     # a tip over a sample is felt through its cantilever
     assert make_plan(request(tmp_path, settings=("controller.law=wave",)), tmp_path).stiffness_warning == ""
 
@@ -102,7 +109,7 @@ def test_a_real_instrument_that_is_too_late_for_its_cantilever_is_named(
     driver = f"afm_node.modbus={{calibration: {tmp_path / 'stage.yaml'}}}"
     settings = ("controller.law=model_mediated", "afm_node.driver=modbus", driver)
     warning = make_plan(request(tmp_path, settings=settings), tmp_path).stiffness_warning
-    assert ("answers 4 ms late (400 N/m with a prompt one)" in warning) is warned
+    assert ("answers 4 ms late (400 N/m without that)" in warning) is warned
     # a file that is on the other machine is that machine's affair
     (tmp_path / "stage.yaml").unlink()
     assert make_plan(request(tmp_path, settings=settings), tmp_path).stiffness_warning == ""

@@ -166,7 +166,7 @@ def test_an_instrument_of_a_package_that_is_too_late_for_its_cantilever_is_named
         assert make_plan(request, tmp_path).stiffness_warning == ""
         return warning
 
-    assert f"with an instrument that answers {late} ms late (400 N/m with a prompt one)" in warned(70.0)
+    assert f"with an instrument that answers {late} ms late (400 N/m without that)" in warned(70.0)
     assert warned(70.0, latency_s=0.0) == warned(5.0) == ""
 
 

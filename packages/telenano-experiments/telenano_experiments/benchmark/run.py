@@ -14,6 +14,7 @@ from telenano_studies.loops.cells import CellResult, Scales, judged, scales_of, 
 from telenano_studies.loops.sweep import Kind
 
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
+from services.delay_node.config import EVEN, network_name
 from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import validate
 from studies.loops.link import Schedule, schedule_of
@@ -200,7 +201,8 @@ def _check(run: Run) -> None:
 
 
 def _doubts(run: Run) -> str:
-    return run.cell.stiffness_doubts()
+    even = network_name(run.link) in EVEN
+    return run.cell.controller().stiffness_doubts(run.cell.felt_stiffness_n_per_m, even=even)
 
 
 RUNS = Kind(_check, run, outcome_from, _doubts, batch=36)

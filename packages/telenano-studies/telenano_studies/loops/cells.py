@@ -164,8 +164,9 @@ class Cell(Conditions):
         return CANTILEVER_N_PER_M if self.environment == "body" else self.stiffness_n_per_m
 
     def stiffness_doubts(self) -> str:
-        """Return why the sample is too stiff for the law, all latency taken to be the instrument's; else empty."""
-        return self.controller().stiffness_doubts(self.felt_stiffness_n_per_m, 1e-3 * self.device_latency_ms)
+        """Return why the sample is too stiff for law and link, all latency taken to be the instrument's; else empty."""
+        even = not (self.has_random_link or self.uneven)
+        return self.controller().stiffness_doubts(self.felt_stiffness_n_per_m, 1e-3 * self.device_latency_ms, even=even)
 
     def controller(self) -> ControllerConfig:
         """Return the configuration of both halves; ConfigError names the law or key at fault."""
