@@ -161,7 +161,6 @@ VERBS = {
     "curve --out curve": "",
     "sample --sample dots --out dots": "instrument",
     "scan --pixels 8 --lines 8 --out scan": "",
-    "calibrate sensitivity --json": "",
     "view REFERENCE --port 0": "",
     "bridge foxglove --duration 1": "",
     "bridge lsl --duration 1": "",

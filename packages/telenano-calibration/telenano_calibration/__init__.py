@@ -1,1 +1,1 @@
-"""Calibrations of an instrument: sensitivity of the read-out, and stiffness by thermal noise."""
+"""Calibrations of an instrument: sensitivity of the read-out, stiffness by thermal noise, handles and stages."""

@@ -3,7 +3,7 @@
 COMMANDS = {
     "calibrate": (
         "telenano_calibration.command:app",
-        "Calibrate read-out and stiffness: simulated, or of own measurements.",
+        "Calibrate read-out and stiffness from own measurements.",
     ),
     "device calibrate": (
         "telenano_calibration.device_command:app",

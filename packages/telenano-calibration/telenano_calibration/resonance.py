@@ -55,16 +55,6 @@ def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_h
     return np.asarray(2.0 * dt * mean_square * (1.0 + series.real))
 
 
-def fit_resonance(values_m: Array, rate_hz: float, resonance_hz: float, quality: float) -> Resonance:
-    """Fit the resonance to a record of the deflection [m], sampled at a rate [Hz].
-
-    Parameters: resonance_hz, quality, near which they are looked for.
-    Raises: ValueError naming the bound at which the fit ends.
-    """
-    frequency, power = periodogram(values_m, rate_hz)
-    return fit_spectrum(frequency, power, rate_hz, resonance_hz, quality, float(np.var(values_m)))
-
-
 def periodogram(values_m: Array, rate_hz: float) -> tuple[Array, Array]:
     """Return the lines [Hz] of a record at a rate [Hz], and its one-sided density there [m^2/Hz]."""
     count = len(values_m)

@@ -31,7 +31,7 @@ import numpy.typing as npt
 from services.afm_node.physics.contact.electrostatic import electrostatic_force_n
 from services.afm_node.physics.contact.force_grid import Passages, grid_force, grid_slopes, passed
 from services.afm_node.physics.dynamic_plant import FAR_STEPS, KICKS_PER_PERIOD, DynamicPlant, Viscosity
-from services.numerics.compiled import always_compiled, compiled
+from services.numerics.compiled import always_compiled
 
 # a step goes no further than this share of the way to the next jump of the force, or this far where that is nearer
 _LOOK_AHEAD = 0.25
@@ -338,18 +338,6 @@ def damping_at(viscosity: Viscosity, h: float) -> float:
     if h <= viscosity.contact_distance_m:
         return viscosity.sample_kg_per_s_m * (viscosity.contact_distance_m - h)
     return viscosity.liquid_kg_per_s * max(1.0 - h / viscosity.liquid_thickness_m, 0.0)
-
-
-@compiled
-def thermal_motion(
-    plant: DynamicPlant, state: DynamicState, normals: npt.NDArray[np.float64], out: npt.NDArray[np.float64]
-) -> DynamicState:
-    """Fill `out` with the deflection [m] after each impulse of the noise, two normals each; return the state then."""
-    steps = plant.drive.shape[0] // KICKS_PER_PERIOD
-    for i in range(out.shape[0]):
-        state, _ = advance(plant, state, state.base_m, 0.0, 0.0, steps, normals[2 * i : 2 * i + 2])
-        out[i] = state.deflection_m
-    return state
 
 
 def steady_state(plant: DynamicPlant, base_m: float, drive_m: float) -> DynamicState:

@@ -16,10 +16,15 @@ from services.afm_node.physics.dynamic import (
     advance,
     free_amplitude_m,
     steady_state,
-    thermal_motion,
 )
-from services.afm_node.physics.dynamic_plant import BOLTZMANN_J_PER_K, NORMALS_PER_PERIOD, Damping, build_dynamic
-from services.numerics.compiled import compiled_form
+from services.afm_node.physics.dynamic_plant import (
+    BOLTZMANN_J_PER_K,
+    KICKS_PER_PERIOD,
+    NORMALS_PER_PERIOD,
+    Damping,
+    build_dynamic,
+)
+from services.numerics.compiled import compiled, compiled_form
 
 CONFIG = AfmConfig()
 PLANT = CONFIG.to_params().plant
@@ -161,6 +166,15 @@ def test_thermal_noise_has_the_energy_of_its_temperature():
     # 6000 samples, each five periods after the last: one relaxation of the energy at Q = 30
     assert potential == pytest.approx(BOLTZMANN_J_PER_K * 300.0, rel=0.1, abs=0)
     assert kinetic == pytest.approx(BOLTZMANN_J_PER_K * 300.0, rel=0.1, abs=0)
+
+
+@compiled
+def thermal_motion(dynamic, state, normals, out):
+    """Fill `out` with the deflection [m] after each impulse of the noise, two normals each."""
+    for i in range(out.shape[0]):
+        steps = dynamic.drive.shape[0] // KICKS_PER_PERIOD
+        state, _ = advance(dynamic, state, state.base_m, 0.0, 0.0, steps, normals[2 * i : 2 * i + 2])
+        out[i] = state.deflection_m
 
 
 @pytest.mark.parametrize(("quality", "steps"), [(2.0, 16), (30.0, 96)])
