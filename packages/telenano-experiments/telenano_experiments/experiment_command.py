@@ -164,26 +164,20 @@ def publish(
 def erase(
     folder: FolderArgument,
     pseudonym: PseudonymArgument,
-    signed_by: Annotated[
-        str, typer.Option("--signed-by", metavar="ROLE", help="Who does it, such as data protection officer.")
-    ] = "",
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether it is meant.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Erase all data of a participant, with a proof of what is gone; it cannot be undone."""
+    """Erase all data of a participant; it cannot be undone."""
     with report_errors(as_json):
         from telenano_experiments.people import erase as erased
 
         if not yes and not typer.confirm(f"Erase everything of {pseudonym} in {folder}?"):
             raise ConfigError("nothing was erased")
-        path, proof = erased(folder, pseudonym, signed_by)
-    if as_json:
-        print_json({"proof": str(path), **proof})
-        return
-    counts = ", ".join(f"{count} of {kind}" for kind, count in proof["counts"].items())
-    typer.echo(f"erased: {counts or 'nothing'}; proof: {path}")
-    if proof["published_before"]:
-        typer.echo(f"note: copies that were published before: {proof['published_before']}; recall them")
+        gone = erased(folder, pseudonym)
+    text = f"erased: {gone.files} files and {gone.records} records"
+    if gone.published_before:
+        text += f"; copies that were published before: {gone.published_before}: recall them"
+    print_answer(gone._asdict(), text, as_json=as_json)
 
 
 @people.command("add")

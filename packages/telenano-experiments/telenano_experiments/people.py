@@ -1,7 +1,7 @@
 """The participants of an experiment: pseudonyms and what the analysis may know of them. Names are kept nowhere.
 
 `people.json` has handedness, consent and exclusion of each pseudonym; which person it is, only the laboratory's own
-list says. `erase` removes everything of one participant and leaves a proof without the pseudonym.
+list says. `erase` removes everything of one participant.
 """
 
 import hashlib
@@ -10,17 +10,16 @@ import re
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from proto.errors import ConfigError, RigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import Settings, validate
-from telenano_experiments.journal import Journal, Record, now_utc
+from telenano_experiments.journal import Journal, now_utc
 
 NAME = "people.json"
-ERASURES = "erased"
 # The folders of which each participant has one of his own, and those that are made anew from the journal.
 OF_PARTICIPANTS = ("recordings", "rig")
 DERIVED = ("table", "analysis")
@@ -98,20 +97,23 @@ def digest_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def erase(folder: Path, pseudonym: str, signed_by: str = "") -> tuple[Path, dict[str, Any]]:
-    """Remove all data of a participant, and write a proof of what is gone.
+class Erased(NamedTuple):
+    """What an erasure removed: how many files and records, and how many copies had been published before."""
 
-    The proof has kinds, sizes and SHA-256 of the files and records, but neither the pseudonym nor a name of a file; the
-    proof before it is in its digest, so that none can be taken away unnoticed. An erasure that was interrupted is done
-    by doing it again. The journal keeps that there is nothing more to be done for the pseudonym.
+    files: int
+    records: int
+    published_before: int
+
+
+def erase(folder: Path, pseudonym: str) -> Erased:
+    """Remove all data of a participant.
+
+    An erasure that was interrupted is done by doing it again. The journal keeps that there is nothing more to be done
+    for the pseudonym.
 
     Args:
         folder: The folder of the experiment.
         pseudonym: The participant.
-        signed_by: Who did it, such as the role of a person.
-
-    Returns:
-        The path of the proof, and its content.
 
     Raises:
         ConfigError: Nothing is known of the participant.
@@ -124,19 +126,19 @@ def erase(folder: Path, pseudonym: str, signed_by: str = "") -> tuple[Path, dict
         folders = [path for kind in OF_PARTICIPANTS for path in _folders(folder / kind, pseudonym)]
         if all(record["record"] == "erased" for record in mine) and not folders and pseudonym not in people.known:
             raise ConfigError(f"{folder}: has no data of {pseudonym}")
-        copies = [record["path"] for record in journal.of("published")]
-        gone = [*_files_gone(folder, folders), *_records_gone(mine)]
-        for path in (*folders, *(folder / kind for kind in DERIVED)):
+        gone = (*folders, *(folder / kind for kind in DERIVED))
+        files = sum(path.is_file() for parent in gone for path in parent.rglob("*"))
+        for path in gone:
             shutil.rmtree(path, ignore_errors=True)
         people.forget(pseudonym)
         kept = [record for record in journal.records if record.get("participant") != pseudonym]
         note = {"record": "erased", "utc": now_utc(), "participant": pseudonym}
+        published = sum(1 for _ in journal.of("published"))
         journal.replace([*kept, note])
         left = _left(folder, pseudonym)
-        proof = _proof(folder, gone, copies, left, signed_by)
     if left:
-        raise RigError(f"{folder}: {pseudonym} is still named in {', '.join(left)}; remove it there; proof: {proof[0]}")
-    return proof
+        raise RigError(f"{folder}: {pseudonym} is still named in {', '.join(left)}; remove it there")
+    return Erased(files, len(mine), published)
 
 
 def _folders(parent: Path, pseudonym: str) -> Iterator[Path]:
@@ -144,21 +146,6 @@ def _folders(parent: Path, pseudonym: str) -> Iterator[Path]:
     for path in sorted(parent.glob(f"{pseudonym}*")):
         if path.name == pseudonym or path.name.startswith(f"{pseudonym}-"):
             yield path
-
-
-def _files_gone(folder: Path, folders: list[Path]) -> Iterator[dict[str, Any]]:
-    derived = [folder / kind for kind in DERIVED]
-    for parent in (*folders, *derived):
-        for path in sorted(parent.rglob("*")):
-            if path.is_file():
-                kind = "derived" if parent in derived else "recording" if path.suffix == ".mcap" else "file"
-                yield {"kind": kind, "bytes": path.stat().st_size, "sha256": digest_of(path)}
-
-
-def _records_gone(records: list[Record]) -> Iterator[dict[str, Any]]:
-    for record in records:
-        line = json.dumps(record).encode()
-        yield {"kind": f"record {record['record']}", "bytes": len(line), "sha256": hashlib.sha256(line).hexdigest()}
 
 
 def _left(folder: Path, pseudonym: str) -> list[str]:
@@ -171,33 +158,6 @@ def _left(folder: Path, pseudonym: str) -> list[str]:
         if re.search(rf"\b{re.escape(pseudonym)}\b", path.read_text(encoding="utf-8", errors="replace")):
             found.append(str(path.relative_to(folder)))
     return found
-
-
-def _proof(
-    folder: Path, gone: list[dict[str, Any]], copies: list[str], left: list[str], signed_by: str
-) -> tuple[Path, dict[str, Any]]:
-    parent = folder / ERASURES
-    parent.mkdir(exist_ok=True)
-    before = sorted(parent.glob("*.json"))
-    counts: dict[str, int] = {}
-    for entry in gone:
-        counts[entry["kind"]] = counts.get(entry["kind"], 0) + 1
-    content: dict[str, Any] = {
-        "statement": "Everything below was deleted from this folder; it cannot be made again from what is left.",
-        "utc": now_utc(),
-        "signed_by": signed_by,
-        "counts": dict(sorted(counts.items())),
-        # The order of the files would tell of the participant's trials.
-        "gone": sorted(gone, key=lambda entry: str(entry["sha256"])),
-        "published_before": len(copies),
-        "nothing_left": not left,
-        "proof_before_sha256": digest_of(before[-1]) if before else "",
-    }
-    text = json.dumps(content, indent=2) + "\n"
-    path = parent / f"{len(before) + 1:04d}.json"
-    with whole_file(path) as part:
-        part.write_text(text, encoding="utf-8")
-    return path, content
 
 
 def shown(people: Mapping[str, Person]) -> list[dict[str, Any]]:

