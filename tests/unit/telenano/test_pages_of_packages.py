@@ -44,3 +44,13 @@ def test_a_command_answers_help_and_its_page_names_every_option(words: str) -> N
     assert {one.opts[0] for one in options if not re.search(rf"`{one.opts[0]}[ /`]", part)} == set()
     # What people did is kept beside the results of computations: `experiment run` has a folder of its own.
     assert all(Path(one.default).parts[0] == "out" for one in options if "--out" in one.opts and one.default)
+
+
+@pytest.mark.parametrize("folder", sorted(set(FOLDERS.values())))
+def test_a_page_has_no_command_or_option_that_is_gone(folder: str) -> None:
+    page = (PACKAGES / folder / "README.md").read_text(encoding="utf-8")
+    there = {words: command for words, (command, of) in FOUND.items() if of == folder}
+    headings = re.findall(r"^## telenano (.+)$", page, re.MULTILINE)
+    assert [words for words in headings if not any(f"{one} ".startswith(f"{words} ") for one in there)] == []
+    options = {flag for command in there.values() for one in command.params for flag in one.opts}
+    assert set(re.findall(r"^- `(--[a-z-]+)", page, re.MULTILINE)) <= options
