@@ -173,7 +173,8 @@ def test_the_hand_of_a_recording_is_replayed_into_the_rig_that_the_readme_names(
     # the very bytes of the recorded hand, and a law and an instrument that are live
     assert len(hand[1]) > 1000
     assert set(hand[1]) <= set(hand[0])
-    assert len(list(played.messages(["afm/state"]))) > 1000
+    # three seconds at 250 Hz
+    assert len(list(played.messages(["afm/state"]))) > 500
 
 
 def test_two_sites_of_the_readme_run_on_one_machine_as_the_page_of_deployment_says(rig: Rig, tmp_path: Path) -> None:
@@ -211,7 +212,10 @@ class Bench:
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / ".venv")], check=True, timeout=120)
         self.folder, commands = folder, folder / ".venv" / "bin"
         (site,) = (folder / ".venv" / "lib").glob("python*/site-packages")
-        (site / "tests.pth").write_text("\n".join((str(ROOT), *(path for path in sys.path if "site-packages" in path))))
+        # with the packages that are installed for editing, which have path files of their own
+        found = [path for path in sys.path if "site-packages" in path]
+        lines = (str(ROOT), *(f"import site; site.addsitedir({path!r})" for path in found))
+        (site / "tests.pth").write_text("\n".join(lines))
         for name in ("telenano", "pip"):
             (commands / name).write_text(f'#!/bin/sh\nexec "{commands}/python" -m {name} "$@"\n')
             (commands / name).chmod(0o755)

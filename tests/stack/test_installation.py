@@ -275,6 +275,7 @@ def test_a_study_runs_with_its_extra_and_its_package_which_the_wheel_names(wheel
 
 def test_the_driver_of_the_inverse3_is_in_its_package_which_the_wheel_names(wheel: Path, tmp_path: Path) -> None:
     installation = Installation(tmp_path, wheel, ())
+    installation.add(wheel_of(ROOT / "packages" / "telenano-acceptance", tmp_path / "acceptance"))
     probe = ("device", "probe", "--device", "haply")
     probed, simulated = installation.telenano(*probe), installation.telenano("device", "simulate", "haply")
     hint = "is in the package telenano-haptic-devices: pip install telenano_haptic_devices-"
