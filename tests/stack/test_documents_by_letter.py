@@ -212,7 +212,7 @@ class Bench:
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / ".venv")], check=True, timeout=120)
         self.folder, commands = folder, folder / ".venv" / "bin"
         (site,) = (folder / ".venv" / "lib").glob("python*/site-packages")
-        # with the packages that are installed for editing, which have path files of their own
+        # Packages that are installed for editing have path files of their own, which `addsitedir` reads.
         found = [path for path in sys.path if "site-packages" in path]
         lines = (str(ROOT), *(f"import site; site.addsitedir({path!r})" for path in found))
         (site / "tests.pth").write_text("\n".join(lines))

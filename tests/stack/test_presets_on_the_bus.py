@@ -34,7 +34,7 @@ def test_the_bus_gives_the_verdict_of_the_lockstep(rig: Any, law: str, environme
 def test_where_no_hand_presses_the_bus_says_so(rig: Any, scenario: str) -> None:
     summary = run(rig, "tactile" if scenario == "fig10" else "wave", "tip_sample", scenario, "--duration", "3")
     assert summary["verdict"] == "cannot_say"
-    # what a busy machine did to the session comes after it
+    # The reason goes on with what a busy machine did to the session.
     assert summary["reason"].startswith("the hand pressed with no force, so there is no hold to judge")
 
 

@@ -21,7 +21,7 @@ UNEVEN: list[dict[str, Any]] = [
     {"round_trip_ms": 20.0, "uneven": kind, "uneven_ms": size_ms}
     for kind, size_ms in product(KINDS, (10.0, 20.0, 30.0))
 ]
-# what passivity was granted is not needed; at 200 ms model_mediated presses before its hand feels the surface
+# Passivity needs nothing of what it was granted; at 200 ms model_mediated presses before its hand feels the surface.
 LEAST_J, LEAST_WHILE_LEARNING_J = -1e-6, -4e-4
 MOST_N = 1.5
 
@@ -46,7 +46,7 @@ def is_borne(result: CellResult) -> bool:
 def test_a_line_with_gaps_is_borne_to_its_limit_and_not_to_that_of_an_even_one(
     law: str, line: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # without the compiler: the law need not be compiled into the loop
+    # The loop runs without the compiler, which would take longer over the law than the run does.
     monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     assert is_borne(at_share(law, 0.9, line, SEEDS[0], 1.8))
     # 16/7 of it is what an even line bears

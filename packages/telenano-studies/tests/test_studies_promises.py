@@ -49,7 +49,7 @@ def held(law: str, stiffness: float, link: tuple[float, float, float], hand: Han
 
 
 def test_waves_keep_hand_and_tip_together_over_a_link_with_jitter(monkeypatch: pytest.MonkeyPatch) -> None:
-    # without the compiler: the law need not be compiled into the loop
+    # The loop runs without the compiler, which would take longer over the law than the run does.
     monkeypatch.setattr(lockstep, "compiled_call", lambda step, given: step(*given))
     held = run_cell(
         Cell(
