@@ -1,5 +1,6 @@
 """A million extreme and a million broken frames into live processes: none ends, and the loops keep their rate."""
 
+import contextlib
 import fcntl
 import os
 import sys
@@ -19,6 +20,7 @@ from stack_rig import CONSTANT_PUSH, Rig
 
 from presets import SITE_DIRECTORY
 from proto import TOPICS
+from proto.errors import RecordingError
 from proto.nodes import HAND, START_ORDER
 from recording.reader import Recording
 
@@ -80,15 +82,22 @@ def context() -> Iterator["zmq.Context[Any]"]:
         yield context
 
 
+def decoded(path: Path, topic: str, src: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Give the messages of a topic in a node's name that are msgpack, with their times; broken frames are recorded."""
+    for message in Recording(path).messages([topic]):
+        if message.src == src:
+            with contextlib.suppress(RecordingError):
+                yield message.publish_ns, message.fields()
+
+
 def reports_of(path: Path, pids: dict[str, int | None]) -> dict[str, list[tuple[int, dict[str, Any]]]]:
     """Give the reports of each loop with their times: those of its process, not what was said in its name."""
-    found: dict[str, list[tuple[int, dict[str, Any]]]] = {node: [] for node in LOOPS}
-    for message in Recording(path).messages(["node/health"]):
-        if message.src in found:
-            fields = message.fields()
-            if fields.get("pid") == pids[message.src]:
-                found[message.src].append((message.publish_ns, fields))
-    return found
+    return {
+        node: [
+            (at_ns, fields) for at_ns, fields in decoded(path, "node/health", node) if fields.get("pid") == pids[node]
+        ]
+        for node in LOOPS
+    }
 
 
 def passed_on(path: Path, pids: dict[str, int | None], first_ns: int, last_ns: int) -> dict[str, float]:
@@ -97,15 +106,14 @@ def passed_on(path: Path, pids: dict[str, int | None], first_ns: int, last_ns: i
     Its steps do not tell: what others publish in the name of its partners is a step as well. Left out are the seconds,
     and those beside them, from which the recording has no report of the half: what a recorder that is behind has lost.
     """
-    recording = Recording(path)
-    hand = [m for m in recording.messages(["haptic/state"]) if m.src == HAND and first_ns <= m.publish_ns <= last_ns]
-    second_of = {(m.fields()["seq"], m.fields()["t_ns"]): m.publish_ns // 10**9 for m in hand}
+    hand = [(at_ns, fields) for at_ns, fields in decoded(path, "haptic/state", HAND) if first_ns <= at_ns <= last_ns]
+    second_of = {(fields.get("seq"), fields.get("t_ns")): at_ns // 10**9 for at_ns, fields in hand}
     reports, found = reports_of(path, pids), {}
     for topic, half in (("teleop/forward", "controller@master"), ("afm/command", "controller@slave")):
         told = {at_ns // 10**9 for at_ns, _ in reports[half]}
         judged = {key for key, second in second_of.items() if {second - 1, second, second + 1} <= told}
-        sent = (message.fields() for message in recording.messages([topic]) if message.src == half)
-        passed = judged & {(fields["hand_seq"], fields["hand_t_ns"]) for fields in sent}
+        sent = (fields for _, fields in decoded(path, topic, half))
+        passed = judged & {(fields.get("hand_seq"), fields.get("hand_t_ns")) for fields in sent}
         assert len(judged) > 0.5 * len(hand), f"{len(judged)} of {len(hand)} samples are in seconds that were recorded"
         found[half] = len(passed) / len(judged)
     return found
