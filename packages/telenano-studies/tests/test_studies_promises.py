@@ -212,7 +212,8 @@ def test_passivity_holds_and_makes_no_energy_at_the_device(stiffness: float, lin
 @pytest.mark.parametrize(("round_trip_ms", "greatest_n"), [(200.0, 7.0), (500.0, 16.0)])
 def test_smith_goes_in_by_what_the_hand_does_in_a_round_trip(round_trip_ms: float, greatest_n: float) -> None:
     found = run_cell(Cell(law="smith", environment="contact", stiffness_n_per_m=40.0, round_trip_ms=round_trip_ms))
-    assert found.verdict == "stable"
+    # the tip settles, and met the sample with more than twice the force of the hand
+    assert found.verdict == "struck"
     assert found.peak_n == pytest.approx(greatest_n, rel=0.05, abs=0.0)
 
 
