@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano")
 STUDIES = "packages/telenano-studies/telenano_studies"
 STUDY = (
-    *("study", "stability", "--law", "virtual_impedance", "--environment", "contact", "--stiffness", "40"),
+    *("study", "stability", "--law", "virtual_impedance", "--environment", "tip_sample", "--stiffness", "40"),
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
 )
 # what is done, the file, a text in it and what takes its place

@@ -53,7 +53,7 @@ _OVER_SEEDS = "Over the seeds of a random link: mean ± standard deviation and, 
 _ONE_LINK = ("mass_kg", "damping_n_s_per_m", "device_latency_ms", "disturbances", "seeds")
 # defaults of a study in place of those of the model, as a person would write them
 _TRANSPARENCY = {"laws": "all", "environment": "spring", "delays_ms": "0,20,40,100,200", "stiffnesses_n_per_m": "10"}
-_VALIDATE = {"laws": "virtual_impedance", "environment": "contact", "delays_ms": "0,40,60"}
+_VALIDATE = {"laws": "virtual_impedance", "environment": "tip_sample", "delays_ms": "0,40,60"}
 
 app = command_group()
 app.command()(promises)

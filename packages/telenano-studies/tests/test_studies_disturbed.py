@@ -67,16 +67,16 @@ def test_a_cell_tells_what_there_is_to_disturb_and_what_is_unknown() -> None:
     with pytest.raises(ConfigError, match="--disturb: spring has no instrument to disturb"):
         cell("spring", "drift").disturbed_instrument(1.0)
     with pytest.raises(ConfigError, match="gremlins"):
-        cell("contact", "gremlins").disturbed_instrument(1.0)
+        cell("tip_sample", "gremlins").disturbed_instrument(1.0)
     with pytest.raises(ConfigError, match=r"thermal\.temperature_k"):
-        cell("contact", "thermal.temperature_k=-1").disturbed_instrument(1.0)
-    assert cell("contact").key != cell("contact", "drift").key
+        cell("tip_sample", "thermal.temperature_k=-1").disturbed_instrument(1.0)
+    assert cell("tip_sample").key != cell("tip_sample", "drift").key
 
 
 def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def course(seed: int, *disturbed: str) -> Any:
         cell = Cell(
-            law="virtual_impedance", environment="contact", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
+            law="virtual_impedance", environment="tip_sample", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
             disturbances=option_values.disturbances(disturbed),
         )  # fmt: skip
         return course_of(cell, ((0.0, 0.0), (0.1, 2.0), (0.5, 2.0)), 0.5)
@@ -96,7 +96,7 @@ def test_a_disturbed_course_is_compiled_and_its_seed_decides_it(monkeypatch: pyt
 @pytest.mark.endurance
 def test_a_disturbed_cell_is_judged_and_its_seed_decides_it() -> None:
     cells: list[Any] = [
-        Cell(law="virtual_impedance", environment="contact", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
+        Cell(law="virtual_impedance", environment="tip_sample", round_trip_ms=10.0, stiffness_n_per_m=40.0, seed=seed,
              disturbances=given)
         for seed, given in (
             (1, ()), (1, (("readout.enabled", True), ("vibration.enabled", True))),

@@ -127,7 +127,7 @@ def test_the_roots_of_waves_stay_on_the_left_at_every_delay() -> None:
     [
         ({"law": "passivity"}, "passivity has no linear loop; virtual_impedance, position_force, wave have"),
         ({"law": "none"}, "unknown law 'none'"),
-        ({"environment": "contact"}, "the environment contact is not linear"),
+        ({"environment": "tip_sample"}, "the environment tip_sample is not linear"),
         ({"settings": {"clamp.enabled": True}}, "the force clamp behind virtual_impedance is not linear"),
         ({"hand": "tail"}, "hand"),
         ({"stiffness_n_per_m": -1.0}, "stiffness_n_per_m"),

@@ -177,7 +177,7 @@ def test_over_drawn_bad_links_no_energy_is_made_at_the_device(tmp_path: Path) ->
         assert re.search(rf"^\| {law} \| 300 of 300, [^|]+ \| {stable} \|", DOCUMENT, re.MULTILINE), stable
         for hand, delay_ms in product(HANDS, ROUND_TRIPS_MS):
             shares = [
-                (result.tip_n or 0.0) / (2.0 if result.cell.environment == "contact" else 1.0)
+                (result.tip_n or 0.0) / (2.0 if result.cell.environment == "tip_sample" else 1.0)
                 for result in results
                 if (result.cell.hand, result.cell.round_trip_ms) == (hand, delay_ms)
             ]
@@ -211,7 +211,7 @@ def test_passivity_holds_and_makes_no_energy_at_the_device(stiffness: float, lin
 @pytest.mark.endurance
 @pytest.mark.parametrize(("round_trip_ms", "greatest_n"), [(200.0, 7.0), (500.0, 16.0)])
 def test_smith_goes_in_by_what_the_hand_does_in_a_round_trip(round_trip_ms: float, greatest_n: float) -> None:
-    found = run_cell(Cell(law="smith", environment="contact", stiffness_n_per_m=40.0, round_trip_ms=round_trip_ms))
+    found = run_cell(Cell(law="smith", environment="tip_sample", stiffness_n_per_m=40.0, round_trip_ms=round_trip_ms))
     # the tip settles, and met the sample with more than twice the force of the hand
     assert found.verdict == "struck"
     assert found.peak_n == pytest.approx(greatest_n, rel=0.05, abs=0.0)

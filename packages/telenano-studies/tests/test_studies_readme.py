@@ -53,8 +53,8 @@ def test_the_critical_delays_of_theory_are_those_of_the_readme() -> None:
     ("law", "clamp", "environment", "delays_ms", "networks", "least"),
     [
         ("model_mediated", True, "wall", (50.0, 120.0, 250.0), NETWORKS, 0.95),
-        ("model_mediated", True, "contact", (50.0, 120.0, 250.0), NETWORKS, 0.95),
-        ("smith", True, "contact", (50.0, 120.0), NETWORKS, 0.94),
+        ("model_mediated", True, "tip_sample", (50.0, 120.0, 250.0), NETWORKS, 0.95),
+        ("smith", True, "tip_sample", (50.0, 120.0), NETWORKS, 0.94),
         ("position_force", False, "wall", (50.0, 120.0, 250.0), NETWORKS[:2], 0.99),
     ],
 )
@@ -66,10 +66,10 @@ def test_laws_that_the_readme_recommends_hold_over_its_networks(
             question = Question(
                 round_trip_ms=delay_ms,
                 environment=environment,
-                stiffness_n_per_m=40.0 if environment == "contact" else 80.0,
+                stiffness_n_per_m=40.0 if environment == "tip_sample" else 80.0,
                 **network,
             )
-            level_n = 2.0 if environment == "contact" else 1.0
+            level_n = 2.0 if environment == "tip_sample" else 1.0
             for result in map(run_cell, cells_of(question, law, clamp)):
                 assert result.verdict == "stable", (delay_ms, network, result.reason)
                 if result.cell.hand == "force":

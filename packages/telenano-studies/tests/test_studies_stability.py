@@ -83,7 +83,7 @@ def test_devices_take_their_latency_from_what_the_link_may_add(results: list[Lin
 
 def test_paper_in_the_contact_is_steady_at_40_ms_and_cycles_at_60_ms() -> None:
     steady, cycling = (
-        run_cell(Cell(law="virtual_impedance", environment="contact", round_trip_ms=ms, stiffness_n_per_m=40.0))
+        run_cell(Cell(law="virtual_impedance", environment="tip_sample", round_trip_ms=ms, stiffness_n_per_m=40.0))
         for ms in (40.0, 60.0)
     )
     assert (steady.verdict, cycling.verdict) == ("stable", "limit_cycle")
@@ -149,7 +149,7 @@ def test_journal_of_something_else_is_refused(tmp_path: Path) -> None:
 def test_key_of_a_cell_names_all_of_it() -> None:
     cell = Cell(law="wave", environment="spring", round_trip_ms=1.0, stiffness_n_per_m=10.0)
     changes: list[dict[str, Any]] = [
-        {"law": "smith"}, {"environment": "contact"}, {"round_trip_ms": 2.0}, {"stiffness_n_per_m": 11.0},
+        {"law": "smith"}, {"environment": "tip_sample"}, {"round_trip_ms": 2.0}, {"stiffness_n_per_m": 11.0},
         {"gain": 3.0}, {"jitter_ms": 1.0}, {"loss": 0.1}, {"seed": 1}, {"session_s": 5.0},
         {"settings": (("wave.filter_s", 0.0),)},
     ]  # fmt: skip
@@ -351,7 +351,7 @@ def test_a_cluster_without_a_worker_is_said_to_have_none_and_waited_for(monkeypa
 @pytest.mark.check("compiles a study's closed loop over the sample")
 @pytest.mark.parametrize(("mode", "verdict"), [(MODE_HOLD, "stable"), (MODE_RETRACTING, "guarded")])
 def test_pause_in_the_commands_is_no_verdict_but_a_retraction_is(mode: int, verdict: str) -> None:
-    cell = Cell(law="virtual_impedance", environment="contact", round_trip_ms=20.0, stiffness_n_per_m=40.0)
+    cell = Cell(law="virtual_impedance", environment="tip_sample", round_trip_ms=20.0, stiffness_n_per_m=40.0)
     course = trajectory_of(cell)
     modes = course.instrument_mode.copy()
     modes[-3000:-2950] = mode

@@ -34,7 +34,7 @@ from studies.loops.lockstep import Trajectory
 def cell(**changes: Any) -> Cell:
     values: dict[str, Any] = {
         "law": "virtual_impedance",
-        "environment": "contact",
+        "environment": "tip_sample",
         "round_trip_ms": 40.0,
         "stiffness_n_per_m": 40.0,
         "session_s": 6.0,
@@ -179,7 +179,7 @@ def test_drawn_sample_is_that_of_its_seed_and_can_run_on_the_bus() -> None:
     assert len({c.law for c in cells}) >= 4
     # on every machine and in every version that has the same laws
     assert [(c.law, c.environment, c.round_trip_ms) for c in cells[5:8]] == [
-        ("smith", "wall", 0.0), ("wave", "contact", 60.0), ("passivity", "wall", 150.0),
+        ("smith", "wall", 0.0), ("wave", "tip_sample", 60.0), ("passivity", "wall", 150.0),
     ]  # fmt: skip
     for drawn in cells[:5]:
         assert validate(Scenario, scenario_of(drawn), "test").duration_s == drawn.hold_s()[1]
@@ -193,7 +193,7 @@ def test_body_cannot_run_on_the_bus() -> None:
 def test_spring_needs_an_instrument_that_can_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
     fields = {name: field for name, field in AfmConfig.model_fields.items() if name != "environment"}
     monkeypatch.setattr(study, "AfmConfig", type("AfmConfig", (), {"model_fields": fields}))
-    with pytest.raises(ConfigError, match="cannot simulate a spring; give contact"):
+    with pytest.raises(ConfigError, match="cannot simulate a spring; give tip_sample"):
         scenario_of(cell(environment="spring"))
 
 

@@ -21,7 +21,7 @@ FIG12 = ((0.8, 0.0), (1.2, 1.0), (2.6, 1.0), (2.9, 2.0), (4.5, 2.0), (4.6, 0.0))
 
 
 def cell(law: str = "virtual_impedance", environment: Any = "spring", delay_ms: float = 20.0, **more: Any) -> Cell:
-    stiffness = 40.0 if environment == "contact" else 20.0
+    stiffness = 40.0 if environment == "tip_sample" else 20.0
     return Cell(law=law, environment=environment, round_trip_ms=delay_ms, stiffness_n_per_m=stiffness, **more)
 
 
@@ -54,7 +54,7 @@ def test_spring_loop_is_the_loop_written_out(delay_ms: float) -> None:
 
 @pytest.mark.parametrize("delay_ms", [0, 40])
 def test_contact_loop_is_the_loop_written_out(delay_ms: int) -> None:
-    course = course_of(cell(environment="contact", delay_ms=float(delay_ms)), FIG12, 8.0)
+    course = course_of(cell(environment="tip_sample", delay_ms=float(delay_ms)), FIG12, 8.0)
     params = AfmConfig().to_params()
     tip, _ = afm.step(params, afm.initial_afm_state(params), afm.AfmInputs(0.0, 0.0, 0, True, False), PERIOD_S)
     for _ in range(200):
@@ -121,7 +121,7 @@ def test_silent_link_lets_the_hand_go_and_retracts_the_tip() -> None:
         backward_ns=schedule.backward_ns[cut],
         backward_of=schedule.backward_of[cut],
     )
-    example = cell(environment="contact")
+    example = cell(environment="tip_sample")
     course = lockstep.simulate(rig_of(example, example.hand_points()), dead, 300)
     assert course.hand_following[400]
     # 50 ms of silence, and the tick in which the hand learns of it

@@ -56,7 +56,9 @@ class Task(NamedTuple):
 
 TASKS: dict[TaskName, Task] = {
     "touch": Task("meet a surface of 38 N/m at 3 nm, press with 1 N and hold", "wall", 38.0, 1.0),
-    "hold": Task("press a cantilever of 40 N/m on mica with 1 N, then 2 N, and hold (Fig. 12)", "contact", 40.0, 2.0),
+    "hold": Task(
+        "press a cantilever of 40 N/m on mica with 1 N, then 2 N, and hold (Fig. 12)", "tip_sample", 40.0, 2.0
+    ),
     "track": Task("press a spring of 20 N/m with 1 N, hold, then follow 0.3 N at 0.5 Hz", "spring", 20.0, 1.0, True),
 }
 QUICK_TASKS: tuple[TaskName, ...] = ("touch", "track")

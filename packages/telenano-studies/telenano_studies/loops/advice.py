@@ -30,7 +30,7 @@ FREE_PRICE = 0.02
 # one-sided walls at the tip, in words
 WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
 _FREE_N_S_PER_M = 100.0
-_LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "contact": 2.0}
+_LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "tip_sample": 2.0}
 # every law, with the force clamp off and on
 CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in LAWS for clamp in (False, True))
 

@@ -41,7 +41,7 @@ from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
 from telenano_studies.loops.links import Uneven, symmetric_link, uneven_schedule
 
-ENVIRONMENTS = ("spring", "wall", "contact", "body")
+ENVIRONMENTS = ("spring", "wall", "tip_sample", "body")
 if TYPE_CHECKING:
     Environment = str
 else:
@@ -51,14 +51,14 @@ else:
 DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
     "spring": (10.0, 20.0, 38.0),
     "wall": (10.0, 38.0),
-    "contact": (40.0,),
+    "tip_sample": (40.0,),
     "body": (20.0,),
     **{name: (model.stiffness_n_per_m,) for name, model in SAMPLES.found.items()},
 }
 
 _LEVELS_N: dict[str, tuple[float, ...]] = {
     **dict.fromkeys(DEFAULT_STIFFNESS, (1.0,)),
-    "contact": (1.0, 2.0),
+    "tip_sample": (1.0, 2.0),
 }
 # Wall and body only push, and the tip meets them from here [m].
 WALL_DISTANCE_M = 3e-9
@@ -72,7 +72,7 @@ _RAMP_S = 0.4
 # Every time of a cell grows with the round trip, so that a slow loop gets as many of its own periods.
 _APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
-_HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "contact": 12.0}
+_HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "tip_sample": 12.0}
 _HOLD_ROUND_TRIPS = 40.0
 _SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
 # the first part of a hold is the answer to the step before it
@@ -84,7 +84,7 @@ class Conditions(Settings):
     """What all cells of a study have in common. `settings` are keys of `controller` that differ from their defaults."""
 
     environment: Environment = Field(
-        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; contact: the tip-sample"
+        description="spring: F = K (x_s - L); wall: the same, but only pushing, met from 3 nm; tip_sample: the"
         " force of Table 2; body: mass, damper and spring K, met from 3 nm by a cantilever of 40 N/m; or a sample of an"
         " installed package"
     )
@@ -213,7 +213,9 @@ class Cell(Conditions):
         if not self.disturbances:
             return instrument
         if not isinstance(instrument.plant, Plant):
-            raise ConfigError(f"--disturb: {self.environment} has no instrument to disturb; give --environment contact")
+            raise ConfigError(
+                f"--disturb: {self.environment} has no instrument to disturb; give --environment tip_sample"
+            )
         section = nested(dict(self.disturbances), "--disturb")
         # Link and instrument share one seed unless it is given.
         config = validate(DisturbanceConfig, merge({"seed": self.seed}, section), "--disturb", "disturbances")
@@ -232,7 +234,7 @@ class Cell(Conditions):
             first_m = WALL_DISTANCE_M
         if self.environment == "body":
             per_newton_m += 1.0 / (scales.force_scale * CANTILEVER_N_PER_M)
-        if self.environment == "contact":
+        if self.environment == "tip_sample":
             first_m, per_newton_m = _CONTACT_M, _CONTACT_M_PER_N
         if self.environment in SAMPLES.found:
             first_m = getattr(SAMPLES.found[self.environment].config(), "rest_distance_m", 0.0)
@@ -458,7 +460,7 @@ def _work(force_n: Series, position_m: Series) -> Series:
 def _instrument(
     environment: Environment, stiffness_n_per_m: float, mass_kg: float, damping_n_s_per_m: float
 ) -> AfmParams:
-    if environment == "contact":
+    if environment == "tip_sample":
         return AfmConfig(cantilever=CantileverConfig(stiffness_n_per_m=stiffness_n_per_m)).to_params()
     # The spring also pulls, so it is met at its rest position and not from a retracted base.
     safety = SafetyParams(**SafetyConfig(retract_position_m=0.0).model_dump())

@@ -50,7 +50,7 @@ def run_laws(laws: Sequence[str], network: MeasuredNetwork) -> list[tuple[bool, 
         for is_tuned in (False, True):
             cell = Cell(
                 law=law,
-                environment="contact",
+                environment="tip_sample",
                 round_trip_ms=network.round_trip_ms,
                 stiffness_n_per_m=CONTACT_N_PER_M,
                 loss=network.lost_share,

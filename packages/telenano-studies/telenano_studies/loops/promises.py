@@ -28,7 +28,7 @@ SAMPLES: tuple[tuple[Environment, float], ...] = (
     ("spring", 38.0),
     ("spring", 80.0),
     ("spring", 200.0),
-    ("contact", 40.0),
+    ("tip_sample", 40.0),
 )
 UNEVEN: tuple[Uneven, ...] = ("slots", "outages", "bursts", "sawtooth")
 UNEVEN_MS = (15.0, 30.0, 60.0, 120.0)
@@ -37,7 +37,7 @@ _JITTER = 0.25
 LEAST_J = -1e-6
 # the laws that promise passivity over any link
 PASSIVE_LAWS = ("wave", "passivity")
-_INTENDED_N: dict[str, float] = {"spring": 1.0, "contact": 2.0}
+_INTENDED_N: dict[str, float] = {"spring": 1.0, "tip_sample": 2.0}
 
 
 class Outcome(NamedTuple):

@@ -9,7 +9,7 @@ from telenano_studies.loops.tuning import Settings, tuned
 
 _ROUND_TRIPS_MS = (0.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0)
 # The bus can run these environments.
-_ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "contact")
+_ENVIRONMENTS: tuple[Environment, ...] = ("spring", "wall", "tip_sample")
 # share of the one-way delay, share of the messages: a good link as often as a random one
 _JITTER_SHARES, _LOSSES = (0.0, 0.0, 0.25), (0.0, 0.0, 0.05, 0.2)
 _STIFFNESSES_N_PER_M = (5.0, 10.0, 20.0, 38.0, 80.0)
@@ -36,7 +36,7 @@ def _drawn(source: random.Random) -> Cell:
     round_trip_ms = source.choice(_ROUND_TRIPS_MS)
     jitter_ms = 0.5 * round_trip_ms * source.choice(_JITTER_SHARES)
     stiffness = source.choice(_STIFFNESSES_N_PER_M)
-    stiffness = _CONTACT_N_PER_M if environment == "contact" else stiffness
+    stiffness = _CONTACT_N_PER_M if environment == "tip_sample" else stiffness
     settings: Settings = ()
     if source.random() < 0.5:
         settings = tuned(law, stiffness, 1e-3 * (round_trip_ms + 2.0 * jitter_ms))

@@ -32,7 +32,7 @@ class Axes(Conditions):
         tuple[float, ...], Option(("--stiffness",), "LIST|RANGE", option_values.stiffnesses)
     ] = Field(
         default=(),
-        description="K of the spring, or k of the cantilever [N/m]; default: 10,20,38 for spring, 40 for contact",
+        description="K of the spring, or k of the cantilever [N/m]; default: 10,20,38 for spring, 40 for tip_sample",
     )
     gains: Annotated[tuple[float | None, ...], Option(("--gain",), "LIST|RANGE", option_values.gains)] = Field(
         default=(None,), description="Force gain K_f, for a law that has one"

@@ -138,15 +138,17 @@ def scenario_of(cell: Cell) -> dict[str, Any]:
 
 
 def _instrument_section(cell: Cell) -> dict[str, Any]:
-    if cell.environment == "contact":
+    if cell.environment == "tip_sample":
         return {"cantilever": {"stiffness_n_per_m": cell.stiffness_n_per_m}}
     if cell.environment == "body":
-        raise ConfigError("--environment body: the AFM node cannot simulate a body; give spring, wall or contact")
+        raise ConfigError("--environment body: the AFM node cannot simulate a body; give spring, wall or tip_sample")
     if cell.environment in SAMPLES.found:
         settings = sample_config(cell.environment, cell.stiffness_n_per_m).model_dump(mode="json")
         return {"environment": cell.environment, cell.environment: settings, "safety": {"retract_position_m": 0.0}}
     if "environment" not in AfmConfig.model_fields:
-        raise ConfigError("--environment spring: the AFM node of this version cannot simulate a spring; give contact")
+        raise ConfigError(
+            "--environment spring: the AFM node of this version cannot simulate a spring; give tip_sample"
+        )
     one_sided = cell.environment == "wall"
     rest_m = WALL_DISTANCE_M if one_sided else 0.0
     spring = {"stiffness_n_per_m": cell.stiffness_n_per_m, "rest_position_m": rest_m, "bilateral": not one_sided}

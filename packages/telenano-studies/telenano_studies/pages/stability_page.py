@@ -270,7 +270,7 @@ def broken_assumption(cell: Cell, result: CellResult) -> str:
             "the two-port held its bound: what is lost or late holds the motion back, the hand of constant force makes"
             " up for it, and the link's randomness keeps that going"
         )
-    if cell.environment == "contact":
+    if cell.environment == "tip_sample":
         return (
             "the two-port held its bound: the energy comes from the contact itself, which snaps in and out"
             " (an environment with adhesion is not passive over a cycle that jumps), and from a hand of constant force"
