@@ -44,9 +44,9 @@ from recording.writer import RecordingWriter
 from services.player.node import PlaySettings
 from services.player.plan import node_of
 from services.player.run import ReplayRequest, run_replay
+from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
-from services.recorder.open_recording import open_recording
 from services.runtime.bus.bus import Subscriber
 from services.runtime.bus.publisher import SEND_HIGH_WATER_MARK
 from services.runtime.clock import SystemClock
@@ -316,7 +316,7 @@ def _our_intake(rows: list[tuple[Any, ...]], folder: Path) -> float:
             for site in ("master", "slave")
         }
         config = RecorderConfig(directory=folder)
-        intake: Intake = open_recording("recorder@master", clock, config, site_file, None)
+        intake: Intake = begin_recording("recorder@master", clock, config, site_file, None)
         begun = time.process_time()
         for number, (topic, payload, log_ns, _, _, site) in enumerate(rows):
             intake.record(listeners[site], [topic, payload], log_ns)

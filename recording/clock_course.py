@@ -14,7 +14,7 @@ _LONGEST_NS = 600 * _BLOCK_NS
 _SET_NS, _SOUGHT_NS = 2_000_000.0, 200_000_000
 
 
-class Piece(NamedTuple):
+class Bounds(NamedTuple):
     """Bounds of what the other clock is ahead in a short time, from above and from below; neither is empty."""
 
     upper: list[Bound]
@@ -30,14 +30,14 @@ class Stretch(NamedTuple):
 
 
 # Reads the bounds of a part of the recording, by this clock [ns]; None where there are none.
-Read = Callable[[int, int], Piece | None]
+Read = Callable[[int, int], Bounds | None]
 
 
-def piece_of(upper: Iterable[Bound], lower: Iterable[Bound]) -> Piece | None:
+def bounds_of(upper: Iterable[Bound], lower: Iterable[Bound]) -> Bounds | None:
     """Return the least upper and the greatest lower bound of each second; None where one side has none."""
     high = _least_of_seconds(upper)
     low = [(at_ns, -value_ns) for at_ns, value_ns in _least_of_seconds((at_ns, -value_ns) for at_ns, value_ns in lower)]
-    return Piece(high, low) if high and low else None
+    return Bounds(high, low) if high and low else None
 
 
 def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
@@ -48,7 +48,7 @@ def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
     return list(least.values())
 
 
-def stretches(pieces: Sequence[Piece]) -> list[Stretch]:
+def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
     """Return the lines of pieces, which are in the order of time and not empty; a line is as long as it fits."""
     found: list[Stretch] = []
     upper, lower = list(pieces[0].upper), list(pieces[0].lower)

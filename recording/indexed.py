@@ -30,7 +30,7 @@ from recording.mcap_scan import (
 from recording.messages import ChannelFilter, RecordedMessage
 from recording.multi_file import MultiFileRecording, RecordingSource
 from recording.reader import END_OF_TIME, DamageCallback, Recording, each_block
-from recording.summary import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
+from recording.summary_section import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
 # The checksum of a chunk was right, and that of its index is not known.
 _UNSOUND = (struct.error, ValueError, OverflowError)

@@ -92,9 +92,9 @@ class RecordingInfo(_Info):
     file was closed properly, with index and end mark. `lost`: messages missing, without those that an impaired link
     has dropped. `skipped_bytes`: bytes that could not be used; `damage`: where and why. `odd`: sentences
     on what is odd although nothing is missing, such as messages whose times are far from those of all others.
-    `recorder_lag`: None where it is unknown. `basis`: every message was read for it, or the index of a closed file
-    (`recording.summary`), which says nothing of damaged messages. `path` is the first of several `parts`, which are
-    empty where there is but one file.
+    `recorder_lag`: None where it is unknown. `basis`: every message was read for it, or the index of a closed file,
+    which says nothing of damaged messages (`recording.summary_section`). `path` is the first of several `parts`,
+    which are empty where there is but one file.
     """
 
     path: str

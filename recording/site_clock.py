@@ -22,7 +22,7 @@ import numpy.typing as npt
 from proto.errors import RecordingError
 from proto.nodes import LINK, name_of, site_of
 from recording.arrays import replay_shifts
-from recording.clock_course import Piece, knots, mean_drift, piece_of, stretches
+from recording.clock_course import Bounds, bounds_of, knots, mean_drift, stretches
 from recording.clock_line import Bound
 from recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage, readable
 from recording.multi_file import RecordingSource
@@ -150,8 +150,8 @@ def is_of_slave(src: str) -> bool:
 
 def read_site_clock(recording: RecordingSource) -> SiteClock | None:
     """Return the slave's clock as the link measured it; None where it was not measured."""
-    looks = _Looks(recording, _windows(*recording.span_ns))
-    found = (_judged(looks, topic) for topic in (_STATUS, _NETWORK))
+    on_clocks = _ClockMessages(recording, _windows(*recording.span_ns))
+    found = (_judged(on_clocks, topic) for topic in (_STATUS, _NETWORK))
     return next((clock for clock in found if clock is not None), None)
 
 
@@ -165,7 +165,7 @@ def _windows(first_ns: int, last_ns: int) -> list[tuple[int, int]]:
     return [(first_ns + n * step_ns, first_ns + n * step_ns + _WINDOW_NS) for n in range(count)]
 
 
-class _Looks:
+class _ClockMessages:
     """What is on clocks in the windows of a recording, of which each chunk is read once, and elsewhere if asked for."""
 
     def __init__(self, recording: RecordingSource, windows: list[tuple[int, int]]) -> None:
@@ -203,9 +203,9 @@ class _Report(NamedTuple):
     answer: tuple[int, int] | None
 
 
-def _reports(looks: _Looks, topic: str, window: tuple[int, int]) -> Iterator[_Report]:
+def _reports(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Iterator[_Report]:
     """Yield the valid reports of a window, those that the master's end made."""
-    reports = looks.select(lambda channel: channel.topic == topic and channel.via == "direct", *window)
+    reports = on_clocks.select(lambda channel: channel.topic == topic and channel.via == "direct", *window)
     for message, fields in readable(reports, LeftOut()):
         clock = fields.get("clock")
         if topic == _NETWORK and fields.get("direction") != "backward":
@@ -219,16 +219,16 @@ def _reports(looks: _Looks, topic: str, window: tuple[int, int]) -> Iterator[_Re
             yield _Report(message.publish_ns, offset_s, uncertainty_s, answer)
 
 
-def _piece(looks: _Looks, topic: str, window: tuple[int, int]) -> Piece | None:
+def _piece(on_clocks: _ClockMessages, topic: str, window: tuple[int, int]) -> Bounds | None:
     """Return the bounds in a window: from above by the questions, or else by the reports, and from below by these."""
-    reports = list(_reports(looks, topic, window))
-    upper = _questions(looks, window)
+    reports = list(_reports(on_clocks, topic, window))
+    upper = _questions(on_clocks, window)
     if not upper:
         # Reports alone are as good as the best of them.
         reports = sorted(reports, key=lambda report: report.uncertainty_s)[:1]
         upper = [(report.t_ns, round((report.offset_s + report.uncertainty_s) * _NS)) for report in reports]
     lower = [(r.answer[1], r.answer[0] - r.answer[1]) for r in reports if r.answer is not None]
-    return piece_of(upper, lower or _told_lower(reports, upper))
+    return bounds_of(upper, lower or _told_lower(reports, upper))
 
 
 def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
@@ -242,21 +242,21 @@ def _told_lower(reports: list[_Report], upper: list[Bound]) -> list[Bound]:
     return found
 
 
-def _questions(looks: _Looks, window: tuple[int, int]) -> list[tuple[int, int]]:
+def _questions(on_clocks: _ClockMessages, window: tuple[int, int]) -> list[tuple[int, int]]:
     """Return when questions were sent by the master's clock [ns], and how long they took by two clocks [ns]."""
     found = []
-    answers = looks.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window)
+    answers = on_clocks.select(lambda c: c.topic == _ANSWER and is_of_slave(c.src), *window)
     for _, fields in readable(answers, LeftOut()):
         found.append((fields["ping_t_ns"], fields["received_ns"] - fields["ping_t_ns"]))
     return found
 
 
-def _judged(looks: _Looks, topic: str) -> SiteClock | None:
-    pieces = _pieces(looks, topic)
+def _judged(on_clocks: _ClockMessages, topic: str) -> SiteClock | None:
+    pieces = _pieces(on_clocks, topic)
     if not pieces:
         return None
     parts = stretches(pieces)
-    course = knots(parts, lambda first_ns, last_ns: _piece(looks, topic, (first_ns, last_ns)))
+    course = knots(parts, lambda first_ns, last_ns: _piece(on_clocks, topic, (first_ns, last_ns)))
     drift = mean_drift(parts)
     middle_ns = (course[0][0] + course[-1][0]) // 2
     clock = SiteClock(
@@ -270,7 +270,7 @@ def _judged(looks: _Looks, topic: str) -> SiteClock | None:
     )
     clock = clock._replace(offset_s=clock.one_ahead_ns(middle_ns) / _NS)
     is_beyond = max(map(abs, clock.ahead_s)) > clock.uncertainty_s
-    early_s, early_without_s = _earliest_s(looks, clock)
+    early_s, early_without_s = _earliest_s(on_clocks, clock)
     limit_s = _EARLY_NS / _NS
     if early_s < -limit_s <= early_without_s:
         words = f"{_spoken(clock.offset_s)} was measured, but then an answer would come {-early_s:.3g} s too early"
@@ -289,33 +289,33 @@ def _judged(looks: _Looks, topic: str) -> SiteClock | None:
     return clock._replace(applied=True, reason=words)
 
 
-def _pieces(looks: _Looks, topic: str) -> list[Piece]:
+def _pieces(on_clocks: _ClockMessages, topic: str) -> list[Bounds]:
     """Return the bounds in windows, of a long one in parts; there is a report in one of them."""
     parts = [
         (first_ns, min(first_ns + _PIECE_NS, end_ns))
-        for begin_ns, end_ns in looks.windows
+        for begin_ns, end_ns in on_clocks.windows
         for first_ns in range(begin_ns, end_ns, _PIECE_NS)
     ]
-    return [piece for part in parts if (piece := _piece(looks, topic, part)) is not None]
+    return [piece for part in parts if (piece := _piece(on_clocks, topic, part)) is not None]
 
 
 def _spoken(offset_s: float) -> str:
     return f"{abs(offset_s):.4g} s {'ahead' if offset_s >= 0.0 else 'behind'}"
 
 
-def _earliest_s(looks: _Looks, clock: SiteClock) -> tuple[float, float]:
+def _earliest_s(on_clocks: _ClockMessages, clock: SiteClock) -> tuple[float, float]:
     """Return by how much the earliest of what crossed the link came after it was sent [s], with the offset and without.
 
     Below zero it came before. There: from a sample of the hand to the state of the tip that obeys it; back: from the
     stamp of that state to its reception, where the recorder is at the master's site.
     """
     stamps, there, back = [], [], []
-    for window in looks.examined:
-        for message in looks.select(_is_tip, *window):
+    for window in on_clocks.examined:
+        for message in on_clocks.select(_is_tip, *window):
             hand_ns = _hand_ns(message)
             stamps.append(message.publish_ns)
             there.append(message.publish_ns - hand_ns if hand_ns else _LONG_NS)
-            back.append(message.log_ns - message.publish_ns if looks.is_masters else _LONG_NS)
+            back.append(message.log_ns - message.publish_ns if on_clocks.is_masters else _LONG_NS)
     if not stamps:
         return math.inf, math.inf
     ahead_ns = clock.ahead_ns(np.array(stamps, dtype=np.int64))

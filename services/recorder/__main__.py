@@ -11,12 +11,12 @@ import sys
 from proto import TOPICS
 from proto.ends import END_TOPIC
 from proto.nodes import FAR_RECORDER, site_of
+from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig, is_bulk
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.open_recording import open_recording
 from services.runtime.loop.node import Node, NodeBus
 from services.runtime.wiring.main import NodeKind, Wiring, run_node
 from services.runtime.wiring.participant import SITES
@@ -59,7 +59,7 @@ def listeners(wiring: Wiring, config: RecorderConfig) -> list[Listener]:
 
 def begin(wiring: Wiring, config: RecorderConfig) -> Intake:
     """Begin the recording; a file that cannot be written is a fault to report, not a reason to stop the rig."""
-    return open_recording(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
+    return begin_recording(wiring.key, wiring.clock, config, wiring.site_file, wiring.scenario_file)
 
 
 RECORDER = NodeKind("recorder", RecorderConfig, build, realtime=False)

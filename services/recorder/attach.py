@@ -7,10 +7,10 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from proto.nodes import site_of
+from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig
 from services.recorder.live import connect
 from services.recorder.node import RecorderBus, RecorderNode
-from services.recorder.open_recording import open_recording
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.publisher import NullPublisher
 from services.runtime.wiring.participant import OBSERVER, StopSignals, open_participant, run_loop
@@ -48,7 +48,7 @@ def run_record(
     with open_participant(OBSERVER, book, signals.descriptor, publisher=False) as participant:
         clock = participant.clock
         listeners = connect(participant, wanted=lambda topic, node: config.subscribes(topic, site_of(node)))
-        intake = open_recording(OBSERVER, clock, config, site_file, scenario_file)
+        intake = begin_recording(OBSERVER, clock, config, site_file, scenario_file)
         publisher = NullPublisher(clock, OBSERVER)
         bus = RecorderBus(publisher, listeners, intake, clock, signals.descriptor, participant.network)
         until_ns = math.inf if duration_s is None else clock.monotonic_ns() + round(duration_s * 1e9)

@@ -64,7 +64,7 @@ def info(
 
 def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
     """Return the summary of a long recording by its index; None where its messages are to be read."""
-    from recording.summary import quick_info
+    from recording.summary_section import quick_info
 
     try:
         is_long = file.stat().st_size >= _LONG_BYTES

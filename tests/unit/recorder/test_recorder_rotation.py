@@ -15,10 +15,10 @@ from proto.messages import SessionControl, SessionEvent
 from recording.multi_file import open_recordings
 from recording.reader import Recording
 from recording.verify import verify
+from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.recorder.open_recording import open_recording
 from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import NullPublisher
@@ -39,7 +39,7 @@ class RecorderRig:
         self.config = RecorderConfig(directory=folder, **settings)
         site_file = folder.parent / "site.yaml"
         site_file.write_text("nodes: {}\n")
-        self.intake = open_recording(NODE, self.clock, self.config, site_file, None)
+        self.intake = begin_recording(NODE, self.clock, self.config, site_file, None)
         subscriber = Subscriber(context, self.clock, {"inproc://nowhere": ["haptic/state"]})
         self.listener = Listener("haptic_node@master", subscriber)
         self.publisher = NullPublisher(self.clock, NODE)

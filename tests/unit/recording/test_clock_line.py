@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from recording.clock_course import Piece, knots, piece_of, stretches
+from recording.clock_course import Bounds, bounds_of, knots, stretches
 from recording.site_clock import SiteClock
 from services.runtime.datagram.line import Line
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
@@ -76,10 +76,10 @@ def test_another_clock_is_no_queue_of_the_line(name: str) -> None:
 def test_a_recording_knows_what_the_clock_was_at_each_time(name: str) -> None:
     of = exchanges(CASES[name])
 
-    def read(first_ns: int, last_ns: int) -> Piece | None:
+    def read(first_ns: int, last_ns: int) -> Bounds | None:
         part = [exchange for exchange in of if first_ns <= exchange.sent_ns < last_ns]
         upper = [(at.sent_ns, at.received_there_ns - at.sent_ns) for at in part]
-        return piece_of(upper, [(at.received_ns, at.sent_there_ns - at.received_ns) for at in part])
+        return bounds_of(upper, [(at.received_ns, at.sent_there_ns - at.received_ns) for at in part])
 
     pieces = (read(BEGAN_NS + n * 4 * 10**9, BEGAN_NS + (n + 1) * 4 * 10**9) for n in range(round(LENGTH_S / 4.0)))
     course = knots(stretches([piece for piece in pieces if piece is not None]), read)

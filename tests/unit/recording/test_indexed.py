@@ -16,7 +16,7 @@ from proto.errors import RecordingError
 from recording.indexed import IndexedRecording, open_indexed
 from recording.messages import RecordedChannel
 from recording.reader import Recording
-from recording.summary import channels_in
+from recording.summary_section import channels_in
 from recording.writer import FileSettings, RecordingWriter
 
 Wanted = Callable[[RecordedChannel], bool]

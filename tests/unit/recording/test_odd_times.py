@@ -9,7 +9,7 @@ from made_sessions import BEGAN_NS, Made
 from recording.indexed import IndexedRecording
 from recording.odd_times import LONGEST_PAUSE_NS, Dates
 from recording.reader import Recording
-from recording.summary import quick_info
+from recording.summary_section import quick_info
 from recording.verify import verify
 
 

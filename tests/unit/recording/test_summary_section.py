@@ -8,12 +8,12 @@ import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state
 
 from proto import encode
-from recording import summary
+from recording import summary_section
 from recording.mcap_scan import scan
 from recording.reader import Recording
 from recording.records import GapRecord
 from recording.rewrite import filter_recording
-from recording.summary import quick_info
+from recording.summary_section import quick_info
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 
@@ -83,8 +83,8 @@ def test_where_a_process_was_started_again_few_chunks_are_read(
     ends = zip((0, *at), (*at, 2000), strict=True)
     path = written(tmp_path, [seq for first, end in ends for seq in range(end - first)], each=10)
     unpacked = set()
-    inside = summary.unpack
-    monkeypatch.setattr(summary, "unpack", lambda *given: unpacked.add(given[1].offset) or inside(*given))
+    inside = summary_section.unpack
+    monkeypatch.setattr(summary_section, "unpack", lambda *given: unpacked.add(given[1].offset) or inside(*given))
     found = quick_info(path)
     expected = Recording(path).info()
     assert found is not None
@@ -127,8 +127,8 @@ def test_a_summary_of_any_length_unpacks_the_chunks_at_both_ends_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unpacked = []
-    inside = summary.unpack
-    monkeypatch.setattr(summary, "unpack", lambda *given: unpacked.append(given[1].offset) or inside(*given))
+    inside = summary_section.unpack
+    monkeypatch.setattr(summary_section, "unpack", lambda *given: unpacked.append(given[1].offset) or inside(*given))
     for messages in (300, 1500):
         unpacked.clear()
         path = written(tmp_path / str(messages), list(range(messages)))

@@ -12,7 +12,7 @@ from services.recorder.snapshot_buffer import SnapshotBuffer, event_trigger
 from services.runtime.clock import Clock
 
 
-def open_recording(
+def begin_recording(
     key: str, clock: Clock, config: RecorderConfig, site_file: Path, scenario_file: Path | None
 ) -> Intake:
     """Start a recording by the node `key`; with a snapshot buffer, wait for its trigger.
