@@ -67,7 +67,7 @@ LAZY_COMMANDS = {
 GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
     "Look": ("status", "view", "topic", "link", "bridge"),
-    "Record and report": ("record", "bag", "report", "compare"),
+    "Record and report": ("record", "bag", "report", "budget", "compare"),
     "Study": ("experiment", "study", "benchmark", "law", "curve", "scan", "sample", "particles", "push", "assemble",
               "calibrate", "reproduce"),
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),

@@ -1,6 +1,10 @@
 """The commands of this package, which telenano lists without importing what they need."""
 
 COMMANDS = {
+    "budget": (
+        "telenano_calibration.budget_command:budget",
+        "State the error of a session's figures by its sources, and the delay of the loop by its stages.",
+    ),
     "calibrate": (
         "telenano_calibration.command:app",
         "Calibrate read-out and stiffness from own measurements.",

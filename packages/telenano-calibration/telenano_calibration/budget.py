@@ -1,0 +1,217 @@
+"""Budgets of a recorded session: the error of each figure by its sources, and the delay of the loop by its stages.
+
+Standard uncertainties of independent sources are added in squares (JCGM 100:2008, Eq. 10), and 95 % is 1.96 of them.
+The force of the tip is F_s = k (v - v_0) / s, with the stiffness k and the voltage for a metre s, so that a share of
+error in either is the same share of F_s. A stiffness from thermal noise was measured with that same s, and goes with
+its square: there the errors partly cancel, and a sum of squares is too large rather than too small.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from analysis.intervals import DEVIATIONS
+from analysis.statistics import correlated_half_width
+from recording.arrays import columns
+from recording.multi_file import RecordingSource
+from recording.site_clock import Timeline
+from services.afm_node.devices.converter_calibration import InstrumentCalibration
+from services.haptic_node.devices.calibration import HandleCalibration
+from telenano.extend.commands import TelenanoError
+
+Ints = npt.NDArray[np.int64]
+
+# the scales that each figure of a summary goes with, by the name of their source
+_TIP_FORCE = ("stiffness of the cantilever", "deflection for a volt")
+_SCALES = {
+    "hold_ratio": ("force of the hand for a count", *_TIP_FORCE),
+    "contact_x_cm": ("position of the hand for a count",),
+    "release_force_nn": _TIP_FORCE,
+}
+# The messages that answer one sample of the hand, in their order: topic, and what has passed until it is sent.
+_STAGES = (
+    ("teleop/forward", "hand to the master's half"),
+    ("afm/command", "link there, and the slave's half"),
+    ("afm/state", "instrument, until it is measured"),
+    ("teleop/backward", "slave's half"),
+    ("haptic/command", "link back, and the master's half"),
+)
+_ANSWERED = "way to the device"
+# Below so many samples a share of a stage says nothing.
+_LEAST_SAMPLES = 50
+_MS = 1e-6
+
+
+class Source(NamedTuple):
+    """What a figure may be wrong by. `standard`: standard uncertainty, in its unit; `share`: of its variance."""
+
+    figure: str
+    source: str
+    standard: float
+    share: float
+
+
+class Budget(NamedTuple):
+    """A figure with the error of all its sources. `half_width`: of 95 %, in the figure's unit."""
+
+    figure: str
+    value: float
+    half_width: float
+    sources: tuple[Source, ...]
+    without: tuple[str, ...]
+
+
+class Stage(NamedTuple):
+    """A part of the loop. The means add up to that of the loop; `half_width_ms`: of the mean, 95 %.
+
+    `clock_ms`: bound of the error by the two clocks, 0 for what begins and ends at one site.
+    """
+
+    stage: str
+    mean_ms: float
+    half_width_ms: float | None
+    p50_ms: float
+    p99_ms: float
+    share: float
+    clock_ms: float
+
+
+def scale_errors(handle: HandleCalibration | None, stage: InstrumentCalibration | None) -> dict[str, float]:
+    """Return the standard error of each calibrated scale as a share of it; those that a file does not state are absent.
+
+    Args:
+        handle: The calibration of the handle, if there is one.
+        stage: The calibration of stage, read-out and cantilever, if there is one.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    if handle is not None:
+        found["force of the hand for a count"] = (handle.force.standard_error_n_per_count, handle.force.n_per_count)
+        position = handle.position
+        found["position of the hand for a count"] = (position.standard_error_m_per_count, position.m_per_count)
+    if stage is not None:
+        lever, deflection = stage.cantilever, stage.deflection
+        found["stiffness of the cantilever"] = (lever.standard_error_n_per_m, lever.stiffness_n_per_m)
+        found["deflection for a volt"] = (deflection.standard_error_v_per_m, deflection.v_per_m)
+    return {name: abs(error / scale) for name, (error, scale) in found.items() if error > 0.0}
+
+
+def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> list[Budget]:
+    """Return the budget of each figure of a summary that has an interval.
+
+    Args:
+        summary: The summary of the session.
+        shares: The standard error of each scale as a share of it, as `scale_errors` returns it.
+    """
+    found = []
+    for figure, scales in _SCALES.items():
+        value, interval = summary.get(figure), summary.get("intervals", {}).get(figure)
+        if value is None or interval is None:
+            continue
+        parts = {"scatter in the session": 0.5 * (interval[1] - interval[0]) / DEVIATIONS}
+        parts |= {scale: shares[scale] * abs(value) for scale in scales if scale in shares}
+        variance = sum(part**2 for part in parts.values())
+        sources = tuple(
+            Source(figure, name, part, part**2 / variance if variance else 0.0) for name, part in parts.items()
+        )
+        without = tuple(scale for scale in scales if scale not in shares)
+        found.append(Budget(figure, value, DEVIATIONS * math.sqrt(variance), sources, without))
+    return found
+
+
+def delay_budget(recording: RecordingSource, start_ns: int, end_ns: int) -> list[Stage]:
+    """Return the stages of the loop in their order, over the hand's samples that an answer came to.
+
+    A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on the
+    way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks leave open
+    makes one way longer and the other one shorter, and nothing of the sum.
+
+    Args:
+        recording: The master's recording of a session.
+        start_ns: When the session began, on the master's clock [ns].
+        end_ns: When it ended.
+
+    Raises:
+        TelenanoError: Fewer than 50 samples can be followed all the way.
+        RecordingError: A channel of the loop is missing.
+    """
+    timeline = Timeline(recording)
+    hand = columns(recording, "haptic/state", ("answered_t_ns", "answered_at_ns"))
+    answers = _first(hand["answered_t_ns"], hand["answered_at_ns"])
+    times = [_sent(recording, topic, timeline) for topic, _ in _STAGES]
+    kept = [
+        key for key in sorted(answers) if max(start_ns, 1) <= key <= end_ns and all(key in at_ns for at_ns in times)
+    ]
+    if len(kept) < _LEAST_SAMPLES:
+        raise TelenanoError(
+            f"{recording.path}: {len(kept)} samples of the hand can be followed from the device to the instrument and "
+            f"back, {_LEAST_SAMPLES} are needed: give the master's recording of a session whose loop was closed"
+        )
+    passed = np.array([[key, *(at_ns[key] for at_ns in times), answers[key]] for key in kept], np.int64)
+    parts_ms = np.asarray(_MS * np.diff(passed, axis=1), np.float64)
+    clock = timeline.clock
+    open_ms = 0.0 if clock is None else 1e3 * clock.uncertainty_s
+    names = [*(name for _, name in _STAGES), _ANSWERED]
+    loop_ms = np.asarray(_MS * (passed[:, -1] - passed[:, 0]), np.float64)
+    found = [
+        _stage(name, values, loop_ms, open_ms if name.startswith("link") else 0.0)
+        for name, values in zip(names, parts_ms.T, strict=True)
+    ]
+    return [*found, _stage("loop", loop_ms, loop_ms, 0.0)]
+
+
+def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[np.float64], clock_ms: float) -> Stage:
+    p50, p99 = np.percentile(values_ms, [50.0, 99.0])
+    mean = float(values_ms.mean())
+    half = correlated_half_width(values_ms)
+    return Stage(name, mean, half, float(p50), float(p99), mean / float(loop_ms.mean()), clock_ms)
+
+
+def _sent(recording: RecordingSource, topic: str, timeline: Timeline) -> dict[int, int]:
+    """Return when the first message that descends from each sample of the hand was sent, on the master's clock."""
+    found = columns(recording, topic, ("hand_t_ns", "publish_ns"))
+    (src, *others) = [channel.src for channel in recording.channels if channel.channel_topic == topic]
+    if others:
+        raise TelenanoError(f"{recording.path}: {topic} has several publishers, {src} and {', '.join(others)}")
+    return _first(found["hand_t_ns"], timeline.times_ns(src, np.asarray(found["publish_ns"], np.int64)))
+
+
+def _first(keys: npt.NDArray[Any], values: npt.NDArray[Any]) -> dict[int, int]:
+    """Return the first value of each key."""
+    return dict(zip(reversed(keys.tolist()), reversed(values.tolist()), strict=True))
+
+
+def force_rows(budgets: Sequence[Budget]) -> Iterator[dict[str, str]]:
+    """Yield the rows of a table: each source of each figure, and their sum."""
+    for budget in budgets:
+        size = abs(budget.value)
+        for part in budget.sources:
+            row = {"figure": budget.figure, "source": part.source, "standard": f"{part.standard:.2g}"}
+            yield {
+                **row,
+                "of the value": _percent(part.standard, size),
+                "of the variance": f"{100.0 * part.share:.0f} %",
+            }
+        whole = {"figure": budget.figure, "source": "all, 95 %", "standard": f"± {budget.half_width:.2g}"}
+        yield {**whole, "of the value": _percent(budget.half_width, size), "of the variance": "100 %"}
+
+
+def delay_rows(stages: Sequence[Stage]) -> Iterator[dict[str, str]]:
+    """Yield the rows of a table, of which the last one is the whole loop."""
+    for one in stages:
+        error = "–" if one.half_width_ms is None else f"± {one.half_width_ms:.2g}"
+        yield {
+            "stage": one.stage,
+            "mean [ms]": f"{one.mean_ms:.3f}",
+            "95 % [ms]": error,
+            "p50 [ms]": f"{one.p50_ms:.3f}",
+            "p99 [ms]": f"{one.p99_ms:.3f}",
+            "of the loop": f"{100.0 * one.share:.0f} %",
+            "clocks [ms]": f"± {one.clock_ms:.2g}" if one.clock_ms else "",
+        }
+
+
+def _percent(part: float, whole: float) -> str:
+    return f"{100.0 * part / whole:.2g} %" if whole else "–"
