@@ -180,6 +180,14 @@ class Held:
             self.step((0.0, 0.0, -depth_m * (index + 1) / count))
 
 
+@pytest.fixture
+def held() -> Held:
+    """Give a coupling that a hand at rest is engaged with."""
+    engaged = Held()
+    engaged.engage()
+    return engaged
+
+
 def test_no_force_before_the_hand_has_been_at_rest() -> None:
     held = Held()
     held.reference = held.reference._replace(engaged=True)
@@ -194,17 +202,13 @@ def test_no_force_before_the_hand_has_been_at_rest() -> None:
     assert held.step() == GATE_ACTIVE
 
 
-def test_force_at_rest_is_the_stiffness_times_the_offset_and_pushes_the_hand_back() -> None:
-    held = Held()
-    held.engage()
+def test_force_at_rest_is_the_stiffness_times_the_offset_and_pushes_the_hand_back(held: Held) -> None:
     held.press(0.004)
     held.step(count=50)
     assert held.force == pytest.approx((0.0, 0.0, 2.0), rel=1e-12, abs=0.0)
 
 
-def test_force_keeps_its_clamp_and_its_slew() -> None:
-    held = Held()
-    held.engage()
+def test_force_keeps_its_clamp_and_its_slew(held: Held) -> None:
     held.reference = held.reference._replace(position_m=(0.0, 0.0, 0.1))
     sizes = [0.0]
     for _ in range(30):
@@ -215,9 +219,7 @@ def test_force_keeps_its_clamp_and_its_slew() -> None:
     assert max(sizes) <= 8.0 * (1.0 + 1e-12)
 
 
-def test_clamp_keeps_the_direction_of_the_force() -> None:
-    held = Held()
-    held.engage()
+def test_clamp_keeps_the_direction_of_the_force(held: Held) -> None:
     held.reference = held.reference._replace(force_n=(30.0, 0.0, 40.0))
     held.step(count=30)
     assert held.force == pytest.approx((4.8, 0.0, 6.4), rel=1e-9)
@@ -240,10 +242,8 @@ def _read(held: Held, **changes: object) -> None:
 
 
 @pytest.mark.parametrize("name", SILENCES)
-def test_silence_takes_the_force_at_once_and_the_hand_has_to_rest_anew(name: str) -> None:
+def test_silence_takes_the_force_at_once_and_the_hand_has_to_rest_anew(held: Held, name: str) -> None:
     make, gate = SILENCES[name]
-    held = Held()
-    held.engage()
     held.press(0.004)
     good = held.reference, held.reading
     _set(held, age_s=0.0499)
@@ -258,9 +258,7 @@ def test_silence_takes_the_force_at_once_and_the_hand_has_to_rest_anew(name: str
     assert GATES[gate].startswith("the device gives no force")
 
 
-def test_law_that_lets_go_takes_the_force_and_begins_again_from_zero() -> None:
-    held = Held()
-    held.engage()
+def test_law_that_lets_go_takes_the_force_and_begins_again_from_zero(held: Held) -> None:
     held.press(0.004)
     _set(held, engaged=False)
     assert held.step() == GATE_READY and held.force == ZERO
@@ -313,9 +311,9 @@ def wrong_sign(held: Held) -> None:
     ("fault", "gate"),
     [(jump, GATE_JUMP), (no_number, GATE_NOT_A_NUMBER), (frozen, GATE_FROZEN), (wrong_sign, GATE_RUNAWAY)],
 )
-def test_reading_that_cannot_be_believed_is_refused_until_armed(fault: Callable[[Held], None], gate: int) -> None:
-    held = Held()
-    held.engage()
+def test_reading_that_cannot_be_believed_is_refused_until_armed(
+    held: Held, fault: Callable[[Held], None], gate: int
+) -> None:
     held.press(0.004)
     before = held.state.position_m
     fault(held)
@@ -333,9 +331,7 @@ def test_reading_that_cannot_be_believed_is_refused_until_armed(fault: Callable[
     assert held.state.gate == GATE_READY
 
 
-def test_fast_hand_and_a_resting_one_are_not_refused() -> None:
-    held = Held()
-    held.engage()
+def test_fast_hand_and_a_resting_one_are_not_refused(held: Held) -> None:
     _set(held, engaged=False)
     place = 0.0
     for index in range(2000):
@@ -348,9 +344,7 @@ def test_fast_hand_and_a_resting_one_are_not_refused() -> None:
     assert held.state.gate == GATE_ACTIVE
 
 
-def test_late_step_of_the_servo_is_no_jump() -> None:
-    held = Held()
-    held.engage()
+def test_late_step_of_the_servo_is_no_jump(held: Held) -> None:
     _set(held, engaged=False)
     held.step((0.03, 0.0, 0.0), dt=0.02)
     assert held.state.gate == GATE_READY

@@ -32,6 +32,11 @@ class Attached(Rig):
     def with_recorder(self) -> None:
         self.receive_health(RECORDER)
 
+    def start(self) -> None:
+        self.all_ready()
+        self.with_recorder()
+        self.tick(5)
+
     def after_tick(self) -> None:
         for control in self.bus.controls()[self.answered :]:
             if control.target != RECORDER or RECORDER in self.silent:
@@ -51,9 +56,7 @@ def commands(rig: Rig) -> list[tuple[str, str]]:
 def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
     rig = Attached(duration_s=2.0)
     rig.receive_event(RECORDER, "recording", state="started", path="/rec/session.mcap")
-    rig.all_ready()
-    rig.with_recorder()
-    rig.tick(5)
+    rig.start()
     assert rig.session.phase == "running"
     start = rig.bus.controls()[-1]
     assert rig.session.start_id == start.id
@@ -66,7 +69,7 @@ def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
         ("start", "*"),
         ("stop", "*"),
         ("set", RECORDER),
-        # there is no operator any more: the tip is withdrawn, after the session's file is complete
+        # there is no operator any more: the tip is withdrawn once the file is complete, by no emergency stop
         ("stop", "afm_node"),
     ]
     assert {**rig.bus.controls()[0].parameters} == {"record.split": True}
@@ -74,17 +77,6 @@ def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
     assert rig.recording.files == [FILES[0]]
     assert rig.bus.events()[-1].text == "the session is over, the nodes keep running"
     assert rig.children.started == []
-
-
-def test_the_end_of_an_attached_session_is_no_emergency_stop() -> None:
-    rig = Attached(duration_s=2.0)
-    rig.all_ready()
-    rig.with_recorder()
-    rig.tick(5)
-    rig.tick_alive(46)
-    assert rig.finished
-    assert commands(rig)[-1] == ("stop", "afm_node")
-    assert "estop" not in {command for command, _ in commands(rig)}
 
 
 def test_a_session_that_fails_while_it_arms_leaves_no_tip_armed() -> None:
@@ -100,9 +92,7 @@ def test_a_session_that_fails_while_it_arms_leaves_no_tip_armed() -> None:
 
 def test_a_recorder_that_is_behind_completes_the_file_before_it_begins_the_next() -> None:
     rig = Attached(duration_s=2.0)
-    rig.all_ready()
-    rig.with_recorder()
-    rig.tick(5)
+    rig.start()
 
     def tick_behind(count: int, age_s: float) -> None:
         for _ in range(count):
@@ -185,9 +175,7 @@ def test_a_recorder_that_cannot_is_no_reason_not_to_run(silent: bool, fault: str
 
 def test_a_file_that_follows_within_the_session_is_remembered() -> None:
     rig = Attached()
-    rig.all_ready()
-    rig.with_recorder()
-    rig.tick(5)
+    rig.start()
     rig.receive_event(RECORDER, "recording", state="started", path="/rec/later.mcap")
     assert rig.recording.files == [FILES[0], "/rec/later.mcap"]
     assert rig.recording.path == FILES[0]
@@ -195,9 +183,7 @@ def test_a_file_that_follows_within_the_session_is_remembered() -> None:
 
 def test_a_silent_node_is_reported_and_does_not_end_the_session() -> None:
     rig = Attached(duration_s=30.0)
-    rig.all_ready()
-    rig.with_recorder()
-    rig.tick(5)
+    rig.start()
     rig.tick_alive(70, missing=["afm_node@slave", "controller@master"])
     rig.tick_alive(20, missing=["afm_node@slave"])
     assert rig.session.phase == "running"
@@ -229,9 +215,7 @@ def test_a_quick_restart_is_seen_by_the_uptime() -> None:
 def test_a_node_lost_while_the_devices_are_armed_is_waited_for_again() -> None:
     rig = Attached()
     rig.silent = {"haptic_node@master"}
-    rig.all_ready()
-    rig.with_recorder()
-    rig.tick(5)
+    rig.start()
     assert rig.session.phase == "arming"
     rig.tick_alive(60, missing=["haptic_node@master"])
     assert rig.session.phase == "starting"
