@@ -13,11 +13,14 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from telenano_afm_controllers.nanonis_guard import GuardedNanonis
 from telenano_afm_controllers.retract_guard import SilenceJudge
 
+from telenano.extend.commands import ConfigError
+from telenano.extend.instruments import DeviceError
 from telenano.extend.testing import afm_config, afm_node, instrument_of, merge, validate
 
 MS = 1_000_000
 NEAR_M = -70e-9
 PARAMS = afm_config().to_params()
+RETRACTED_M = PARAMS.safety.retract_position_m
 C = TypeVar("C", GwyscopeCalibration, NanonisCalibration)
 
 
@@ -34,6 +37,8 @@ class ControllerLine:
     """
 
     resolved = True
+    model: Any
+    driver: Any
 
     def __init__(self, guarded: Any = None) -> None:
         self.now_ns = 10**9
@@ -94,17 +99,27 @@ class ControllerLine:
     def pass_ms(self, duration_ms: int) -> None:
         for _ in range(duration_ms):
             self.now_ns += MS
-            if self.judge is None:
-                continue
-            if self._owed_ns and self.now_ns >= self._owed_ns:
-                self._owed_ns = 0
-                self.judge.passed_back(self.now_ns)
-            if self.judge.judge(self.now_ns, connected=self._connected):
-                self._connected = False
-            if self.judge.due and self.reachable and self.running:
-                answer = self.respond(self.guarded.retraction(), self.now_ns)
-                if answer is not None:
-                    self.judge.take(answer)
+            if self.judge is not None:
+                self._guard(self.judge)
+            self.model.pass_time(self.now_ns)
+
+    def _guard(self, judge: SilenceJudge) -> None:
+        if self._owed_ns and self.now_ns >= self._owed_ns:
+            self._owed_ns = 0
+            judge.passed_back(self.now_ns)
+        if judge.judge(self.now_ns, connected=self._connected):
+            self._connected = False
+        if judge.due and self.reachable and self.running:
+            answer = self.respond(self.guarded.retraction(), self.now_ns)
+            if answer is not None:
+                judge.take(answer)
+
+    def follow(self, base_m: float, count: int) -> Any:
+        """Have the driver follow to a place for a number of periods, and return the last sample."""
+        for _ in range(count):
+            self.pass_ms(1)
+            sample = self.driver.exchange(base_m)
+        return sample
 
     @property
     def clock(self) -> dict[str, Any]:
@@ -134,11 +149,6 @@ class Gwyscope(ControllerLine):
 
     def served(self, request: bytes, now_ns: int) -> bytes | None:
         return gwyscope_wire.encode(self.model.respond(gwyscope_wire.decode(request), now_ns))
-
-    def pass_ms(self, duration_ms: int) -> None:
-        for _ in range(duration_ms):
-            super().pass_ms(1)
-            self.model.pass_time(self.now_ns)
 
     @property
     def base_m(self) -> float:
@@ -177,11 +187,6 @@ class Nanonis(ControllerLine):
 
     def served(self, request: bytes, now_ns: int) -> bytes | None:
         return self.model.serve(request, now_ns)
-
-    def pass_ms(self, duration_ms: int) -> None:
-        for _ in range(duration_ms):
-            super().pass_ms(1)
-            self.model.pass_time(self.now_ns)
 
     @property
     def base_m(self) -> float:
@@ -298,7 +303,7 @@ class Fault(NamedTuple):
 
 def walk(rig: ControllerRig, fault: Fault, place: tuple[float, float] = (0.0, 0.0)) -> None:
     """Have a fault come and go while a rig follows near the sample, and see that the tip is retracted after it."""
-    line, retracted_m = rig.line, PARAMS.safety.retract_position_m
+    line = rig.line
     events: list[str] = []
     retracted_ms = None
 
@@ -328,7 +333,7 @@ def walk(rig: ControllerRig, fault: Fault, place: tuple[float, float] = (0.0, 0.
         assert retracted_ms is not None
         assert retracted_ms <= fault.at_ms
     elif fault.retracts == "force_invalid":
-        assert line.base_m <= retracted_m + 1e-15
+        assert line.base_m <= RETRACTED_M + 1e-15
     elif not fault.moves:
         assert bases == [pytest.approx(NEAR_M, abs=1e-12)] * len(bases)
     # and on it goes: with the tip retracted, until armed
@@ -341,5 +346,25 @@ def walk(rig: ControllerRig, fault: Fault, place: tuple[float, float] = (0.0, 0.
         assert {state.mode for state in states} == {"follow"}
         return
     states += [tick() for _ in range(80)]
-    assert line.base_m <= retracted_m + 1e-12
+    assert line.base_m <= RETRACTED_M + 1e-12
     assert (states[-1].mode, states[-1].device) == ("retracted", "ok")
+
+
+def refuses_to_start(bench: Any, line: Any, begin: Callable[[Any], None], text: str) -> None:
+    """Have a node begin with what is wrong from the start, and see that it says so and publishes nothing."""
+    begin(line)
+    with pytest.raises(ConfigError, match=text):
+        afm_node(bench, line.driver)
+    assert bench.sent == []
+
+
+def needs_a_guard(made: Callable[..., Any], name: str) -> None:
+    """See that a driver without a guard and without a person beside it is refused before it moves anything."""
+    line = made(guarded=False)
+    line.model.z_m = 3e-7
+    with pytest.raises(DeviceError, match=rf"has no guard in front of it, .*telenano device guard {name}.*--attended"):
+        line.driver.open()
+    assert line.model.z_m == pytest.approx(3e-7)
+    attended = made(guarded=False, attended=True)
+    attended.driver.open()
+    assert attended.driver.report.status == "ok"

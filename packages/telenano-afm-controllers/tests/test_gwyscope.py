@@ -15,12 +15,15 @@ from controller_line import (
     MS,
     NEAR_M,
     PARAMS,
+    RETRACTED_M,
     ControllerRig,
     Fault,
     Gwyscope,
     answer_twice,
     interrupt,
     kill,
+    needs_a_guard,
+    refuses_to_start,
     stop,
     swallow,
     walk,
@@ -34,9 +37,8 @@ from telenano_afm_controllers.retract_guard import SilenceJudge
 
 from telenano.extend.commands import ConfigError
 from telenano.extend.instruments import DeviceError, modbus_line, read_controller
-from telenano.extend.testing import RefusedError, afm_config, afm_node, instrument_of
+from telenano.extend.testing import RefusedError, afm_config, instrument_of
 
-RETRACTED_M = PARAMS.safety.retract_position_m
 # of the base in the three periods of the longest cycle, at the guard's speed
 STEP_M = 3e-3 * PARAMS.safety.base_speed_m_per_s * 1.001
 GOLDEN = {
@@ -118,19 +120,12 @@ def line() -> Gwyscope:
     return found
 
 
-def follow(line: Gwyscope, base_m: float, count: int) -> Any:
-    for _ in range(count):
-        line.pass_ms(1)
-        sample = line.driver.exchange(base_m)
-    return sample
-
-
 def test_identifies_measures_the_tick_retracts_and_follows(line: Gwyscope) -> None:
     assert line.driver.report.status == "ok"
     assert "Gwyscope 4.1.19 (telenano's emulator), a sample every 3 ms is ready" in line.driver.report.text
     assert line.model.z_m == 0.0
-    follow(line, RETRACTED_M, 3)
-    sample = follow(line, 0.0, 300)
+    line.follow(RETRACTED_M, 3)
+    sample = line.follow(0.0, 300)
     assert sample.base_m == pytest.approx(0.0, abs=1e-15)
     assert not sample.distance_valid
     assert line.driver.retract()
@@ -146,12 +141,12 @@ def test_the_tick_is_measured_by_the_stamps_of_the_server(tick_ms: float) -> Non
 
 
 def test_a_ramp_is_followed_with_the_declared_latency(line: Gwyscope) -> None:
-    follow(line, RETRACTED_M, 5)
+    line.follow(RETRACTED_M, 5)
     speed = 1e-7
     lags = []
     for step in range(600):
         base_m = RETRACTED_M + speed * step * 1e-3
-        found = follow(line, base_m, 1)
+        found = line.follow(base_m, 1)
         if step > 50:
             lags.append((base_m - found.base_m) / speed)
     assert np.mean(lags) == pytest.approx(line.driver.latency_s, abs=0.6e-3)
@@ -162,19 +157,19 @@ def test_force_is_that_of_the_simulated_instrument() -> None:
     line.driver.open()
     simulated = instrument_of()
     simulated.open()
-    follow(line, RETRACTED_M, 5)
+    line.follow(RETRACTED_M, 5)
     for base_m in (0.0, 8e-9, 14e-9, 20e-9):
-        sample = follow(line, base_m, 40)
+        sample = line.follow(base_m, 40)
         same = simulated.exchange(base_m)
         assert sample.force_n == pytest.approx(same.force_n, rel=1e-6, abs=1e-15)
         assert sample.in_contact == (sample.force_n > 1e-9)
 
 
 def test_age_of_a_sample_is_the_oldest_that_it_can_be(line: Gwyscope) -> None:
-    follow(line, RETRACTED_M, 20)
+    line.follow(RETRACTED_M, 20)
     ages = []
     for _ in range(100):
-        follow(line, RETRACTED_M, 1)
+        line.follow(RETRACTED_M, 1)
         ages.append(line.driver.report.age_s)
     # the tick, a cycle of two periods, and the period until it is looked at
     assert min(ages) > 3e-3
@@ -182,16 +177,16 @@ def test_age_of_a_sample_is_the_oldest_that_it_can_be(line: Gwyscope) -> None:
 
 
 def test_tip_goes_over_the_sample_while_z_is_the_rigs(line: Gwyscope) -> None:
-    follow(line, RETRACTED_M, 5)
-    follow(line, NEAR_M, 60)
+    line.follow(RETRACTED_M, 5)
+    line.follow(NEAR_M, 60)
     stage = line.driver.stage
     assert stage is not None
     heights = []
     for step in range(300):
         stage.move_to(step * 2e-9, -step * 1e-9)
-        follow(line, NEAR_M, 1)
+        line.follow(NEAR_M, 1)
         heights.append(line.base_m)
-    follow(line, NEAR_M, 30)
+    line.follow(NEAR_M, 30)
     assert line.driver.report.status == "ok"
     assert (line.model.x_m, line.model.y_m) == (
         pytest.approx(gwyscope_model.CENTRE_M + 299 * 2e-9, abs=1e-12),
@@ -242,11 +237,11 @@ def test_every_item_that_the_driver_sends_has_the_type_that_the_server_asserts(l
     """The model raises on a wrong one, as the server ends; and so it does for a number that is no float."""
     with pytest.raises(AssertionOfTheServerError, match="zpiezo is a int"):
         line.model.respond({"todo": "set_feedback", "feedback": False, "zpiezo": 0}, line.now_ns)
-    follow(line, RETRACTED_M, 5)
+    line.follow(RETRACTED_M, 5)
     stage = line.driver.stage
     assert stage is not None
     stage.move_to(0, 0)
-    follow(line, np.float64(NEAR_M), 20)
+    line.follow(np.float64(NEAR_M), 20)
     assert line.driver.report.status == "ok"
 
 
@@ -270,14 +265,7 @@ def test_calibration_that_would_not_keep_the_tip_safe_is_refused(changes: Any, t
 
 
 def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> None:
-    line = Gwyscope(guarded=False)
-    line.model.respond({"todo": "set_feedback", "feedback": False, "zpiezo": 1.5e-6}, line.now_ns)
-    with pytest.raises(DeviceError, match=r"has no guard in front of it, .*telenano device guard gwyscope.*--attended"):
-        line.driver.open()
-    assert line.model.z_m == 1.5e-6
-    attended = Gwyscope(guarded=False, attended=True)
-    attended.driver.open()
-    assert attended.driver.report.status == "ok"
+    needs_a_guard(Gwyscope, "gwyscope")
 
 
 @pytest.mark.parametrize(("controller", "model"), [("gwyscope", GwyscopeCalibration), ("nanonis", NanonisCalibration)])
@@ -430,8 +418,8 @@ def test_scan_that_somebody_runs_is_not_disturbed(rig: ControllerRig) -> None:
 def test_process_that_dies_leaves_the_tip_retracted_by_the_guard(heartbeat_s: float) -> None:
     line = Gwyscope(heartbeat_s=heartbeat_s)
     line.driver.open()
-    follow(line, RETRACTED_M, 5)
-    follow(line, NEAR_M, 60)
+    line.follow(RETRACTED_M, 5)
+    line.follow(NEAR_M, 60)
     silent_ms = 0
     while line.model.z_m > 0.0:
         line.pass_ms(1)
@@ -442,16 +430,16 @@ def test_process_that_dies_leaves_the_tip_retracted_by_the_guard(heartbeat_s: fl
     assert line.judge.trips == 1
     # the process was held up only: it finds its connection gone, and stays retracted until the guard has the tip there
     for _ in range(800):
-        follow(line, NEAR_M, 1)
+        line.follow(NEAR_M, 1)
         assert line.model.z_m == 0.0
     assert line.driver.report.status == "ok"
 
 
 def test_pause_of_a_host_whose_tip_is_retracted_is_no_loss(line: Gwyscope) -> None:
-    follow(line, RETRACTED_M, 1)
+    line.follow(RETRACTED_M, 1)
     assert line.driver.retract()
     line.pass_ms(500)
-    follow(line, line.driver.safe_position_m, 5)
+    line.follow(line.driver.safe_position_m, 5)
     assert line.driver.report.status == "ok"
     assert line.judge is not None
     assert line.judge.trips == 0
@@ -499,8 +487,4 @@ def test_a_driver_that_fails_in_its_retraction_is_told_and_its_connection_ended(
     ],
 )
 def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:
-    bench, line = bench_of("afm_node@slave"), Gwyscope(guarded=False, attended=True)
-    begin(line)
-    with pytest.raises(ConfigError, match=text):
-        afm_node(bench, line.driver)
-    assert bench.sent == []
+    refuses_to_start(bench_of("afm_node@slave"), Gwyscope(guarded=False, attended=True), begin, text)

@@ -13,7 +13,7 @@ import pytest
 from controller_line import (
     MS,
     NEAR_M,
-    PARAMS,
+    RETRACTED_M,
     ControllerRig,
     Fault,
     Gwyscope,
@@ -21,6 +21,8 @@ from controller_line import (
     answer_twice,
     interrupt,
     kill,
+    needs_a_guard,
+    refuses_to_start,
     stop,
     swallow,
     walk,
@@ -31,10 +33,9 @@ from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
 from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import DeviceError, modbus_line, refusal
+from telenano.extend.instruments import modbus_line, refusal
 from telenano.extend.testing import RefusedError, afm_node, instrument_of
 
-RETRACTED_M = PARAMS.safety.retract_position_m
 NAN = math.nan
 # as the vendor's client 1.0.9 sends and parses them: after the name of 32 bytes
 GOLDEN = [
@@ -215,13 +216,6 @@ def line(request: Any) -> Nanonis:
     return found
 
 
-def follow(line: Nanonis, base_m: float, count: int) -> Any:
-    for _ in range(count):
-        line.pass_ms(1)
-        sample = line.driver.exchange(base_m)
-    return sample
-
-
 def test_identifies_withdraws_protects_and_follows(line: Nanonis) -> None:
     assert line.driver.report.status == "ok"
     assert "a slow instrument (" in line.driver.report.text
@@ -230,10 +224,10 @@ def test_identifies_withdraws_protects_and_follows(line: Nanonis) -> None:
     assert line.model.z_m == pytest.approx(5e-7)
     assert (line.model.safe_tip, line.model._values["ZCtrl.LimitsEnabled"]) == (True, [1])
     assert line.model._values["SafeTip.Props"] == [0, 0, pytest.approx(0.06)]
-    follow(line, RETRACTED_M, 30)
+    line.follow(RETRACTED_M, 30)
     simulated = Nanonis(guarded=False).model._afm
     for base_m in (0.0, 8e-9, 14e-9, 20e-9):
-        sample = follow(line, base_m, 120)
+        sample = line.follow(base_m, 120)
         same = simulated.exchange(base_m)
         assert sample.base_m == pytest.approx(base_m, abs=1e-13)
         assert sample.force_n == pytest.approx(same.force_n, rel=1e-3, abs=1e-11)
@@ -246,10 +240,10 @@ def test_a_polled_value_is_as_old_as_a_tap_and_a_frame_of_the_logger_is_not() ->
     for port in (None, nanonis_model.LOG_PORT):
         line = Nanonis(logger_port=port)
         line.driver.open()
-        follow(line, RETRACTED_M, 100)
+        line.follow(RETRACTED_M, 100)
         found = []
         for _ in range(200):
-            follow(line, RETRACTED_M, 1)
+            line.follow(RETRACTED_M, 1)
             found.append(line.driver.report.age_s)
         ages[port] = max(found)
     assert 20e-3 < ages[None] <= 25e-3
@@ -259,11 +253,11 @@ def test_a_polled_value_is_as_old_as_a_tap_and_a_frame_of_the_logger_is_not() ->
 def test_a_ramp_is_followed_with_the_declared_latency() -> None:
     line = Nanonis()
     line.driver.open()
-    follow(line, RETRACTED_M, 60)
+    line.follow(RETRACTED_M, 60)
     speed, lags = 1e-7, []
     for step in range(800):
         base_m = RETRACTED_M + speed * step * 1e-3
-        found = follow(line, base_m, 1)
+        found = line.follow(base_m, 1)
         if step > 100:
             lags.append((base_m - found.base_m) / speed)
     # z of a published value is that of the end of its Tap, so half a Tap of the declared one is the averaging
@@ -292,14 +286,7 @@ def test_calibration_that_would_not_do_is_refused(changes: Any, text: str) -> No
 
 
 def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> None:
-    line = Nanonis(guarded=False)
-    ask(line, "ZCtrl.ZPosSet", 3e-7)
-    with pytest.raises(DeviceError, match=r"has no guard in front of it, .*device guard nanonis.*--attended"):
-        line.driver.open()
-    assert line.model.z_m == pytest.approx(3e-7)
-    attended = Nanonis(guarded=False, attended=True)
-    attended.driver.open()
-    assert attended.driver.report.status == "ok"
+    needs_a_guard(Nanonis, "nanonis")
 
 
 def test_a_law_with_a_loop_and_a_program_of_the_node_are_refused_in_words(bench_of: Any) -> None:
@@ -489,8 +476,8 @@ def test_scan_that_somebody_runs_is_not_disturbed(rig: ControllerRig) -> None:
 def test_process_that_dies_leaves_the_tip_withdrawn_by_the_guard(heartbeat_s: float) -> None:
     line = Nanonis(heartbeat_s=heartbeat_s)
     line.driver.open()
-    follow(line, RETRACTED_M, 60)
-    follow(line, NEAR_M, 60)
+    line.follow(RETRACTED_M, 60)
+    line.follow(NEAR_M, 60)
     silent_ms = 0
     while line.model.z_m < 5e-7 - 1e-12:
         line.pass_ms(1)
@@ -503,9 +490,9 @@ def test_process_that_dies_leaves_the_tip_withdrawn_by_the_guard(heartbeat_s: fl
 def test_logger_that_falls_silent_is_a_loss(bench_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     line = Nanonis(logger_port=nanonis_model.LOG_PORT)
     line.driver.open()
-    follow(line, RETRACTED_M, 60)
+    line.follow(RETRACTED_M, 60)
     line.model.log.state = 1
-    follow(line, RETRACTED_M, 260)
+    line.follow(RETRACTED_M, 260)
     assert "its TCP Logger has sent no frame for 250 ms" in line.driver.report.text
     assert nanonis_driver.GUARD_COMMAND
 
@@ -521,8 +508,4 @@ def test_logger_that_falls_silent_is_a_loss(bench_of: Any, monkeypatch: pytest.M
     ],
 )
 def test_refused_start(bench_of: Any, begin: Any, text: str) -> None:
-    bench, line = bench_of("afm_node@slave"), Nanonis(guarded=False, attended=True)
-    begin(line)
-    with pytest.raises(ConfigError, match=text):
-        afm_node(bench, line.driver)
-    assert bench.sent == []
+    refuses_to_start(bench_of("afm_node@slave"), Nanonis(guarded=False, attended=True), begin, text)
