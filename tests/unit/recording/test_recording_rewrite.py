@@ -18,7 +18,6 @@ from recording.mcap_scan import MAGIC
 from recording.messages import RecordedMessage
 from recording.multi_file import open_recordings
 from recording.reader import Recording
-from recording.records import GapRecord
 from recording.rewrite import filter_recording, merge_recordings, split_recording
 from recording.tolerance import Tolerances
 from recording.verify import verify
@@ -148,43 +147,6 @@ def test_what_is_missing_at_the_end_is_named(tmp_path: Path, via: str) -> None:
     info = Recording(path).info()
     assert (info.complete, info.lost, info.channels[0].lost) == (False, 5, 5)
     assert "5 messages of haptic_node@master on haptic/state" in info.missing[0]
-
-
-def test_a_recording_with_all_that_was_sent_is_whole(tmp_path: Path) -> None:
-    path = with_end(tmp_path, list(range(20)), 20)
-    assert verify([path]).sound
-    assert (Recording(path).info().complete, Recording(path).info().missing) == (True, ())
-
-
-def test_the_end_is_known_from_the_record_of_the_gap_where_the_event_was_not_recorded(tmp_path: Path) -> None:
-    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
-    hand = writer.channel("haptic/state", "haptic_node@master", "master")
-    writer.write(hand, EPOCH_NS, haptic_state(0).t_ns, 0, encode(haptic_state(0)))
-    gap = GapRecord(channel_topic="haptic/state", src="haptic_node@master", first_missing=1, last_missing=4, count=4)
-    writer.write_gap(EPOCH_NS, gap)
-    writer.finish()
-    assert Recording(writer.path).info().lost == 4
-    (finding,) = verify([writer.path]).findings
-    assert finding.text.startswith("seq 1 to 4 of haptic_node@master (4) missing, at the end of what it sent")
-    assert "the recorder recorded the gap" in finding.text
-
-
-def test_a_gap_before_a_restart_is_none_at_the_end(tmp_path: Path) -> None:
-    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
-    # received through the link, which may drop a message: that is the experiment
-    hand = writer.channel("haptic/state", "haptic_node@master", "slave")
-    gap = GapRecord(
-        channel_topic="haptic/state@slave", src="haptic_node@master", first_missing=1, last_missing=1, count=1
-    )
-    for n, seq in enumerate((0, 2, 0)):
-        if seq == 2:
-            writer.write_gap(EPOCH_NS + n * MILLISECOND_NS, gap)
-        state = sample("haptic/state", seq, t_ns=EPOCH_NS + n * MILLISECOND_NS)
-        writer.write(hand, state.t_ns, state.t_ns, seq, encode(state))
-    writer.finish()
-    assert (Recording(writer.path).info().lost, Recording(writer.path).info().missing) == (0, ())
-    # the drop of the link, and the restart
-    assert [found.level for found in verify([writer.path]).findings if found.check == "gap"] == ["info", "info"]
 
 
 def test_a_process_that_follows_one_that_has_ended_has_lost_nothing(tmp_path: Path) -> None:

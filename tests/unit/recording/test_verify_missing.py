@@ -116,6 +116,7 @@ def test_a_gap_record_without_a_message_after_it_is_missing_at_the_end(make: Cal
     file.gap(1, 4)
     file.write(0, "afm/state", AFM)
     (gap,) = verify([file.close()]).findings
+    assert Recording(file.writer.path).info().lost == 4
     assert gap.text.startswith(f"seq 1 to 4 of {HAND} (4) missing, at the end of what it sent, ")
     assert gap.text.endswith("the recorder recorded the gap")
     # one that does not follow what is there says nothing of the end
@@ -218,6 +219,8 @@ def test_what_an_impaired_link_dropped_is_information_and_no_fault(make: Callabl
     assert verdict.sound
     assert [finding.level for finding in verdict.findings] == ["info"]
     assert numbers(verdict) == ["1 to 1 (1)"]
+    info = Recording(file.writer.path).info()
+    assert (info.lost, info.missing) == (0, ())
 
 
 def test_a_publisher_that_began_again_has_lost_nothing(make: Callable[..., File]) -> None:
@@ -277,6 +280,7 @@ def test_a_gap_before_a_new_beginning_is_not_missing_at_the_end_of_it(make: Call
     file.gap(1, 3)
     file.write(0)
     assert [finding.text for finding in gaps(verify([file.close()]))] == [f"{HAND} was restarted before seq 0"]
+    assert Recording(file.writer.path).info().missing == ()
 
 
 def test_what_was_noted_in_a_recording_while_it_was_written_is_an_error_of_it(make: Callable[..., File]) -> None:
