@@ -291,12 +291,6 @@ def test_a_revoked_key_stays_so_and_a_new_one_takes_its_place(ring: Keyring) -> 
     assert [key.revoked for key in ring.allowed().keys] == [True, True]
 
 
-def test_a_key_is_revoked_by_itself(ring: Keyring) -> None:
-    ring.allow("slave", KEY, ["data"])
-    assert ring.revoke(KEY).name == "slave"
-    assert ring.allowed().of_machine("slave") is None
-
-
 def test_who_is_not_listed_cannot_be_revoked(ring: Keyring) -> None:
     assert refusal_of(ring.revoke, "slave") == (f"{ring.allowed_path}: there is no key of slave, listed keys are none")
     ring.allow("laptop", KEY, ["data"])
