@@ -172,9 +172,12 @@ def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[n
 def _sent(recording: RecordingSource, topic: str, timeline: Timeline) -> dict[int, int]:
     """Return when the first message that descends from each sample of the hand was sent, on the master's clock."""
     found = columns(recording, topic, ("hand_t_ns", "publish_ns"))
-    (src, *others) = [channel.src for channel in recording.channels if channel.channel_topic == topic]
+    src, *others = [channel.src for channel in recording.channels if channel.channel_topic == topic]
     if others:
-        raise TelenanoError(f"{recording.path}: {topic} has several publishers, {src} and {', '.join(others)}")
+        raise TelenanoError(
+            f"{recording.path}: {topic} has {1 + len(others)} publishers, {src} and {others[0]} among them, and the "
+            "loop has one"
+        )
     return _first(found["hand_t_ns"], timeline.times_ns(src, np.asarray(found["publish_ns"], np.int64)))
 
 
@@ -214,4 +217,4 @@ def delay_rows(stages: Sequence[Stage]) -> Iterator[dict[str, str]]:
 
 
 def _percent(part: float, whole: float) -> str:
-    return f"{100.0 * part / whole:.2g} %" if whole else "–"
+    return f"{float(f'{100.0 * part / whole:.2g}'):g} %" if whole else "–"

@@ -20,6 +20,7 @@ from recording.multi_file import open_recordings
 from services.afm_node.devices.converter_calibration import read_calibration as read_stage
 from services.haptic_node.devices.calibration import read_calibration as read_handle
 from telenano.cli.root import app
+from telenano.extend.commands import TelenanoError
 
 NOW = datetime(2026, 11, 1, tzinfo=UTC).isoformat()
 HANDLE: dict[str, Any] = {
@@ -115,14 +116,20 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
 
 
 def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
-    recording_of: Callable[[str], Path], tmp_path: Path
+    recording_of: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = CliRunner().invoke(app, ["budget", str(Made().write(tmp_path))])
     assert found.exit_code != 0
     assert "has no channel teleop/forward" in found.stderr
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
-    with pytest.raises(budgets.TelenanoError, match="0 samples of the hand can be followed"):
+    with pytest.raises(TelenanoError, match="0 samples of the hand can be followed"):
         delay_budget(recording, 0, 1)
+    intruders = [
+        recording.channels[0]._replace(channel_topic="afm/command", src=f"made_up_{n}@slave") for n in range(9)
+    ]
+    monkeypatch.setattr(recording, "channels", [*recording.channels, *intruders])
+    with pytest.raises(TelenanoError, match=r"afm/command has 10 publishers, .* and made_up_0@slave among them"):
+        delay_budget(recording, 0, 2**62)
 
 
 def test_the_command_prints_and_writes_both_tables(
