@@ -157,13 +157,13 @@ def test_no_frame_ends_a_live_node_and_the_loops_keep_their_rate(
         node: mean(fields["rate_hz"] for at_ns, fields in found if first_ns <= at_ns <= last_ns)
         for node, found in reports.items()
     }
-    passed = passed_on(rig.out / "session.mcap", pids, first_ns, last_ns)
     share = loops.share(first_ns, last_ns)
-    sys.stdout.write(f"{2 * count} frames in {(last_ns - first_ns) * 1e-9:.1f} s, rates {rates}, ")
-    sys.stdout.write(f"passed on {passed}, machine {share:.4f}\n")
+    sys.stdout.write(f"{2 * count} frames in {(last_ns - first_ns) * 1e-9:.1f} s, rates {rates}, machine {share:.4f}\n")
     if share < 0.9:
         machine.note(f"only {share:.0%} of the processors were to be had while frames were sent: no rate is judged")
         return
+    passed = passed_on(rig.out / "session.mcap", pids, first_ns, last_ns)
+    sys.stdout.write(f"passed on {passed}\n")
     assert min(rates.values()) >= 0.98 * share * 1000.0, (rates, share)
     # what the link is held up by it sends on two at a time, and the slave's half takes the newer: 95.8 to 98.4 %
     assert min(passed.values()) >= 0.90 * share, (passed, share)

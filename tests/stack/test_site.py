@@ -150,7 +150,10 @@ def test_the_pages_fit_every_window_and_can_be_read(address: str, chromium: Any,
             assert page.value(BLURRED) == [], (name, width)
             page.value(f"{AXE.read_text()}; 0")
             found = page.value(READ)
-            wrong = [(fault["id"], [node["html"][:90] for node in fault["nodes"]]) for fault in found["violations"]]
+            wrong = [
+                (fault["id"], [(node["html"][:90], node["failureSummary"]) for node in fault["nodes"]])
+                for fault in found["violations"]
+            ]
             assert wrong == [], (name, width, scheme)
             if folder := os.environ.get("TELENANO_SCREENSHOTS"):
                 shot = f"{name.replace('/', '-').removesuffix('.html')}-{width}-{scheme}.png"

@@ -258,19 +258,17 @@ def experimenter(cockpit: Any) -> None:
 
 def compare(rig: Rig, runner: Runner) -> None:
     """Compare what was recorded with what the runner was answered."""
+
+    def recorded() -> dict[str, Any]:
+        kept = (row.decode() for row in rig.recording().messages("experiment/answer"))
+        return {message.id: message for message in kept}
+
     rig.wait_until(lambda: bool(rig.recording().messages("experiment/answer")), "recorded answers")
-    kept = [row.decode() for row in rig.recording().messages("experiment/answer")]
-    recorded = {message.id: message for message in kept}
     answers = [answer for _, answer in runner.answered] + runner.asked
-    until(
-        lambda: (
-            {answer.id for answer in answers}
-            <= {row.decode().id for row in rig.recording().messages("experiment/answer")}
-        ),
-        "all answers",
-    )
+    until(lambda: {answer.id for answer in answers} <= recorded().keys(), "all answers")
+    found = recorded()
     for answer in answers:
-        message = recorded[answer.id]
+        message = found[answer.id]
         assert (dict(message.values), message.role, message.given_ns) == (
             dict(answer.values),
             answer.role,
