@@ -1,13 +1,13 @@
 """The packages that this project keeps beside its core: the one table that suggests them where they are missing."""
 
-# A command, a format of `bag export`, what reads files of other makers, or a name that a scenario or an experiment may
-# give, and its distribution.
+# A command, a format of `bag export`, a reader, or a name in a scenario or an experiment, and its distribution.
 KNOWN_PACKAGES = {
     "assemble": "telenano-assembly",
     "benchmark": "telenano-experiments",
     "bridge foxglove": "telenano-foxglove",
     "bridge lsl": "telenano-lsl",
     "bridge ros2": "telenano-ros2",
+    "budget": "telenano-calibration",
     "calibrate": "telenano-calibration",
     "curve": "telenano-microscopy",
     "device accept": "telenano-acceptance",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from proto.errors import TelenanoError
-from recording import mcap_scan, reader, summary
+from recording import mcap_scan, reader, summary_section
 from recording.indexed import IndexedRecording, open_indexed
 from recording.reader import Recording
 
@@ -84,7 +84,7 @@ COMMANDS: dict[str, Callable[[Path, Path], None]] = {
 def read() -> dict[str, Any]:
     command, path, folder = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
     resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
-    for module in (reader, summary, sys.modules["recording.indexed"]):
+    for module in (reader, summary_section, sys.modules["recording.indexed"]):
         module.unpack = counted  # type: ignore[attr-defined]
     try:
         COMMANDS[command](path, folder)

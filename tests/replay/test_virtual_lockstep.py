@@ -59,7 +59,7 @@ SESSION_S = 1.0
 Lost = tuple[tuple[int, int], ...]
 FIRST_PAUSE, SECOND_PAUSE = SETTLE_TICKS + 300, SETTLE_TICKS + 550
 BOTH_PAUSES: Lost = ((FIRST_PAUSE, LONGEST_BRIDGED_PERIODS - 1), (SECOND_PAUSE, LONGEST_BRIDGED_PERIODS))
-STIFFNESS_N_PER_M = {"spring": 20.0, "contact": 40.0}
+STIFFNESS_N_PER_M = {"spring": 20.0, "tip_sample": 40.0}
 
 SERIES = (
     "time_s",
@@ -77,7 +77,7 @@ SERIES = (
 # Greatest difference as a share of the greatest value. Zero, the same bits, for all but one: through wave variables the
 # rounding of the split step of arming comes back as a wave and circulates; 1.6e-13 was measured in the rendered force
 # and less than 1e-14 in every other series.
-TOLERANCE = {("contact", "wave"): 1e-12}
+TOLERANCE = {("tip_sample", "wave"): 1e-12}
 
 
 class ConstantRig(VirtualRig):
@@ -183,7 +183,7 @@ def differences(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
 
 
 @pytest.mark.usefixtures("loop")
-@pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("contact", 4.0)])
+@pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("tip_sample", 4.0)])
 @pytest.mark.grid(law="passivity")
 @pytest.mark.parametrize("law", LAWS)
 def test_the_nodes_and_lockstep_agree(
