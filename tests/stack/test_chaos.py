@@ -52,6 +52,18 @@ def recover(rig: Rig, kill: Kill) -> None:
     rig.wait_until(lambda: rig.telenano("session", "arm", "--target", "haptic_node").returncode == 0, "an armed hand")
 
 
+def coupled(rig: Rig) -> bool:
+    """Return whether both devices are in their modes for the last second that is recorded, so that a kill ends them."""
+    for topic, mode in (("haptic/state", "position"), ("afm/state", "follow")):
+        found = rig.recording().messages(topic, time.time_ns() - 3 * SOON_NS)
+        if not found or found[-1].publish_ns - found[0].publish_ns < SOON_NS:
+            return False
+        last = [message for message in found if message.publish_ns >= found[-1].publish_ns - SOON_NS]
+        if {message.decode().mode for message in last} != {mode}:
+            return False
+    return True
+
+
 @pytest.fixture(scope="module")
 def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
     rig = Rig(tmp_path_factory.mktemp("chaos"))
@@ -67,7 +79,7 @@ def wreck(tmp_path_factory: pytest.TempPathFactory) -> Any:
             "haptic_node@master",
             "recorder@master",
         ):
-            time.sleep(1.0)  # a second of coupled operation before each kill, so that the recording has it
+            rig.wait_until(lambda: coupled(rig), f"hand and tip to be coupled before {node} is killed")
             rig.kill(node)
             kills.append(Kill(node, time.time_ns()))
             recover(rig, kills[-1])
