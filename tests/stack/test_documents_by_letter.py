@@ -264,5 +264,7 @@ def test_the_law_of_the_tutorial_by_the_letter(rig: Rig, tmp_path: Path) -> None
     summary = json.loads(printed["up"])
     assert summary["verdict"] == "struck" or not judged(summary, "the law of the tutorial"), summary["reason"]
     found = json.loads(printed["study"])["critical_delay_ms"]
-    (stated,) = re.findall(r"stable up to ([0-9.]+) ms instead of ([0-9.]+)", (DOCS / "tutorial.md").read_text())
+    (stated,) = re.findall(
+        r"stable up to ([0-9]+[.][0-9]) ms instead of ([0-9]+[.][0-9])", (DOCS / "tutorial.md").read_text()
+    )
     assert tuple(f"{found[law]['20']:.1f}" for law in ("my_law", "position_force")) == stated
