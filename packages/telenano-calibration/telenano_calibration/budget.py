@@ -121,7 +121,7 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
     return found
 
 
-def delay_budget(recording: RecordingSource, start_ns: int, end_ns: int) -> list[Stage]:
+def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[Stage]:
     """Return the stages of the loop in their order, over the hand's samples that an answer came to.
 
     A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on the
@@ -130,6 +130,7 @@ def delay_budget(recording: RecordingSource, start_ns: int, end_ns: int) -> list
 
     Args:
         recording: The master's recording of a session.
+        timeline: What puts its stamps on the master's clock.
         start_ns: When the session began, on the master's clock [ns].
         end_ns: When it ended.
 
@@ -137,7 +138,6 @@ def delay_budget(recording: RecordingSource, start_ns: int, end_ns: int) -> list
         TelenanoError: Fewer than 50 samples can be followed all the way.
         RecordingError: A channel of the loop is missing.
     """
-    timeline = Timeline(recording)
     hand = columns(recording, "haptic/state", ("answered_t_ns", "answered_at_ns"))
     answers = _first(hand["answered_t_ns"], hand["answered_at_ns"])
     times = [_sent(recording, topic, timeline) for topic, _ in _STAGES]

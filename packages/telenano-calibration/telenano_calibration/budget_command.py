@@ -44,7 +44,7 @@ def budget(
         session = read_session(recording)
         summary = summarise(session, recording.info(), read_traffic(recording, session))
         figures = figure_budgets(summary, shares)
-        stages = delay_budget(recording, session.start_ns, session.end_ns)
+        stages = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
         document: dict[str, Any] = {
             "verdict": summary["verdict"],
             "link_round_trip_ms": summary.get("link_round_trip_ms"),

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from analysis.report import read_session
 from recording.multi_file import open_recordings
+from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import read_calibration as read_stage
 from services.haptic_node.devices.calibration import read_calibration as read_handle
 from telenano.cli.root import app
@@ -86,7 +87,7 @@ def test_the_interval_of_all_sources_covers_what_that_of_the_scatter_does_not() 
 def test_the_stages_add_up_to_the_loop_and_the_link_has_its_delay(recording_of: Callable[[str], Path]) -> None:
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
     session = read_session(recording)
-    *stages, loop = delay_budget(recording, session.start_ns, session.end_ns)
+    *stages, loop = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
     assert sum(stage.mean_ms for stage in stages) == pytest.approx(loop.mean_ms, rel=1e-12)
     assert sum(stage.share for stage in stages) == pytest.approx(1.0, rel=1e-12)
     assert min(stage.mean_ms for stage in stages) > 0.0
@@ -103,14 +104,14 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
 ) -> None:
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
     session = read_session(recording)
-    before = delay_budget(recording, session.start_ns, session.end_ns)
-    times_ns = budgets.Timeline.times_ns
+    before = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
+    times_ns = Timeline.times_ns
 
     def shifted(self: Any, src: str, stamps_ns: Any) -> Any:
         return times_ns(self, src, stamps_ns) + 1_000_000 * src.endswith("@slave")
 
-    monkeypatch.setattr(budgets.Timeline, "times_ns", shifted)
-    after = delay_budget(recording, session.start_ns, session.end_ns)
+    monkeypatch.setattr(Timeline, "times_ns", shifted)
+    after = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
     changes = [new.mean_ms - old.mean_ms for new, old in zip(after, before, strict=True)]
     assert changes == pytest.approx([0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0], abs=1e-9)
 
@@ -123,13 +124,13 @@ def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(
     assert "has no channel teleop/forward" in found.stderr
     recording = open_recordings([recording_of("fig12_virtual_impedance")])
     with pytest.raises(TelenanoError, match="0 samples of the hand can be followed"):
-        delay_budget(recording, 0, 1)
+        delay_budget(recording, Timeline(recording), 0, 1)
     intruders = [
         recording.channels[0]._replace(channel_topic="afm/command", src=f"made_up_{n}@slave") for n in range(9)
     ]
     monkeypatch.setattr(recording, "channels", [*recording.channels, *intruders])
     with pytest.raises(TelenanoError, match=r"afm/command has 10 publishers, .* and made_up_0@slave among them"):
-        delay_budget(recording, 0, 2**62)
+        delay_budget(recording, Timeline(recording), 0, 2**62)
 
 
 def test_the_command_prints_and_writes_both_tables(
