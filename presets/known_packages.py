@@ -31,6 +31,7 @@ KNOWN_PACKAGES = {
     "export nexus": "telenano-nexus",
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
+    "link fit": "telenano-networks",
     "link probe": "telenano-networks",
     "particles": "telenano-assembly",
     "push": "telenano-assembly",

@@ -38,18 +38,36 @@ CONSTANT_DELAY = "constant delay"
 EVEN = ("clean", CONSTANT_DELAY)  # the networks that bring every message after the same time
 
 
+def _pairs(value: object) -> object:
+    """Accept `1.5:0.2, 4:1` for pairs of numbers as well, because a run-time change carries no lists."""
+    if isinstance(value, list):
+        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
+    if not isinstance(value, str):
+        return value
+    try:
+        pairs = [item.split(":") for item in value.split(",") if item.strip()]
+        return tuple((float(first), float(second)) for first, second in pairs)
+    except ValueError as error:
+        raise ValueError(f"{value!r} is not a list of pairs of numbers, such as '1.5:0.2, 4:1'") from error
+
+
 class Jitter(Settings):
     """Random part of the delay: scale_s times a standardised random number."""
 
     scale_s: Seconds = Field(
         default=0.0,
-        description="half-width (uniform), standard deviation (normal, pareto, "
-        "pareto_normal), mean of the first part (hyperexponential) or seconds per table unit (table) [s]",
+        description="half-width (uniform), standard deviation (normal, pareto), "
+        "mean of the first part (hyperexponential) or seconds per table unit (table) [s]",
     )
-    distribution: Literal["uniform", "normal", "pareto", "pareto_normal", "hyperexponential", "table"] = Field(
+    distribution: Literal["uniform", "normal", "pareto", "hyperexponential", "table"] = Field(
         default="normal", description="law of the random part"
     )
     correlation: Correlation = Field(default=0.0, description="correlation of the normal scores of successive messages")
+    correlation_time_s: Seconds = Field(
+        default=0.0,
+        description="time in which the correlation of the normal scores falls to 1/e, whatever is sent, for all topics "
+        "under the same settings alike [s]; 0: `correlation` of successive messages holds",
+    )
     pareto_shape: float = Field(
         default=3.0,
         gt=2.0,
@@ -62,8 +80,10 @@ class Jitter(Settings):
     second_scale_s: Seconds = Field(default=0.0, description="mean of the second part (hyperexponential) [s]")
     table_file: str | None = Field(
         default=None,
-        description="file of samples, any count per line, # begins a comment; or what `ping` printed: half of each "
-        "round trip [s], with scale_s = 1",
+        description="file of samples, any count per line, # begins a comment",
+    )
+    quantiles: Annotated[tuple[tuple[Probability, float], ...], BeforeValidator(_pairs)] = Field(
+        default=(), description="a table without a file: pairs (share, value below which that share lies), in order"
     )
 
 
@@ -80,8 +100,7 @@ class DelayTrace(Settings):
 
     file: str | None = Field(
         default=None,
-        description="file of lines `time_s delay_s`, times strictly increasing; or what `ping -D` printed: half of each"
-        " round trip at its time",
+        description="file of lines `time_s delay_s`, times strictly increasing",
     )
     by: By = "time"
     interpolation: Literal["hold", "linear"] = Field(default="linear", description="course between two lines")
@@ -182,19 +201,6 @@ class Slots(Settings):
     max_bytes: int | None = Field(default=None, ge=1, le=_MOST, description="bytes a slot carries, none: unlimited")
 
 
-def _schedule(value: object) -> object:
-    """Accept `start:duration, start:duration` as well, because a run-time change carries no lists."""
-    if isinstance(value, list):
-        return tuple(tuple(item) if isinstance(item, list) else item for item in value)
-    if not isinstance(value, str):
-        return value
-    try:
-        pairs = [item.split(":") for item in value.split(",") if item.strip()]
-        return tuple((float(start), float(duration)) for start, duration in pairs)
-    except ValueError as error:
-        raise ValueError(f"{value!r} is not a list of start_s:duration_s, such as '1.5:0.2, 4:1'") from error
-
-
 def _names(value: object) -> object:
     if isinstance(value, str):
         return tuple(name.strip() for name in value.split(",") if name.strip())
@@ -204,7 +210,7 @@ def _names(value: object) -> object:
 class Outage(Settings):
     """Times without any connection, by schedule, at random, or both."""
 
-    schedule: Annotated[tuple[tuple[Seconds, Interval], ...], BeforeValidator(_schedule)] = Field(
+    schedule: Annotated[tuple[tuple[Seconds, Interval], ...], BeforeValidator(_pairs)] = Field(
         default=(), description="pairs (start_s after the origin, duration_s), in order"
     )
     origin: Literal["settings", "session"] = Field(
@@ -213,7 +219,10 @@ class Outage(Settings):
     )
     period_s: Interval | None = Field(default=None, description="the schedule repeats after this time [s], none: once")
     mean_up_s: Interval | None = Field(default=None, description="mean of the exponential time between random outages")
-    mean_down_s: Interval | None = Field(default=None, description="mean of the exponential length of random outages")
+    mean_down_s: Interval | None = Field(default=None, description="mean length of random outages [s]")
+    down_spread: Annotated[float, Field(ge=0.0, le=5.0)] | None = Field(
+        default=None, description="standard deviation of the logarithm of that length (log-normal), none: exponential"
+    )
     mode: Literal["drop", "hold"] = Field(
         default="drop", description="fate of what arrives in an outage: lost, or sent when it ends"
     )
@@ -253,8 +262,16 @@ class Impairment(Settings):
         yield from _outage_problems(self.outage)
 
     def _shape_problems(self) -> Iterator[Problem]:
-        if self.jitter.distribution == "table" and self.jitter.table_file is None:
-            yield "jitter.table_file", "distribution 'table' needs a file of samples"
+        shares = [share for share, _ in self.jitter.quantiles]
+        values = [value for _, value in self.jitter.quantiles]
+        if shares and (shares != sorted(set(shares)) or (shares[0], shares[-1]) != (0.0, 1.0)):
+            yield "jitter.quantiles", "the shares have to rise from 0 to 1"
+        if values != sorted(values):
+            yield "jitter.quantiles", "a larger share has a smaller value than the one before it"
+        if self.jitter.distribution == "table" and (self.jitter.table_file is None) == (not shares):
+            yield "jitter.table_file", "distribution 'table' needs a file of samples or jitter.quantiles, and not both"
+        if self.jitter.correlation > 0.0 and self.jitter.correlation_time_s > 0.0:
+            yield "jitter.correlation", "is per message, jitter.correlation_time_s over time; set one of them"
         if self.jitter.distribution == "table" and self.jitter.scale_s == 0.0:
             yield "jitter.scale_s", "is 0, by which every sample of the table is multiplied; 1 where they are seconds"
         if self.jitter.second_share > 0.0 and self.jitter.second_scale_s == 0.0:

@@ -5,13 +5,14 @@ is decided by the settings, the seed and the sequence of (arrival time, topic, s
 for what is due. The order of the stages: outage, loss, corruption, duplication, queue and rate, delay, order, slots.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import NamedTuple
 
 from services.delay_node.config import DirectionSettings, LinkSettings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
+from services.delay_node.models.jitter import JitterSource
 from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
 from services.runtime.loop.node_state import FindInput
@@ -294,8 +295,8 @@ class DirectionEngine:
         duplicated = pipeline.duplicates is not None and pipeline.duplicates()
         overtakes = pipeline.overtakes is not None and pipeline.overtakes()
         fixed_ns = pipeline.fixed_delay_ns(now_ns, number)
-        delay_ns = _random_delay_ns(fixed_ns, pipeline.jitter)
-        copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter)
+        delay_ns = _random_delay_ns(fixed_ns, pipeline.jitter, now_ns)
+        copy_ns = _random_delay_ns(fixed_ns, pipeline.copy_jitter, now_ns)
 
         shared = pipeline.shared
         message = InFlight(
@@ -395,9 +396,9 @@ class DirectionEngine:
         self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
 
 
-def _random_delay_ns(fixed_ns: int, jitter: Callable[[], float] | None) -> int:
+def _random_delay_ns(fixed_ns: int, jitter: JitterSource | None, now_ns: int) -> int:
     # No network delivers before it has received: a delay that a wide jitter takes below zero stays at zero.
-    return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter())), _LONGEST_DELAY_NS)
+    return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter(now_ns))), _LONGEST_DELAY_NS)
 
 
 def _waiting(message: InFlight) -> Waiting[InFlight]:

@@ -74,6 +74,7 @@ class SharedModels(NamedTuple):
     queue: "ServedQueue[InFlight] | None"
     slot_gate: SlotGate | None
     outages: Outages | None
+    lasting_jitter: JitterSource | None  # one whose correlation is over time belongs to the line
 
 
 class TopicPipeline(NamedTuple):
@@ -311,6 +312,7 @@ class Pipeline:
             queue=self._queue(pattern, s, files.delivery_ns, now_ns),
             slot_gate=self._gate(pattern, s.slots, now_ns),
             outages=self._outages(pattern, s.outage, now_ns),
+            lasting_jitter=self._lasting_jitter(pattern, s, files, now_ns),
         )
 
     def _counter(self, pattern: str, s: Impairment, files: Files) -> MessageCount | None:
@@ -398,15 +400,19 @@ class Pipeline:
             return None
         return self._kept((topic, "overtaking"), s.reordering, lambda: Overtaking(happens, s.reordering.gap))
 
+    def _lasting_jitter(self, pattern: str, s: Impairment, files: Files, now_ns: int) -> JitterSource | None:
+        if s.jitter.scale_s == 0.0 or s.jitter.correlation_time_s == 0.0:
+            return None
+        draw = self._stream("shared", "jitter", pattern)
+        definition = (s.jitter, files.samples)
+        return self._kept(("shared", "jitter", pattern), definition, lambda: JitterSource(*definition, draw, now_ns))
+
     def _jitter(self, topic: str, which: str, shared: SharedModels) -> JitterSource | None:
         settings, samples = shared.settings.jitter, shared.files.samples
-        if settings.scale_s == 0.0:
-            return None
-        return self._kept(
-            (topic, "jitter", which),
-            (settings, samples),
-            lambda: JitterSource(settings, samples, lambda name: self._stream(topic, which, name)),
-        )
+        if settings.scale_s == 0.0 or shared.lasting_jitter is not None:
+            return shared.lasting_jitter
+        draw = self._stream(topic, which, "jitter")
+        return self._kept((topic, "jitter", which), (settings, samples), lambda: JitterSource(settings, samples, draw))
 
 
 def _is_constant(pipeline: TopicPipeline) -> bool:

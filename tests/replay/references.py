@@ -106,7 +106,7 @@ REFERENCES = {
         "virtual_impedance",
         {
             "delay_s": 0.004,
-            "jitter": {"scale_s": 0.001, "distribution": "pareto_normal", "correlation": 0.9},
+            "jitter": {"scale_s": 0.001, "distribution": "pareto", "correlation": 0.9},
             "gilbert_elliott": {"p": 0.01, "r": 0.3},
             "order": "topic",
             "rate": {"rate_bytes_per_s": 400_000.0, "overhead_bytes": 54},

@@ -1,6 +1,10 @@
-"""The command of this package, which telenano lists without importing what it needs."""
+"""The commands of this package, which telenano lists without importing what they need."""
 
 COMMANDS = {
+    "link fit": (
+        "telenano_networks.fit_command:fit",
+        "Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.",
+    ),
     "link probe": (
         "telenano_networks.probe_command:probe",
         "Measure the network between two running sites: delay and loss of each datagram, each way.",

@@ -1,19 +1,19 @@
 """The random part of the delay as standardised quantile functions of uniform numbers."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from statistics import NormalDist
+from typing import NamedTuple
 
 from services.delay_node.config import Jitter
 from services.delay_node.random_streams import CorrelatedUniform, Draw
 
-# Weights of the normal and the Pareto part, the proportion that is customary for this mixture.
-NORMAL_WEIGHT = 0.25
-PARETO_WEIGHT = 0.75
-
 normal_quantile = NormalDist().inv_cdf
 # Newton's steps end where they change the root by less than this share, and there are never more.
 _SMALLEST_STEP, _MOST_STEPS = 1e-13, 100
+# What lasts in time is drawn so often in its correlation time, and a pause of more draws than these is jumped over.
+_DRAWS_IN_CORRELATION_TIME, _LONGEST_WALK = 8, 10_000
 
 
 def uniform_quantile(u: float) -> float:
@@ -71,52 +71,73 @@ def table_quantile(samples: Sequence[float]) -> Callable[[float], float]:
     return quantile
 
 
+def pairs_quantile(pairs: Sequence[tuple[float, float]]) -> Callable[[float], float]:
+    """Quantile through (share, value) pairs whose shares rise from 0 to 1: linear between them."""
+    shares, values = zip(*pairs, strict=True)
+
+    def quantile(u: float) -> float:
+        above = min(bisect_right(shares, u), len(shares) - 1)
+        low, below = shares[above - 1], values[above - 1]
+        return float(below + (u - low) / (shares[above] - low) * (values[above] - below))
+
+    return quantile
+
+
+class JitterState(NamedTuple):
+    """The last normal score, None before the first and without correlation; step and u of what lasts in time."""
+
+    score: float | None
+    step: int
+    u: float
+
+
 class JitterSource:
     """Random delays [ns, may be negative], one for each message."""
 
-    __slots__ = ("_draws", "_scale_ns", "_uniforms")
+    __slots__ = ("_quantile", "_scale_ns", "_step", "_step_ns", "_u", "_uniform")
 
-    def __init__(self, settings: Jitter, samples: Sequence[float], streams: Callable[[str], Draw]) -> None:
+    def __init__(self, settings: Jitter, samples: Sequence[float], draw: Draw, now_ns: int = 0) -> None:
         self._scale_ns = settings.scale_s * 1e9
-        parts = _parts(settings, samples)
-        self._uniforms = tuple(
-            CorrelatedUniform(settings.correlation, streams(name), normal_quantile) for _, name, _ in parts
-        )
-        self._draws = [
-            (weight, quantile, uniform) for (weight, _, quantile), uniform in zip(parts, self._uniforms, strict=True)
-        ]
+        self._quantile = _quantile_of(settings, samples)
+        self._step_ns = round(settings.correlation_time_s * 1e9 / _DRAWS_IN_CORRELATION_TIME)
+        rho = math.exp(-1.0 / _DRAWS_IN_CORRELATION_TIME) if self._step_ns else settings.correlation
+        self._uniform = CorrelatedUniform(rho, draw, normal_quantile)
+        # The draws in time count from here, so that no message shifts those of another.
+        self._step = now_ns // self._step_ns - 1 if self._step_ns else 0
+        self._u = 0.5
 
     @property
-    def state(self) -> list[float | None]:
-        """The last normal score of each part, None before the first message and where there is no correlation."""
-        return [uniform.score for uniform in self._uniforms]
+    def state(self) -> JitterState:
+        return JitterState(self._uniform.score, self._step, self._u)
 
     @state.setter
-    def state(self, scores: list[float | None]) -> None:
-        for uniform, score in zip(self._uniforms, scores, strict=True):
-            uniform.score = score
+    def state(self, state: JitterState) -> None:
+        self._uniform.score, self._step, self._u = state
 
-    def __call__(self) -> float:
-        """Return the next random part [ns]."""
-        return self._scale_ns * sum(weight * quantile(uniform()) for weight, quantile, uniform in self._draws)
+    def __call__(self, now_ns: int = 0) -> float:
+        """Return the random part [ns] of a message that arrives now; now_ns must not decrease."""
+        if not self._step_ns:
+            return self._scale_ns * self._quantile(self._uniform())
+        behind = now_ns // self._step_ns - self._step
+        if behind > _LONGEST_WALK:
+            # Nothing is left of a score after so long.
+            self._uniform.score, behind = None, 1
+        for _ in range(behind):
+            self._u = self._uniform()
+        self._step = now_ns // self._step_ns
+        return self._scale_ns * self._quantile(self._u)
 
 
-def _parts(settings: Jitter, samples: Sequence[float]) -> list[tuple[float, str, Callable[[float], float]]]:
+def _quantile_of(settings: Jitter, samples: Sequence[float]) -> Callable[[float], float]:
     match settings.distribution:
         case "uniform":
-            return [(1.0, "jitter", uniform_quantile)]
-        case "normal":
-            return [(1.0, "jitter", normal_quantile)]
+            return uniform_quantile
         case "pareto":
-            return [(1.0, "jitter", pareto_quantile(settings.pareto_shape))]
+            return pareto_quantile(settings.pareto_shape)
         case "hyperexponential":
             ratio = settings.second_scale_s / settings.scale_s if settings.scale_s else 1.0
-            return [(1.0, "jitter", hyperexponential_quantile(settings.second_share, ratio))]
+            return hyperexponential_quantile(settings.second_share, ratio)
         case "table":
-            return [(1.0, "jitter", table_quantile(samples))]
-        case "pareto_normal":
-            norm = math.hypot(NORMAL_WEIGHT, PARETO_WEIGHT)
-            return [
-                (NORMAL_WEIGHT / norm, "jitter/normal", normal_quantile),
-                (PARETO_WEIGHT / norm, "jitter/pareto", pareto_quantile(settings.pareto_shape)),
-            ]
+            return pairs_quantile(settings.quantiles) if settings.quantiles else table_quantile(samples)
+        case _:
+            return normal_quantile

@@ -5,6 +5,7 @@ from bisect import bisect_right
 from typing import NamedTuple
 
 from services.delay_node.config import Outage
+from services.delay_node.models.jitter import normal_quantile
 from services.delay_node.random_streams import SMALLEST, Draw
 
 # outages that are walked through for a message; a longer pause is jumped over, or it would stop the link
@@ -28,11 +29,11 @@ class Outages:
 
     `origin_ns` is the moment the settings came into force; the schedule counts from `session_ns` instead where it is
     given in session time, and is not there before.
-    Random outages alternate exponential times up and down, starting up. They are drawn in the order of time, so
-    the same seed gives the same outages whatever messages pass.
+    Random outages alternate exponential times up with exponential or log-normal times down, starting up. They are
+    drawn in the order of time, so the same seed gives the same outages whatever messages pass.
     """
 
-    __slots__ = ("_down_ns", "_draw", "_is_of_session", "_period_ns", "_schedule", "_up_ns", "state")
+    __slots__ = ("_down_ns", "_draw", "_is_of_session", "_period_ns", "_schedule", "_spread", "_up_ns", "state")
 
     def __init__(self, settings: Outage, origin_ns: int, draw: Draw, session_ns: int = NO_SESSION_NS) -> None:
         self._draw = draw
@@ -41,6 +42,7 @@ class Outages:
         self._period_ns = None if settings.period_s is None else round(settings.period_s * 1e9)
         self._up_ns = None if settings.mean_up_s is None else settings.mean_up_s * 1e9
         self._down_ns = 0.0 if settings.mean_down_s is None else settings.mean_down_s * 1e9
+        self._spread = settings.down_spread
         self.state = OutageState(session_ns if self._is_of_session else origin_ns, [(origin_ns, origin_ns)])
 
     def begin_session(self, session_ns: int) -> None:
@@ -70,15 +72,22 @@ class Outages:
             return at_ns
         cycle_ns = self._up_ns + self._down_ns
         if at_ns - self.state.random[-1][1] > _LONGEST_WALK * cycle_ns:
-            # an exponential time has no memory: up or down by their shares, for as long as from the start
+            # An exponential time has no memory: up or down by their shares, for as long as from the start. A log-normal
+            # one has, of which nobody who was away so long can know.
             start_ns = at_ns
             if self._draw() * cycle_ns >= self._down_ns:
                 start_ns += self._exponential(self._up_ns)
-            self.state.random.append((start_ns, start_ns + self._exponential(self._down_ns)))
+            self.state.random.append((start_ns, start_ns + self._length_ns()))
         while (last_ns := self.state.random[-1][1]) <= at_ns:
             start_ns = last_ns + self._exponential(self._up_ns)
-            self.state.random.append((start_ns, start_ns + self._exponential(self._down_ns)))
+            self.state.random.append((start_ns, start_ns + self._length_ns()))
         return next((end_ns for start_ns, end_ns in self.state.random if start_ns <= at_ns < end_ns), at_ns)
+
+    def _length_ns(self) -> int:
+        if self._spread is None:
+            return self._exponential(self._down_ns)
+        score = normal_quantile(self._draw() or SMALLEST)
+        return max(1, round(self._down_ns * math.exp(self._spread * (score - 0.5 * self._spread))))
 
     def _exponential(self, mean_ns: float) -> int:
         # At least one nanosecond, so that the walk through the intervals always moves on.

@@ -1,8 +1,7 @@
 """Files that drive the link: delay over time, delivery opportunities, jitter samples.
 
-Text, one record a line; `#` begins a comment, empty lines are skipped. Delays, losses and samples are read from what
-`ping` printed as well (`ping_log`). Every error names file and line, and shows nothing of what is there: whoever may
-set the link could otherwise read any file that the node can.
+Text, one record a line; `#` begins a comment, empty lines are skipped. Every error names file and line, and shows
+nothing of what is there: whoever may set the link could otherwise read any file that the node can.
 """
 
 from bisect import bisect_right
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar
 
 from proto.errors import ConfigError
-from services.delay_node.models import ping_log
 
 T = TypeVar("T")
 
@@ -50,7 +48,10 @@ def read_text(path: Path) -> str:
             raise ConfigError(f"{path}: is empty")
         if size > LARGEST_FILE_BYTES:
             raise ConfigError(f"{path}: is larger than {LARGEST_FILE_BYTES} bytes")
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        if text.startswith(("PING ", "Pinging ")):
+            raise ConfigError(f"{path}: is what ping printed; `telenano link fit` makes settings and traces of it")
+        return text
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -71,11 +72,7 @@ def parse_delay_trace(text: str, name: str, *, by_number: bool = False) -> Delay
             raise ConfigError(f"{place}: is not a pair `time_s delay_s`")
         return round(_number(words[0], place, 0.0, _LONGEST_DELAY_S) * 1e9)
 
-    if ping_log.is_ping_log(text) and not by_number:
-        rows = _logged(ping_log.delays(text, name), name, lambda delay_s: round(delay_s * 1e9))
-    else:
-        rows = _rows(text, name, delay_ns, by_number=by_number)
-    return DelayCourse(*_course(rows, name, "time_s delay_s"))
+    return DelayCourse(*_course(_rows(text, name, delay_ns, by_number=by_number), name, "time_s delay_s"))
 
 
 def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCourse:
@@ -92,11 +89,7 @@ def parse_loss_trace(text: str, name: str, *, by_number: bool = False) -> LossCo
             raise ConfigError(f"{place}: is not a pair `time_s lost`, with 1 for lost and 0 for not")
         return words[0] == "1"
 
-    if ping_log.is_ping_log(text) and not by_number:
-        rows = _logged(ping_log.losses(text, name), name, bool)
-    else:
-        rows = _rows(text, name, lost, by_number=by_number)
-    return LossCourse(*_course(rows, name, "time_s lost"))
+    return LossCourse(*_course(_rows(text, name, lost, by_number=by_number), name, "time_s lost"))
 
 
 def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]:
@@ -125,13 +118,9 @@ def parse_delivery_trace(text: str, name: str, unit_s: float) -> tuple[int, ...]
 def parse_jitter_table(text: str, name: str) -> tuple[float, ...]:
     """Return the samples of a jitter table: finite numbers separated by white space.
 
-    Those of a log of ping are half its round trips [s].
-
     Raises:
         ConfigError: A line is wrong; the message names file and line.
     """
-    if ping_log.is_ping_log(text):
-        return tuple(answer.delay_s for answer in ping_log.answers(text, name))
     samples = tuple(
         _number(word, f"{name}, line {number}", -_LARGEST_SAMPLE, _LARGEST_SAMPLE)
         for number, words in _lines(text)
@@ -150,16 +139,6 @@ def _rows(
         place = f"{name}, line {number}"
         value = value_of(words[1:], place)
         yield number, _place_ns(words[0], place, by_number=by_number), value
-
-
-def _logged(
-    rows: Iterable[tuple[int, float, float]], name: str, value_of: Callable[[float], T]
-) -> Iterator[tuple[int, int, T]]:
-    """Yield line, time [ns] and value of what a log of ping has, within the bounds of a trace."""
-    for number, time_s, value in rows:
-        place = f"{name}, line {number}"
-        _within(time_s, place, 0.0, _LONGEST_TRACE_S)
-        yield number, round(time_s * 1e9), value_of(_within(value, place, 0.0, _LONGEST_DELAY_S))
 
 
 def _course(rows: Iterable[tuple[int, int, T]], name: str, wanted: str) -> tuple[tuple[int, ...], tuple[T, ...]]:
@@ -196,10 +175,6 @@ def _number(word: str, place: str, low: float, high: float) -> float:
     except ValueError:
         # The cause is left out because it holds the word itself.
         raise ConfigError(f"{place}: is not a number") from None
-    return _within(value, place, low, high)
-
-
-def _within(value: float, place: str, low: float, high: float) -> float:
     if not low <= value <= high:
         raise ConfigError(f"{place}: is not a number from {low:g} to {high:g}")
     return value

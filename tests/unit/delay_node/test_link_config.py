@@ -37,7 +37,7 @@ REPOSITORY = Path(__file__).parents[3]
         ({"backward.los": 0.1}, "backward.los", "known are delay_s, jitter"),
         ({"backward.loss": 0.1}, "backward.loss", "should be an object, got 0.1"),
         ({"forward.topics.afm/state.jitter.sd": 1}, "forward.topics.afm/state.jitter.sd", "known are scale_s"),
-        ({"profile": "mars"}, "profile", "'mars'; known are clean, 4g, 5g, dsl, lan"),
+        ({"profile": "mars"}, "profile", "'mars'; known are clean, 4g, 5g, cicv5g_n78_arterial"),
         ({"profile.name": "lan"}, "profile", "valid string"),
         ({"nothing": 1}, "nothing", "known are profile, seed, forward, backward"),
         ({"forward.jitter.correlation": 1.0}, "forward.jitter.correlation", "less than 1"),
@@ -50,6 +50,14 @@ REPOSITORY = Path(__file__).parents[3]
         ),
         ({"forward.jitter.distribution": "cauchy"}, "forward.jitter.distribution", "'uniform', 'normal'"),
         ({"forward.order": "link", "forward.reordering.probability": 0.1}, "forward.order", "forbids overtaking"),
+        ({"forward.jitter.quantiles": "0:1,0.5:2"}, "forward.jitter.quantiles", "rise from 0 to 1"),
+        ({"forward.jitter.quantiles": "0:2,1:1"}, "forward.jitter.quantiles", "smaller value"),
+        ({"forward.jitter.quantiles": "0:1,1"}, "forward.jitter.quantiles", "pairs of numbers"),
+        (
+            {"forward.jitter.correlation": 0.5, "forward.jitter.correlation_time_s": 1.0},
+            "forward.jitter.correlation",
+            "one of them",
+        ),
         ({"forward.markov_loss.p13": 0.6, "forward.markov_loss.p14": 0.5}, "forward.markov_loss.p13", "more than 1"),
         ({"forward.markov_loss.p32": 0.1}, "forward.markov_loss.p31", "more than 1"),
         ({"forward.markov_loss.p13": 0.1, "forward.markov_loss.p31": 0.0}, "forward.markov_loss.p31", "never end"),
@@ -61,7 +69,7 @@ REPOSITORY = Path(__file__).parents[3]
         ({"forward.rate.rate_bytes_per_s": 1e6, "forward.delivery_trace.file": "x"}, "forward.rate", "one of them"),
         ({"forward.slots.max_interval_s": 0.1}, "forward.slots.max_interval_s", "slots.min_interval_s"),
         ({"forward.outage.schedule": "1:2, 2:1"}, "forward.outage.schedule", "at 2.0 s begins before"),
-        ({"forward.outage.schedule": "soon"}, "forward.outage.schedule", "start_s:duration_s"),
+        ({"forward.outage.schedule": "soon"}, "forward.outage.schedule", "pairs of numbers"),
         ({"forward.outage.schedule": "1:1", "forward.outage.period_s": 2.0}, "forward.outage.period_s", "longer"),
         ({"forward.outage.mean_up_s": 1.0}, "forward.outage.mean_up_s", "both"),
         (
@@ -265,7 +273,8 @@ impairments = st.fixed_dictionaries(
 
 @settings(max_examples=100)
 @given(
-    profile=st.sampled_from(sorted(PROFILES)),
+    # one with a table refuses a scale of 0
+    profile=st.sampled_from(sorted(name for name in PROFILES if "table" not in str(PROFILES[name].link))),
     seed=st.integers(0, 2**32),
     forward=impairments,
     topics=st.dictionaries(st.sampled_from(["teleop/forward", "afm/*"]), impairments.filter(bool)),

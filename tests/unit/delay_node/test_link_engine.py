@@ -450,7 +450,7 @@ IMPAIRMENTS = st.fixed_dictionaries(
         "jitter": st.fixed_dictionaries(
             {
                 "scale_s": st.floats(0.0, 0.02),
-                "distribution": st.sampled_from(["uniform", "normal", "pareto", "pareto_normal"]),
+                "distribution": st.sampled_from(["uniform", "normal", "pareto"]),
                 "correlation": st.floats(0.0, 0.95),
             }
         ),

@@ -13,7 +13,7 @@ SCALE_S = 0.004
 
 
 def sample(settings, samples=(), count=MANY):
-    source = JitterSource(settings, samples, lambda name: stream(21, name))
+    source = JitterSource(settings, samples, stream(21, "jitter"))
     return np.array([source() for _ in range(count)]) / 1e9 / settings.scale_s
 
 
@@ -48,17 +48,6 @@ def test_pareto_jitter_is_bounded_below_and_has_a_heavy_tail():
     assert law.sf(5) > 1000 * stats.norm.sf(5)
 
 
-def test_pareto_normal_is_the_normalised_sum_of_both():
-    x = sample(Jitter(scale_s=SCALE_S, distribution="pareto_normal"))
-    weights = np.array([0.25, 0.75]) / math.hypot(0.25, 0.75)
-    pareto = standard_pareto(3.0)
-    # P(w_n N + w_p P < t) = E[Phi((t - w_p P)/w_n)], by midpoints of the Pareto quantiles.
-    points = pareto.ppf((np.arange(200_000) + 0.5) / 200_000)
-    for t in (-1.0, -0.5, 0.0, 0.5, 2.0):
-        expected = stats.norm.cdf((t - weights[1] * points) / weights[0]).mean()
-        assert abs((x < t).mean() - expected) < 4 * math.sqrt(expected * (1 - expected) / MANY)
-
-
 @pytest.mark.parametrize("correlation", [0.3, 0.9])
 def test_correlation_is_that_of_successive_normal_delays(correlation):
     x = sample(Jitter(scale_s=SCALE_S, distribution="normal", correlation=correlation))
@@ -82,3 +71,42 @@ def test_table_reproduces_the_quantiles_of_its_samples():
 
 def test_table_of_one_sample_is_a_constant():
     assert table_quantile([2.5])(0.7) == 2.5
+
+
+PAIRS = ((0.0, 0.010), (0.5, 0.016), (0.9, 0.020), (1.0, 0.080))
+
+
+def test_pairs_are_the_quantiles_of_the_delay():
+    x = sample(Jitter(scale_s=1.0, distribution="table", quantiles=PAIRS), count=MANY)
+    for share, value in ((0.25, 0.013), (0.5, 0.016), (0.9, 0.020), (0.95, 0.050)):
+        assert abs((x < value).mean() - share) < 4 * math.sqrt(share * (1 - share) / MANY), share
+
+
+@pytest.mark.parametrize("rate_hz", [50, 1000])
+def test_what_lasts_has_its_correlation_time_and_its_distribution_at_any_rate_of_sending(rate_hz):
+    time_s, count = 0.05, 100_000
+    source = JitterSource(Jitter(scale_s=1.0, correlation_time_s=time_s), (), stream(5, "jitter"))
+    x = np.array([source(round(n * 1e9 / rate_hz)) for n in range(count)]) * 1e-9
+    independent = count / rate_hz / time_s / 2
+    assert abs(x.mean()) < 4 / math.sqrt(independent)
+    assert x.std() == pytest.approx(1.0, abs=4 / math.sqrt(independent))
+    for lag_s in (0.02, 0.06, 0.2):
+        lag = round(lag_s * rate_hz)
+        expected = math.exp(-lag / rate_hz / time_s)
+        assert np.mean(x[:-lag] * x[lag:]) == pytest.approx(expected, abs=0.02 + 4 / math.sqrt(independent)), lag_s
+
+
+def test_what_lasts_depends_on_the_time_and_not_on_what_was_sent():
+    settings = Jitter(scale_s=1.0, correlation_time_s=0.02)
+    every, some = (JitterSource(settings, (), stream(5, "jitter"), 7) for _ in range(2))
+    of_every = {n: every(7 + n * 1_000_000) for n in range(3000)}
+    assert all(some(7 + n * 1_000_000) == of_every[n] for n in range(13, 3000, 41))
+
+
+def test_a_long_pause_is_jumped_over():
+    draws = []
+    draw = stream(5, "jitter")
+    source = JitterSource(Jitter(scale_s=1.0, correlation_time_s=1e-6), (), lambda: draws.append(0) or draw())
+    source(0)
+    assert source(3600 * 10**9) != source(3600 * 10**9 + 10**6)
+    assert len(draws) < 20_000

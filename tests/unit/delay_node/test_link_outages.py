@@ -1,6 +1,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from services.delay_node.config import Outage
 from services.delay_node.models.outages import Outages
@@ -79,3 +80,17 @@ def test_a_long_pause_is_not_walked_through_and_keeps_the_law():
     assert abs(len(remaining_s) / len(ends) - share) < 4 * math.sqrt(share * (1 - share) / len(ends))
     # an outage that goes on has the mean of a whole one, to the nanosecond that is the least
     assert abs(remaining_s.mean() / down_s - 1) < 5 / math.sqrt(len(remaining_s))
+
+
+def test_log_normal_lengths_have_their_mean_and_their_spread():
+    mean_s, spread = 0.265, 0.3
+    link = outages(mean_up_s=0.5, mean_down_s=mean_s, down_spread=spread)
+    now, lengths = ORIGIN, []
+    while len(lengths) < 4000:
+        now += MS
+        if (end := link.end_ns(now)) is not None:
+            lengths.append((end - now) * 1e-9)
+            now = end
+    # The look comes up to 1 ms after the begin.
+    assert np.mean(lengths) == pytest.approx(mean_s, abs=0.001 + 4 * spread * mean_s / math.sqrt(len(lengths)))
+    assert np.std(np.log(lengths)) == pytest.approx(spread, abs=4 * spread / math.sqrt(2 * len(lengths)) + 0.003)

@@ -1,0 +1,367 @@
+"""A model of the link fitted to a log of a line, and how far what it generates agrees with what was measured.
+
+The model consists of settings that the link has: quantiles of the delay whose normal scores lose their correlation
+over time, stalls that come at random, last for log-normal times and hold what arrives (so that it comes in one go),
+and losses in runs. A stall is seen in a log as two messages or more that arrive together although they were sent one
+after the other, the first of them much later than usual.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from services.delay_node.config import parse_settings
+from services.delay_node.engine import fates_of
+from telenano_networks.line_log import Column, LineLog, Segment
+
+# Between two shares the quantiles are linear, and the tail needs them close.
+_TAIL = (0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
+SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
+# Messages of one go arrive within this share of the period at which they were sent.
+_TOGETHER = 0.2
+# A stall is longer than so many periods, and than so many times the distance from the median to the third quartile.
+_PERIODS, _SPREADS = 2.0, 8.0
+# A correlation of neighbours below this is none.
+_LEAST_CORRELATION = 0.05
+# With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
+_FEWEST_STALLS = 5
+_LEAST_SPREAD, _ASSUMED_SPREAD = 0.02, 0.1
+# Overtaking by less than this share is that of the clock.
+_MOST_OVERTAKEN = 1e-3
+_BLOCK_S, _RESAMPLES, _DRAWS = 20.0, 400, 25
+_SIZE_BYTES = 200
+
+
+class Scale(NamedTuple):
+    """What tells a stall from the usual: the period of sending, median delay and least length of a stall [s]."""
+
+    period_s: float
+    median_s: float
+    stall_s: float
+
+
+@dataclass(frozen=True)
+class LineModel:
+    """A fitted line.
+
+    quantiles: of the delay outside of stalls, (share, delay [s]); correlation_time_s: 0 without correlation;
+    stalls_per_s, stall_s and spread: rate, mean length [s] and standard deviation of its logarithm;
+    lost: share; run: mean number lost in a row; ordered: whether no message overtakes another.
+    """
+
+    quantiles: tuple[tuple[float, float], ...]
+    correlation_time_s: float
+    stalls_per_s: float
+    stall_s: float
+    spread: float
+    lost: float
+    run: float
+    ordered: bool
+
+    def settings(self) -> dict[str, Any]:
+        """Return one direction of the link with this line."""
+        jitter: dict[str, Any] = {
+            "distribution": "table",
+            "scale_s": 1.0,
+            "quantiles": ",".join(f"{share}:{value}" for share, value in self.quantiles),
+        }
+        if self.correlation_time_s > 0.0:
+            jitter["correlation_time_s"] = self.correlation_time_s
+        found: dict[str, Any] = {"jitter": jitter, "order": "link" if self.ordered else "any"}
+        if self.stalls_per_s > 0.0:
+            found["outage"] = {
+                "mean_up_s": _rounded(1.0 / self.stalls_per_s),
+                "mean_down_s": _rounded(self.stall_s),
+                "down_spread": _rounded(self.spread),
+                "mode": "hold",
+            }
+        if self.lost > 0.0:
+            leave = min(1.0, 1.0 / self.run)
+            found["gilbert_elliott"] = {"p": _rounded(leave * self.lost / (1.0 - self.lost)), "r": _rounded(leave)}
+        return found
+
+    def one_way(self) -> "LineModel":
+        """Return one way of a round trip: half of each usual delay, half as many stalls and losses, each whole."""
+        halved = tuple((share, 0.5 * value) for share, value in self.quantiles)
+        return LineModel(
+            halved, self.correlation_time_s, 0.5 * self.stalls_per_s, self.stall_s, self.spread,
+            0.5 * self.lost, self.run, self.ordered,
+        )  # fmt: skip
+
+
+class Agreement(NamedTuple):
+    """A statistic of the half that the fit has not seen: measured with its interval, generated, of the other half."""
+
+    what: str
+    measured: float
+    low: float
+    high: float
+    generated: float
+    other_half: float
+    agrees: bool
+
+
+def scale_of(log: LineLog) -> Scale:
+    """Return what tells a stall from the usual on this line."""
+    delays = np.concatenate([part.delay_s[~np.isnan(part.delay_s)] for part in log.segments])
+    median_s, third_s = (float(value) for value in np.quantile(delays, (0.5, 0.75)))
+    return Scale(log.period_s, median_s, max(_PERIODS * log.period_s, _SPREADS * (third_s - median_s)))
+
+
+class Stall(NamedTuple):
+    """The places of its messages in a segment (the last one is not of it), and how much later the first came [s]."""
+
+    first: int
+    end: int
+    late_s: float
+
+
+def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
+    """Return the stalls of a segment, in order."""
+    here = np.flatnonzero(~np.isnan(part.delay_s))
+    if len(here) < 2:
+        return []
+    arrived_s = part.sent_s[here] + part.delay_s[here]
+    together = np.concatenate([[False], np.diff(arrived_s) < _TOGETHER * scale.period_s, [False]])
+    edges = np.flatnonzero(np.diff(together.astype(np.int8)))
+    found = []
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        late_s = float(part.delay_s[here[begin]]) - scale.median_s
+        if late_s > scale.stall_s:
+            found.append(Stall(int(here[begin]), int(here[end]) + 1, late_s))
+    return found
+
+
+def fit(log: LineLog, scale: Scale | None = None) -> LineModel:
+    """Return the model of a line."""
+    scale = scale_of(log) if scale is None else scale
+    usual, late_s, stalled_s = [], [], 0.0
+    pairs: list[tuple[Column, Column]] = []
+    for part in log.segments:
+        is_usual = ~np.isnan(part.delay_s)
+        for stall in stalls_of(part, scale):
+            is_usual[stall.first : stall.end] = False
+            late_s.append(stall.late_s)
+            stalled_s += stall.late_s
+        usual.append(part.delay_s[is_usual])
+        both = is_usual[:-1] & is_usual[1:]
+        pairs.append((part.delay_s[:-1][both], part.delay_s[1:][both]))
+    delays = np.sort(np.concatenate(usual))
+    seconds = sum(float(part.sent_s[-1]) for part in log.segments)
+    stall_s, spread = _lengths(np.array(late_s), scale.period_s)
+    lost = np.concatenate([np.isnan(part.delay_s) for part in log.segments])
+    runs = sum(
+        int(np.isnan(p.delay_s[0])) + int((np.diff(np.isnan(p.delay_s).astype(int)) == 1).sum()) for p in log.segments
+    )
+    return LineModel(
+        tuple(
+            (share, _rounded(float(value))) for share, value in zip(SHARES, np.quantile(delays, SHARES), strict=True)
+        ),
+        _correlation_time(pairs, delays, scale.period_s),
+        len(late_s) / max(seconds - stalled_s, scale.period_s) if late_s else 0.0,
+        stall_s,
+        spread,
+        float(lost.mean()),
+        float(lost.sum()) / max(runs, 1) if lost.any() else 1.0,
+        _overtaken(log) < _MOST_OVERTAKEN,
+    )
+
+
+def _runs(lost: npt.NDArray[np.bool_]) -> int:
+    """Return how often something was lost after what was not."""
+    return int(lost[0]) + int((np.diff(lost.astype(np.int8)) == 1).sum())
+
+
+def _lengths(late_s: Column, period_s: float) -> tuple[float, float]:
+    """Return mean [s] and spread of the lengths of the stalls that are long enough to be seen.
+
+    The first message that a stall held was sent up to a period after its begin, so that it is late by half a period
+    less on average, and by the standard deviation of that time more or less. What is too short to be seen is in the
+    quantiles of the usual delay, and is not made up for here.
+    """
+    if not len(late_s):
+        return 0.0, 0.0
+    logs = np.log(late_s + 0.5 * period_s)
+    middle_s = math.exp(float(np.median(logs)))
+    chance = period_s / math.sqrt(12.0) / middle_s
+    deviation = float(logs.std(ddof=1)) if len(logs) > 1 else 0.0
+    least = _LEAST_SPREAD if len(logs) >= _FEWEST_STALLS else _ASSUMED_SPREAD
+    spread = math.sqrt(max(deviation**2 - chance**2, least**2))
+    return middle_s * math.exp(0.5 * spread**2), spread
+
+
+def _correlation_time(pairs: Sequence[tuple[Column, Column]], delays: Column, period_s: float) -> float:
+    """Return the time in which the correlation of normal scores falls to 1/e [s], from that of neighbours; 0: none."""
+
+    def score(values: Column) -> Column:
+        # Many delays of a coarse clock are equal: each has the middle of its ranks.
+        rank = 0.5 * (np.searchsorted(delays, values, "left") + np.searchsorted(delays, values, "right"))
+        return np.asarray(special.ndtri(np.clip(rank / len(delays), 0.5 / len(delays), 1.0 - 0.5 / len(delays))))
+
+    before, after = (score(np.concatenate([pair[n] for pair in pairs])) for n in range(2))
+    if len(before) < 3 or before.std() == 0.0 or after.std() == 0.0:
+        return 0.0
+    correlation = float(np.corrcoef(before, after)[0, 1])
+    return _rounded(-period_s / math.log(min(correlation, 0.9999))) if correlation > _LEAST_CORRELATION else 0.0
+
+
+def _overtaken(log: LineLog) -> float:
+    late = total = 0
+    for part in log.segments:
+        arrived_s = (part.sent_s + part.delay_s)[~np.isnan(part.delay_s)]
+        late += int((np.diff(arrived_s) < -1e-3).sum())
+        total += len(arrived_s)
+    return late / max(total, 1)
+
+
+def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
+    """Return what the link with this model would have done to the messages of a log."""
+    settings = parse_settings({"seed": seed, "forward": model.settings()})
+    segments = []
+    begin_s = 0.0
+    sent_s = []
+    for part in log.segments:
+        sent_s.append(begin_s + part.sent_s)
+        begin_s += float(part.sent_s[-1]) + 60.0
+    times_ns = [round(1e9 * time_s) for times_s in sent_s for time_s in times_s.tolist()]
+    fates = fates_of(settings, "forward", "teleop/forward", times_ns, _SIZE_BYTES)
+    delays = np.array([np.nan if fate.dropped else 1e-9 * fate.delay_ns for fate in fates])
+    if log.resolution_s:
+        delays = np.rint(delays / log.resolution_s) * log.resolution_s
+    at = 0
+    for part in log.segments:
+        segments.append(Segment(part.sent_s, delays[at : at + len(part.sent_s)]))
+        at += len(part.sent_s)
+    return LineLog(tuple(segments), log.round_trip, log.resolution_s)
+
+
+def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
+    """Return what is compared: quantiles [ms], correlation of neighbours, stalls, losses; nan where there is none."""
+    return _statistics(log.segments, scale)
+
+
+def _statistics(parts: Sequence[Segment], scale: Scale) -> dict[str, float]:
+    delays = np.concatenate([part.delay_s for part in parts])
+    lost = np.isnan(delays)
+    quantiles = np.quantile(delays[~lost], (0.5, 0.99, 0.999)) * 1e3 if not lost.all() else np.full(3, np.nan)
+    found = [(stall, part) for part in parts for stall in stalls_of(part, scale)]
+    minutes = sum(float(part.sent_s[-1]) for part in parts) / 60.0
+    before = np.concatenate([part.delay_s[:-1] for part in parts])
+    after = np.concatenate([part.delay_s[1:] for part in parts])
+    both = ~np.isnan(before) & ~np.isnan(after)
+    known = both.sum() > 2 and before[both].std() > 0.0 and after[both].std() > 0.0
+    return {
+        "q50 [ms]": float(quantiles[0]),
+        "q99 [ms]": float(quantiles[1]),
+        "q99.9 [ms]": float(quantiles[2]),
+        "correlation of neighbours": float(np.corrcoef(before[both], after[both])[0, 1]) if known else math.nan,
+        "stalls per minute": len(found) / max(minutes, 1e-9),
+        "stall, median [ms]": float(np.median([stall.late_s for stall, _ in found])) * 1e3 if found else math.nan,
+        "messages in one go": float(np.mean([stall.end - stall.first for stall, _ in found])) if found else math.nan,
+        "lost": float(lost.mean()),
+    }
+
+
+def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
+    """Fit the first half of each segment and compare what the model generates with the second.
+
+    The interval is that of a bootstrap of blocks of the second half, 95 %. A statistic agrees inside of it, or where
+    the model is no further from the second half than the first half is.
+    """
+    scale = scale_of(log)
+    first, second = log.halves()
+    model = fit(first, scale)
+    measured, other = statistics(second, scale), statistics(first, scale)
+    draws = [statistics(generated(model, second, seed + n), scale) for n in range(_DRAWS)]
+    samples = _resampled(second, scale, seed)
+    found = []
+    for what, value in measured.items():
+        made = _mean([draw[what] for draw in draws])
+        low, high = _interval([sample[what] for sample in samples])
+        # A half without a stall says nothing of their length.
+        unknown = math.isnan(made) or math.isnan(value)
+        near = low <= made <= high or abs(made - value) <= abs(value - other[what])
+        found.append(Agreement(what, value, low, high, made, other[what], unknown or near))
+    return found
+
+
+def parameters(model: LineModel) -> dict[str, float]:
+    """Return the numbers of a model that an interval is stated of."""
+    quantiles = dict(model.quantiles)
+    return {
+        "usual delay, q50 [ms]": 1e3 * quantiles[0.5],
+        "usual delay, q99 [ms]": 1e3 * quantiles[0.99],
+        "correlation time [ms]": 1e3 * model.correlation_time_s,
+        "stalls per minute": 60.0 * model.stalls_per_s,
+        "length of a stall [ms]": 1e3 * model.stall_s if model.stalls_per_s else math.nan,
+        "spread of its logarithm": model.spread if model.stalls_per_s else math.nan,
+        "lost": model.lost,
+        "lost in a row": model.run if model.lost else math.nan,
+    }
+
+
+def intervals(log: LineLog, seed: int = 0, resamples: int = 200) -> dict[str, tuple[float, float]]:
+    """Return the 95 % interval of each parameter, by a bootstrap of blocks of the log."""
+    scale = scale_of(log)
+    made = [
+        parameters(fit(LineLog(parts, log.round_trip, log.resolution_s), scale))
+        for parts in _draws_of(log, seed, resamples)
+    ]
+    return {what: _interval([one[what] for one in made]) for what in made[0]}
+
+
+def _resampled(log: LineLog, scale: Scale, seed: int) -> list[dict[str, float]]:
+    return [_statistics(parts, scale) for parts in _draws_of(log, seed, _RESAMPLES)]
+
+
+def _draws_of(log: LineLog, seed: int, count: int) -> list[tuple[Segment, ...]]:
+    blocks = []
+    for part in log.segments:
+        pieces = max(1, round(float(part.sent_s[-1]) / _BLOCK_S))
+        edges = np.searchsorted(part.sent_s, np.linspace(0.0, part.sent_s[-1], pieces + 1)[1:-1])
+        for times_s, delays_s in zip(np.split(part.sent_s, edges), np.split(part.delay_s, edges), strict=True):
+            if len(times_s) > 2:
+                blocks.append(Segment(times_s - times_s[0], delays_s))
+    draw = np.random.default_rng(seed)
+    return [tuple(blocks[n] for n in draw.integers(len(blocks), size=len(blocks))) for _ in range(count)]
+
+
+def autocorrelation(log: LineLog, longest_s: float = 10.0) -> tuple[Column, Column]:
+    """Return lags [s] and the correlation of the delays at them, for drawing."""
+    period_s = log.period_s
+    lags = np.unique(np.rint(np.geomspace(1, max(2.0, longest_s / period_s), 60)).astype(int))
+    mean = float(np.nanmean(np.concatenate([part.delay_s for part in log.segments])))
+    values = [_at_lag(log.segments, int(lag), mean) for lag in lags]
+    return lags * period_s, np.array(values)
+
+
+def _at_lag(parts: Sequence[Segment], lag: int, mean_s: float) -> float:
+    product = square = 0.0
+    pairs = singles = 0
+    for part in parts:
+        delays = part.delay_s - mean_s
+        both = delays[:-lag] * delays[lag:] if len(delays) > lag else np.empty(0)
+        product += float(np.nansum(both))
+        pairs += int((~np.isnan(both)).sum())
+        square += float(np.nansum(delays**2))
+        singles += int((~np.isnan(delays)).sum())
+    return product / pairs / (square / singles) if pairs and square > 0.0 else math.nan
+
+
+def _interval(values: Sequence[float]) -> tuple[float, float]:
+    known = [value for value in values if not math.isnan(value)]
+    return (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))) if known else (math.nan, math.nan)
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return float(np.mean(known)) if known else math.nan
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.5g}")

@@ -1,0 +1,163 @@
+"""A log of a line becomes a model: known parameters are found again, and what it generates is like the log."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from telenano_networks.line_fit import accept, fit, generated, intervals, parameters, scale_of, statistics
+from telenano_networks.line_log import LineLog, Segment, read_log
+from typer.testing import CliRunner
+
+from proto.errors import ConfigError
+from services.delay_node.config import parse_settings
+from services.delay_node.profiles import Profile
+from services.runtime.settings.config import validate
+from telenano.cli.root import app
+
+PERIOD_S, TIME_S, PER_S, STALL_S, SPREAD = 0.02, 0.08, 0.1, 0.3, 0.2
+TRUTH = {
+    "usual delay, q50 [ms]": 20.0 * math.exp(0.0),
+    "correlation time [ms]": 1e3 * TIME_S,
+    "stalls per minute": 60.0 * PER_S,
+    "length of a stall [ms]": 1e3 * STALL_S,
+    "lost": 0.02,
+    "lost in a row": 2.0,
+}
+
+
+def made_log(seed: int, seconds: float = 600.0) -> LineLog:
+    """Make a log by another program than the link's: log-normal delays in time, stalls that hold, runs of losses."""
+    draw = np.random.default_rng(seed)
+    count = int(seconds / PERIOD_S)
+    sent_s = PERIOD_S * np.arange(count)
+    rho, fresh = math.exp(-PERIOD_S / TIME_S), draw.standard_normal(count)
+    scores = np.empty(count)
+    scores[0] = fresh[0]
+    for n in range(1, count):
+        scores[n] = rho * scores[n - 1] + math.sqrt(1.0 - rho * rho) * fresh[n]
+    leaves_s = sent_s.copy()
+    at_s = draw.exponential(1.0 / PER_S)
+    while at_s < seconds:
+        end_s = at_s + STALL_S * math.exp(SPREAD * draw.standard_normal() - 0.5 * SPREAD**2)
+        leaves_s = np.where((sent_s >= at_s) & (sent_s < end_s), end_s, leaves_s)
+        at_s = end_s + draw.exponential(1.0 / PER_S)
+    arrived_s = np.maximum.accumulate(leaves_s + 0.020 * np.exp(0.1 * scores))
+    delay_s = arrived_s - sent_s
+    bad = False
+    for n in range(count):
+        bad = draw.random() < (0.5 if bad else 0.5 * 0.02 / 0.98)
+        if bad:
+            delay_s[n] = np.nan
+    return LineLog((Segment(sent_s, delay_s),), round_trip=False)
+
+
+def test_known_parameters_are_found_again() -> None:
+    found = parameters(fit(made_log(1, 3000.0)))
+    for what, share in zip(TRUTH, (0.01, 0.15, 0.2, 0.05, 0.15, 0.1), strict=True):
+        assert found[what] == pytest.approx(TRUTH[what], rel=share), what
+    assert found["spread of its logarithm"] == pytest.approx(SPREAD, abs=0.04)
+
+
+@pytest.mark.endurance  # 200 draws with a bootstrap each
+@pytest.mark.timeout(3000)
+def test_the_intervals_hold_the_truth() -> None:
+    inside = dict.fromkeys(TRUTH, 0)
+    for seed in range(200):
+        bounds = intervals(made_log(seed), resamples=100)
+        for what, value in TRUTH.items():
+            inside[what] += bounds[what][0] <= value <= bounds[what][1]
+    assert min(inside.values()) >= 170, inside
+
+
+def test_what_is_generated_is_like_the_half_that_the_fit_has_not_seen() -> None:
+    table = accept(made_log(2))
+    assert sum(row.agrees for row in table) >= len(table) - 1, table
+    assert len(table) == 8
+
+
+def test_a_model_without_the_stalls_is_seen_to_disagree() -> None:
+    log = made_log(3)
+    scale = scale_of(log)
+    without = fit(log).__class__(**{**vars(fit(log)), "stalls_per_s": 0.0})
+    measured, other = statistics(log, scale), statistics(generated(without, log, 1), scale)
+    assert measured["q99.9 [ms]"] > 3.0 * other["q99.9 [ms]"]
+    assert other["stalls per minute"] == 0.0 < measured["stalls per minute"]
+
+
+def test_a_round_trip_becomes_two_ways_whose_delays_add_up_to_it() -> None:
+    model = fit(made_log(4))
+    way = model.one_way()
+    assert [2.0 * value for _, value in way.quantiles] == pytest.approx([value for _, value in model.quantiles])
+    assert (2.0 * way.stalls_per_s, way.stall_s) == (model.stalls_per_s, model.stall_s)
+    parse_settings({"forward": way.settings(), "backward": way.settings()})
+
+
+def table_of(path: Path, headings: str = "sent_ms,received_ms", seconds: float = 60.0, seed: int = 5) -> Path:
+    (part,) = made_log(seed, seconds).segments
+    rows = [
+        f"{1e3 * sent:.3f},{'' if math.isnan(delay) else f'{1e3 * (sent + delay):.3f}'}"
+        for sent, delay in zip(part.sent_s.tolist(), part.delay_s.tolist(), strict=True)
+    ]
+    path.write_text("\n".join([headings, *rows, ""]), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("headings", ["sent_ms,received_ms", "pub_time(ms),sub_time(ms)", "tx [ms],rx [ms]"])
+def test_a_table_is_read_by_its_headings(tmp_path: Path, headings: str) -> None:
+    (part,) = read_log([table_of(tmp_path / "log.csv", headings)]).segments
+    (made,) = made_log(5, 60.0).segments
+    assert part.sent_s == pytest.approx(made.sent_s, abs=1e-6)
+    assert part.delay_s == pytest.approx(made.delay_s, abs=2e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda text: text.replace("sent_ms,received_ms", "sent,received"), "sent does not say its unit.*--unit ms"),
+        (lambda text: text.split("\n", 1)[1], "line 1: has no headings"),
+        (lambda text: text.replace("received_ms", "colour"), "has the columns sent_ms, colour; a column of times"),
+        (lambda text: text.replace("\n20.000,", "\n20.000,19.0\n20.000,", 1), "line 3: was received 0.001 s before"),
+        (lambda text: text.replace("\n40.000,", "\n40.000,x", 1), "line 4: 'x.*is not a number"),
+        (lambda text: "\n".join(text.split("\n")[:200]), "199 messages in 3.9. s are too few"),
+        (lambda text: text.replace("_ms", "_ns"), "3000 messages in 6e-05 s are too few"),
+    ],
+)
+def test_a_log_that_cannot_serve_is_refused_in_words(tmp_path: Path, change, reason: str) -> None:  # type: ignore[no-untyped-def]
+    path = table_of(tmp_path / "log.csv")
+    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    with pytest.raises(ConfigError, match=reason):
+        read_log([path])
+
+
+def test_a_unit_that_was_guessed_wrong_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("sent_ms,delay_s\n" + "".join(f"{20 * n},{200 + n % 3}\n" for n in range(3000)), encoding="utf-8")
+    with pytest.raises(ConfigError, match="the median delay would be 201 s; is the unit of the column right"):
+        read_log([path])
+
+
+def test_a_clock_that_steps_back_and_a_pause_cut_the_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    times = [*range(0, 20_000, 20), *range(15_000, 40_000, 20), *range(90_000, 120_000, 20)]
+    path.write_text("sent_ms,delay_ms\n" + "".join(f"{t},20\n" for t in times), encoding="utf-8")
+    log = read_log([path])
+    assert [len(part.sent_s) for part in log.segments] == [1000, 1250, 1500]
+    assert [word in " ".join(log.cuts) for word in ("stepped back 1 times", "after message 1000", "nothing was sent")]
+    assert log.resolution_s == 0.01
+
+
+def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
+    log = table_of(tmp_path / "log.csv", seconds=240.0)
+    done = CliRunner().invoke(app, ["link", "fit", str(log), "--out", str(tmp_path / "line"), "--cite", "our own"])
+    assert done.exit_code in (0, 3), done.output
+    assert "stalls per minute" in done.output
+    way = json.loads((tmp_path / "line" / "way.json").read_text(encoding="utf-8"))
+    settings = parse_settings({"forward": way})
+    assert settings.forward.outage.mode == "hold"
+    assert settings.forward.jitter.correlation_time_s == pytest.approx(TIME_S, rel=0.3)
+    profile = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))
+    assert validate(Profile, profile, "profile.yaml").round_trip_ms > 40.0
+    assert "data:image/png" in (tmp_path / "line" / "fit.html").read_text(encoding="utf-8")

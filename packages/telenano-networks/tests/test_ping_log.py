@@ -1,0 +1,46 @@
+"""What `ping -D` printed becomes the round trip of each packet at its time, and what it lost."""
+
+import math
+
+import pytest
+from telenano_networks.ping_log import is_ping_log, round_trips
+
+from proto.errors import ConfigError
+
+LINUX = """PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.
+[1700000000.020000] 64 bytes from 192.0.2.1: icmp_seq=1 ttl=57 time=20.0 ms
+[1700000000.240000] 64 bytes from 192.0.2.1: icmp_seq=2 ttl=57 time=40.0 ms
+[1700000000.241000] 64 bytes from 192.0.2.1: icmp_seq=2 ttl=57 time=41.0 ms (DUP!)
+no answer yet for icmp_seq=3
+[1700000000.630000] 64 bytes from 192.0.2.1: icmp_seq=4 ttl=57 time=30.0 ms
+
+--- 192.0.2.1 ping statistics ---
+4 packets transmitted, 3 received, +1 duplicates, 25% packet loss, time 600ms
+rtt min/avg/max/mdev = 20.000/30.000/40.000/8.165 ms
+"""
+
+
+def test_the_round_trips_stand_at_the_times_of_sending_and_a_packet_without_answer_between_its_neighbours() -> None:
+    rows = round_trips(LINUX, "ping.txt")
+    assert [row[0] for row in rows] == pytest.approx([0.0, 0.2, 0.4, 0.6], abs=1e-6)
+    assert [row[1] for row in rows[:2]] == pytest.approx([0.020, 0.040], rel=1e-12)
+    assert math.isnan(rows[2][1])
+
+
+def test_the_number_of_a_packet_goes_on_after_sixteen_bits() -> None:
+    lines = [f"[{1700000000 + n}.0] 64 bytes: icmp_seq={(65530 + n) % 65536} ttl=57 time=20 ms" for n in range(12)]
+    assert [row[0] for row in round_trips("\n".join(lines), "p")] == pytest.approx(list(range(12)))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("PING a (1)\n64 bytes from a: icmp_seq=0 ttl=57 time=12.345 ms\n", "p, line 2: has no time; let `ping -D`"),
+        ("Pinging a\nReply from a: bytes=32 time<1ms TTL=117\n", "p, line 2: has no icmp_seq"),
+        ("PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.\n", "p: is a log of ping without"),
+    ],
+)
+def test_a_log_that_cannot_serve_is_refused_with_its_line(text: str, reason: str) -> None:
+    assert is_ping_log(text)
+    with pytest.raises(ConfigError, match=reason):
+        round_trips(text, "p")
