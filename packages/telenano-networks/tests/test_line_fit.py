@@ -150,7 +150,7 @@ def test_a_clock_that_steps_back_and_a_pause_cut_the_log(tmp_path: Path) -> None
 
 
 def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
-    log = table_of(tmp_path / "log.csv", seconds=240.0)
+    log = table_of(tmp_path / "log.csv", seconds=120.0)
     done = CliRunner().invoke(app, ["link", "fit", str(log), "--out", str(tmp_path / "line"), "--cite", "our own"])
     assert done.exit_code in (0, 3), done.output
     assert "stalls per minute" in done.output
