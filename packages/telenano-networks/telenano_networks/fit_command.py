@@ -199,6 +199,7 @@ def line_figure(log: "LineLog", model: "LineModel", seed: int) -> "Figure":
     """Draw measured beside generated: delay over time, tail of its distribution, autocorrelation, length of stalls."""
     import numpy as np
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter, ScalarFormatter
 
     from telenano_networks.line_fit import autocorrelation, generated, scale_of, stalls_of
 
@@ -222,6 +223,9 @@ def line_figure(log: "LineLog", model: "LineModel", seed: int) -> "Figure":
     tail.set(xlabel="delay [ms]", ylabel="share that takes longer", xscale="log", yscale="log")
     memory.set(xlabel="lag [s]", ylabel="autocorrelation", xscale="log")
     lengths.set(xlabel="the first message of a stall is late by [ms]", ylabel="share that is longer")
+    for axis in (course.yaxis, tail.xaxis, memory.xaxis):
+        axis.set_major_formatter(ScalarFormatter())
+        axis.set_minor_formatter(NullFormatter())
     for axes in (course, tail, memory, lengths):
         if axes.get_legend_handles_labels()[0]:
             axes.legend(fontsize="small")
