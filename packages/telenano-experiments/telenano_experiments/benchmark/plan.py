@@ -170,7 +170,10 @@ def plan_of(laws: Sequence[str], *, quick: bool, settings: tuple[tuple[str, Any]
 @functools.cache
 def is_random(network: str) -> bool:
     """Return whether another seed gives other delays or losses."""
-    return any((way.deviation_ms or 0.0) > 0.0 or way.lost > 0.0 for way in PROFILES[network].statistics.values())
+    return any(
+        (way.deviation_ms or 0.0) > 0.0 or len(set(way.percentiles_ms.values())) > 1 or way.lost > 0.0
+        for way in PROFILES[network].statistics.values()
+    )
 
 
 @functools.cache
