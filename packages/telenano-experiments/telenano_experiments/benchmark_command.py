@@ -24,6 +24,9 @@ def benchmark(
         str,
         typer.Option("--law", metavar="LAW[,LAW]|all", help="Laws to run, also of packages.", autocompletion=law_names),
     ] = "all",
+    network: Annotated[
+        str, typer.Option("--network", metavar="NAME[,NAME]", help="Other networks than those of the benchmark.")
+    ] = "",
     quick: Annotated[bool, typer.Option("--quick", help="Four networks, two tasks, two hands and two seeds.")] = False,
     settings: Annotated[
         list[str] | None,
@@ -43,8 +46,13 @@ def benchmark(
         from telenano_experiments.benchmark.run import RUNS
         from telenano_experiments.benchmark_page import CHOICE_HEAD, benchmark_figure, benchmark_page, choice_rows
 
-        plan = plan_of(option_values.laws(law), quick=quick, settings=option_values.settings(settings or ()))
-        options, command = figure_options(formats, style), _command(law, quick=quick, settings=settings or ())
+        plan = plan_of(
+            option_values.laws(law),
+            quick=quick,
+            networks=[name.strip() for name in network.split(",") if name.strip()],
+            settings=option_values.settings(settings or ()),
+        )
+        options, command = figure_options(formats, style), _command(law, network, quick=quick, settings=settings or ())
         with sweep_in(out, workers, scheduler, shown=not as_json, kind=RUNS) as sweep:
             outcomes = sweep.run(plan.runs())
         rows = rows_of(outcomes)
@@ -59,7 +67,8 @@ def benchmark(
             typer.echo(f"digest: {summary['digest']}")
 
 
-def _command(law: str, *, quick: bool, settings: list[str] | tuple[()]) -> str:
+def _command(law: str, network: str, *, quick: bool, settings: list[str] | tuple[()]) -> str:
     """Return the command that makes this result, without where it is put."""
     words = ["telenano benchmark", *(["--quick"] if quick else []), *([f"--law {law}"] if law != "all" else [])]
+    words += [f"--network {network}"] if network else []
     return " ".join([*words, *(f"--set {setting}" for setting in settings)])

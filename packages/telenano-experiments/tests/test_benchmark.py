@@ -185,6 +185,9 @@ def test_the_quick_set_is_part_of_the_whole_one_and_every_name_is_known():
     assert is_random("wifi")
     with pytest.raises(ConfigError, match="--law: unknown law 'wavy'"):
         plan_of(["wavy"], quick=True)
+    with pytest.raises(ConfigError, match="unknown network 'mars'"):
+        plan_of(["wave"], quick=True, networks=["mars"])
+    assert plan_of(["wave"], quick=True, networks=["lte"]).networks == ("lte",)
 
 
 def test_another_file_of_a_network_is_another_run(monkeypatch):
@@ -193,7 +196,7 @@ def test_another_file_of_a_network_is_another_run(monkeypatch):
     assert run_of(network="wifi").key != before
 
 
-def small(laws, *, quick, settings=()):
+def small(laws, *, quick, networks=(), settings=()):
     return Plan(("clean",), ("touch",), tuple(laws), ("force",), 1, settings)
 
 

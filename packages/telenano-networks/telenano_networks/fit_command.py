@@ -41,6 +41,10 @@ def fit(
     round_trip: Annotated[
         bool, typer.Option("--round-trip", help="The delays of a table are round trips, as those of ping are.")
     ] = False,
+    without_memory: Annotated[
+        bool,
+        typer.Option("--without-memory", help="The same distribution, each message drawn by itself: for comparison."),
+    ] = False,
     about: Annotated[str, typer.Option("--about", metavar="TEXT", help="What the line is, in one line.")] = "",
     cite: Annotated[str, typer.Option("--cite", metavar="TEXT", help="Where the log is from.")] = "",
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of what is generated.")] = 0,
@@ -61,6 +65,9 @@ def fit(
         bounds = intervals(log, seed)
         way = (model.one_way() if log.round_trip else model).settings()
         remarks = _remarks(log, table)
+        if without_memory:
+            way = _without_memory(way, seed)
+            remarks.append("Each message is drawn by itself: the distribution is that of the line, its memory is not.")
         document: dict[str, Any] = {
             "parameters": {
                 what: {"value": _known(value), "interval": [_known(edge) for edge in bounds[what]]}
@@ -126,16 +133,32 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
     return found
 
 
+def _sent(way: dict[str, Any], seed: int) -> list[Any]:
+    """Return the fates of messages at 200 Hz for ten minutes."""
+    from services.delay_node.config import parse_settings
+    from services.delay_node.engine import fates_of
+
+    settings = parse_settings({"seed": seed, "forward": way})
+    return fates_of(settings, "forward", "teleop/forward", range(0, 600 * 10**9, 5 * 10**6), 300)
+
+
+def _without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
+    """Return settings whose messages have the delays and the losses of a line, each by itself."""
+    import numpy as np
+
+    from telenano_networks.line_fit import quantiles_text
+
+    fates = _sent(way, seed)
+    delays_s = np.array([1e-9 * fate.delay_ns for fate in fates if not fate.dropped])
+    jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(delays_s)}
+    return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(fates)}}
+
+
 def _profile(way: dict[str, Any], seed: int, about: str, cite: str, remarks: list[str]) -> dict[str, Any]:
     """Return a network of presets/networks, with the statistics that its messages have."""
     import numpy as np
 
-    from services.delay_node.config import parse_settings
-    from services.delay_node.engine import fates_of
-
-    # at 200 Hz for ten minutes
-    settings = parse_settings({"seed": seed, "forward": way})
-    fates = fates_of(settings, "forward", "teleop/forward", range(0, 600 * 10**9, 5 * 10**6), 300)
+    fates = _sent(way, seed)
     delays_ms = np.array([1e-6 * fate.delay_ns for fate in fates if not fate.dropped])
     middle = np.quantile(delays_ms, (0.25, 0.5, 0.75)).round(2).tolist()
     statistics = {

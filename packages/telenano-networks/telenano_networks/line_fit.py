@@ -20,7 +20,7 @@ from services.delay_node.engine import fates_of
 from telenano_networks.line_log import Column, LineLog, Segment
 
 # Between two shares the quantiles are linear, and the tail needs them close.
-_TAIL = (0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
+_TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
 SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
 # Messages of one go arrive within this share of the period at which they were sent.
 _TOGETHER = 0.2
@@ -68,7 +68,7 @@ class LineModel:
         jitter: dict[str, Any] = {
             "distribution": "table",
             "scale_s": 1.0,
-            "quantiles": ",".join(f"{share}:{value}" for share, value in self.quantiles),
+            "quantiles": _text(self.quantiles),
         }
         if self.correlation_time_s > 0.0:
             jitter["correlation_time_s"] = self.correlation_time_s
@@ -104,6 +104,20 @@ class Agreement(NamedTuple):
     generated: float
     other_half: float
     agrees: bool
+
+
+def quantiles_text(delays_s: Column) -> str:
+    """Return the quantiles of delays [s] as jitter.quantiles of the link takes them."""
+    return _text(_quantiles(delays_s))
+
+
+def _quantiles(delays_s: Column) -> tuple[tuple[float, float], ...]:
+    values = np.quantile(delays_s, SHARES).tolist()
+    return tuple((share, _rounded(value)) for share, value in zip(SHARES, values, strict=True))
+
+
+def _text(quantiles: Sequence[tuple[float, float]]) -> str:
+    return ",".join(f"{share}:{value}" for share, value in quantiles)
 
 
 def scale_of(log: LineLog) -> Scale:

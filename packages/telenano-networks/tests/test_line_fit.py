@@ -160,4 +160,10 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     assert settings.forward.jitter.correlation_time_s == pytest.approx(TIME_S, rel=0.3)
     profile = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))
     assert validate(Profile, profile, "profile.yaml").round_trip_ms > 40.0
+    done = CliRunner().invoke(app, ["link", "fit", str(log), "--out", str(tmp_path / "twin"), "--without-memory"])
+    twin = yaml.safe_load((tmp_path / "twin" / "profile.yaml").read_text(encoding="utf-8"))
+    assert twin["statistics"]["forward"]["mean_ms"] == pytest.approx(
+        profile["statistics"]["forward"]["mean_ms"], rel=0.1
+    )
+    assert "outage" not in twin["link"]["forward"]
     assert "data:image/png" in (tmp_path / "line" / "fit.html").read_text(encoding="utf-8")

@@ -42,8 +42,10 @@ def check(name, way, count, seeds, widest):
     if stated.deviation_ms is not None:
         assert delays.std() == pytest.approx(stated.deviation_ms, rel=max(0.1, 3.0 * widest), abs=1e-9)
     for percent, delay_ms in stated.percentiles_ms.items():
-        below = float((delays < delay_ms).mean())
-        assert abs(below - 0.01 * percent) <= widest, f"{100 * below} % are below the percentile {percent}"
+        # Where many delays are equal, a percentile is all of their shares.
+        below, upto = float((delays < delay_ms - 0.01).mean()), float((delays < delay_ms + 0.01).mean())
+        outside = max(below - 0.01 * percent, 0.01 * percent - upto)
+        assert outside <= widest, f"{100 * below} to {100 * upto} % are below the percentile {percent}"
     room = 4.0 * math.sqrt(max(stated.lost, 1e-4) / lost.size) * (stated.lost_in_a_row or 1.0) ** 0.5
     assert abs(lost.mean() - stated.lost) <= room * (8.0 if name in SPARSE else 1.5), f"{lost.mean()} lost"
     if stated.lost_in_a_row is not None and lost.sum() > 200:

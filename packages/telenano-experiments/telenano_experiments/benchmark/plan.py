@@ -157,14 +157,27 @@ class Plan(NamedTuple):
         ]
 
 
-def plan_of(laws: Sequence[str], *, quick: bool, settings: tuple[tuple[str, Any], ...] = ()) -> Plan:
-    """Return the whole set, or the quick one, for some laws; ConfigError names a law that is not known."""
+def plan_of(
+    laws: Sequence[str],
+    *,
+    quick: bool,
+    networks: Sequence[str] = (),
+    settings: tuple[tuple[str, Any], ...] = (),
+) -> Plan:
+    """Return the whole set, or the quick one, for some laws, over its own networks where none are named.
+
+    Raises:
+        ConfigError: A law or a network is not known; the message names it.
+    """
     for law in laws:
         if law not in LAWS:
             raise ConfigError(f"--law: unknown law {law!r}, {known_names(law, LAWS)}")
+    for network in networks:
+        if network not in PROFILES:
+            raise ConfigError(f"--network: unknown network {network!r}, {known_names(network, PROFILES)}")
     if quick:
-        return Plan(QUICK_NETWORKS, QUICK_TASKS, tuple(laws), QUICK_HANDS, QUICK_SEEDS, settings)
-    return Plan(NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)
+        return Plan(tuple(networks) or QUICK_NETWORKS, QUICK_TASKS, tuple(laws), QUICK_HANDS, QUICK_SEEDS, settings)
+    return Plan(tuple(networks) or NETWORKS, tuple(TASKS), tuple(laws), tuple(HANDS), SEEDS, settings)
 
 
 @functools.cache
