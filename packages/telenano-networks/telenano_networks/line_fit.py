@@ -256,10 +256,7 @@ def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
 
 def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
     """Return what is compared: quantiles [ms], correlation of neighbours, stalls, losses; nan where there is none."""
-    return _statistics(log.segments, scale)
-
-
-def _statistics(parts: Sequence[Segment], scale: Scale) -> dict[str, float]:
+    parts = log.segments
     delays = np.concatenate([part.delay_s for part in parts])
     lost = np.isnan(delays)
     quantiles = np.quantile(delays[~lost], (0.5, 0.99, 0.999)) * 1e3 if not lost.all() else np.full(3, np.nan)
@@ -292,7 +289,7 @@ def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
     model = fit(first, scale)
     measured, other = statistics(second, scale), statistics(first, scale)
     draws = [statistics(generated(model, second, seed + n), scale) for n in range(_DRAWS)]
-    samples = _resampled(second, scale, seed)
+    samples = [statistics(one, scale) for one in _draws_of(second, seed, _RESAMPLES)]
     found = []
     for what, value in measured.items():
         made = _mean([draw[what] for draw in draws])
@@ -322,18 +319,11 @@ def parameters(model: LineModel) -> dict[str, float]:
 def intervals(log: LineLog, seed: int = 0, resamples: int = 200) -> dict[str, tuple[float, float]]:
     """Return the 95 % interval of each parameter, by a bootstrap of blocks of the log."""
     scale = scale_of(log)
-    made = [
-        parameters(fit(LineLog(parts, log.round_trip, log.resolution_s), scale))
-        for parts in _draws_of(log, seed, resamples)
-    ]
+    made = [parameters(fit(one, scale)) for one in _draws_of(log, seed, resamples)]
     return {what: _interval([one[what] for one in made]) for what in made[0]}
 
 
-def _resampled(log: LineLog, scale: Scale, seed: int) -> list[dict[str, float]]:
-    return [_statistics(parts, scale) for parts in _draws_of(log, seed, _RESAMPLES)]
-
-
-def _draws_of(log: LineLog, seed: int, count: int) -> list[tuple[Segment, ...]]:
+def _draws_of(log: LineLog, seed: int, count: int) -> list[LineLog]:
     blocks = []
     for part in log.segments:
         pieces = max(1, round(float(part.sent_s[-1]) / _BLOCK_S))
@@ -342,7 +332,8 @@ def _draws_of(log: LineLog, seed: int, count: int) -> list[tuple[Segment, ...]]:
             if len(times_s) > 2:
                 blocks.append(Segment(times_s - times_s[0], delays_s))
     draw = np.random.default_rng(seed)
-    return [tuple(blocks[n] for n in draw.integers(len(blocks), size=len(blocks))) for _ in range(count)]
+    drawn = [tuple(blocks[n] for n in draw.integers(len(blocks), size=len(blocks))) for _ in range(count)]
+    return [LineLog(parts, log.round_trip, log.resolution_s) for parts in drawn]
 
 
 def autocorrelation(log: LineLog, longest_s: float = 10.0) -> tuple[Column, Column]:

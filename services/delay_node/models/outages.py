@@ -72,8 +72,8 @@ class Outages:
             return at_ns
         cycle_ns = self._up_ns + self._down_ns
         if at_ns - self.state.random[-1][1] > _LONGEST_WALK * cycle_ns:
-            # An exponential time has no memory: up or down by their shares, for as long as from the start. A log-normal
-            # one has, of which nobody who was away so long can know.
+            # An exponential time has no memory: it is up or down by its share, for as long as from the start. A
+            # log-normal time has a memory, and after so long a pause nothing depends on it.
             start_ns = at_ns
             if self._draw() * cycle_ns >= self._down_ns:
                 start_ns += self._exponential(self._up_ns)

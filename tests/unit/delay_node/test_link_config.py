@@ -273,7 +273,7 @@ impairments = st.fixed_dictionaries(
 
 @settings(max_examples=100)
 @given(
-    # one with a table refuses a scale of 0
+    # A profile with a table refuses a scale of 0.
     profile=st.sampled_from(sorted(name for name in PROFILES if "table" not in str(PROFILES[name].link))),
     seed=st.integers(0, 2**32),
     forward=impairments,
