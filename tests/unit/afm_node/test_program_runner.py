@@ -107,6 +107,7 @@ def test_each_step_is_asked_of_the_guard_until_the_last_which_retracts(runner: P
     ask(runner, "count", 2)
     action, wanted = runner.step(INPUTS, DT)
     assert (action, wanted.base_m, wanted.place, wanted.amplitude_m) == (safety.ACTION_POSITION, 1e-9, THERE, 7e-9)
+    assert not runner.is_over
     assert runner.report() == ("count", "running", "step 1", 50.0, 1, 2, None)
     for mode in (safety.MODE_FOLLOW, safety.MODE_HOLD):
         runner.follow_guard(mode, safety.REASON_ARMED)
@@ -115,6 +116,7 @@ def test_each_step_is_asked_of_the_guard_until_the_last_which_retracts(runner: P
     assert (action, wanted.base_m) == (safety.ACTION_RETRACT, 2e-9)
     runner.follow_guard(safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED)
     assert runner.report() == ("count", "finished", "the count is finished: the tip retracts", 100.0, 2, 2, None)
+    assert runner.is_over
     runner.end()
     assert (runner.name, runner.capture().plan, runner.capture().reached) == ("", None, None)
     assert ask(runner, "count") == "it counts"
@@ -162,6 +164,7 @@ def test_an_aborted_program_takes_no_step_more_and_the_tip_retracts(runner: Prog
     assert runner.capture().reached == before
     runner.follow_guard(safety.MODE_RETRACTING, safety.REASON_RETRACT_REQUESTED)
     assert runner.report()[1:3] == ("ended", "the long search ended, it was aborted")
+    assert runner.is_over
     # the next one is another
     runner.end()
     ask(runner, "count")
@@ -232,6 +235,23 @@ def test_what_a_finished_program_did_not_reach_is_said(runner: ProgramRunner) ->
     runner.step(INPUTS, DT)
     runner.follow_guard(safety.MODE_RETRACTED, safety.REASON_RETRACT_REQUESTED)
     assert runner.report().text == "the long search is finished but for one point: the tip retracts"
+
+
+@pytest.mark.parametrize("scans", [False, True])
+def test_an_instrument_with_a_scan_of_its_own_takes_images_by_it_and_by_nothing_else(
+    runner: ProgramRunner, monkeypatch: pytest.MonkeyPatch, scans: bool
+) -> None:
+    def taking(how: str) -> Counting:
+        program = Counting()
+        monkeypatch.setattr(program, "begin", lambda *_: Begun(Counted(1, HERE), Count(0, 0), how, ""))
+        return program
+
+    monkeypatch.setattr("services.afm_node.programs.runner.OWN_SCAN", taking("by its own scan"))
+    monkeypatch.setitem(PROGRAMS, "scan", taking("line by line"))
+    of_it = ProgramRunner(instrument()._replace(scans=scans))
+    assert ask(of_it, "scan") == ("by its own scan" if scans else "line by line")
+    of_it.end()
+    assert ask(of_it, "count") == "it counts"
 
 
 def test_a_runner_goes_on_from_the_state_of_another(runner: ProgramRunner) -> None:
