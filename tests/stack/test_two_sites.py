@@ -19,7 +19,7 @@ from ledger import record
 from stack_rig import CONSTANT_PUSH, judged
 from two_sites import MASTER, ROOT, SLAVE, Site, TwoSites, needs_namespaces, sniff
 
-from services.runtime.security.accept_limiter import BURST, PER_S
+from services.runtime.security.socket_filters import BURST, PER_S
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.timeout(900)]
 

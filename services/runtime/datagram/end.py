@@ -18,7 +18,6 @@ from proto.network_messages import LinkKey
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.clock import NEVER_NS, Clock
-from services.runtime.datagram import flood_filter
 from services.runtime.datagram.agreement import Agreement
 from services.runtime.datagram.arrivals import ArrivalRecord
 from services.runtime.datagram.body import (
@@ -45,6 +44,7 @@ from services.runtime.datagram.touch import Touch
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from services.runtime.relay.path import RelayPath
 from services.runtime.security.sealed import RejectedError
+from services.runtime.security.socket_filters import admit_tags, dropped_datagrams
 
 # The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64
@@ -161,7 +161,7 @@ class DatagramEnd:
         try:
             self.socket.setblocking(False)
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-            flood_filter.admit(self.socket, self._tags())
+            admit_tags(self.socket, self._tags())
             self.socket.bind(place.bind)
         except OSError:
             self.socket.close()
@@ -458,14 +458,14 @@ class DatagramEnd:
     def _admit(self) -> None:
         # Where the kernel refuses a filter, messages of strangers are rejected here.
         with contextlib.suppress(OSError):
-            flood_filter.admit(self.socket, self._tags())
+            admit_tags(self.socket, self._tags())
 
     def _tags(self) -> list[bytes]:
         return [*self._agreement.tags, *([] if self._relay is None else [self._relay.tag])]
 
     def _count_kernel_drops(self) -> None:
         with contextlib.suppress(OSError):
-            dropped = flood_filter.dropped(self.socket)
+            dropped = dropped_datagrams(self.socket)
             if dropped > self._kernel_drops:
                 count = self.rejected.get("unknown_key", 0) + dropped - self._kernel_drops
                 self.rejected["unknown_key"] = count

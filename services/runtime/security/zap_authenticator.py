@@ -8,9 +8,9 @@ import zmq
 from services.runtime.bus.bus import ConnectionEvent
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import Clock
-from services.runtime.security.accept_limiter import PER_S, AcceptLimiter, Admission
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text
+from services.runtime.security.socket_filters import PER_S, AcceptLimiter, Admission
 from services.runtime.security.socket_monitor import (
     ACCEPTED,
     CLOSED_IN_HANDSHAKE,

@@ -6,17 +6,21 @@ thread could: the interpreter makes a loop wait up to 5 ms for one that is busy.
 in a thread that comes behind the loop, and the kernel limits how much that is.
 """
 
+import contextlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Protocol
 
 import zmq
 
+from proto import WireError
 from proto.errors import ConfigError, EndpointError
+from proto.messages import InputHealth
+from proto.nodes import is_estop
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
-from services.runtime.bus.estop_inlet import EstopInlet
 from services.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
-from services.runtime.bus.publisher import ZmqPublisher
+from services.runtime.bus.publisher import ZmqPublisher, bind
 from services.runtime.clock import Clock
 from services.runtime.loop.realtime import lower_thread
 from services.runtime.security.access_control import AccessControl
@@ -48,6 +52,36 @@ _CHECK_NS = 400_000_000
 def open_context(*, serves_network: bool) -> "zmq.Context[zmq.Socket[bytes]]":
     """Return a ZeroMQ context, with a thread of its own for endpoints that other machines can reach."""
     return zmq.Context(io_threads=2 if serves_network else 1)
+
+
+class EstopInlet(Subscriber):
+    """A SUB socket for emergency stops (ADR 0014).
+
+    The node binds it itself, so that any number of senders can connect, at once and without a lock.
+    It takes `session/control` of `estop@site` only, which `CommandHandler` lets stop and do nothing else.
+    """
+
+    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock, node: str, endpoint: str) -> None:
+        """Bind an ipc endpoint for `node`; EndpointError says why that fails."""
+        super().__init__(context, clock, {endpoint: ["session/control"]}, connect=False, permit=_permit)
+        self._path = Path(endpoint.removeprefix("ipc://"))
+        bind(self.socket, endpoint, node)
+        self.shared = False
+
+    def input_health(self) -> tuple[InputHealth, ...]:
+        """Return the sequence statistics of every sender; silence is nothing to report."""
+        return tuple(health for health in super().input_health() if health.src)
+
+    def close(self) -> None:
+        """Close the socket and remove it from its folder, so that nobody takes the node for one that runs."""
+        super().close()
+        with contextlib.suppress(OSError):
+            self._path.unlink()
+
+
+def _permit(topic: str, src: str) -> None:
+    if not is_estop(src):
+        raise WireError("source", f"{topic}: {src} may not send at the inlet for emergency stops")
 
 
 class NetworkHandler(Protocol):

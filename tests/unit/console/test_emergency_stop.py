@@ -23,10 +23,10 @@ from proto.nodes import DEVICES
 from proto.topics import TOPICS
 from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.bus.estop_inlet import EstopInlet
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.loop.commands import CommandHandler
+from services.runtime.wiring.transport import EstopInlet
 from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
 

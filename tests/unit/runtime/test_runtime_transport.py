@@ -37,9 +37,9 @@ from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
-from services.runtime.security.accept_limiter import BURST, PER_S
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
+from services.runtime.security.socket_filters import BURST, PER_S
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
 from services.runtime.wiring import transport
 from services.runtime.wiring.transport import Transport

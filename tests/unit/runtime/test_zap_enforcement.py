@@ -11,7 +11,7 @@ import zmq
 from network_bench import AFM, CONTROLLER, PATIENCE_S, Machine, two_machine_book, until
 
 from services.runtime.security import zap_authenticator
-from services.runtime.security.accept_limiter import AcceptLimiter
+from services.runtime.security.socket_filters import AcceptLimiter
 from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
 from services.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
 

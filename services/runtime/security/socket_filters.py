@@ -1,4 +1,6 @@
-"""A limit on how many connections an endpoint accepts, kept by the kernel: what is beyond it costs a process nothing.
+"""Filters of the kernel in front of sockets: what they drop costs a process nothing.
+
+One limits how many connections an endpoint accepts; another drops datagrams that do not begin with a known tag.
 
 To accept a connection and to fail its handshake takes this process up to a millisecond, half of it in the thread that
 moves its messages. libzmq accepts whatever comes. So where connections come too fast, a socket filter on the listening
@@ -19,11 +21,15 @@ BURST, PER_S = 20.0, 10.0
 
 _SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
 # The instructions of classic BPF: load a byte or a word, shift right, jump if a bit is set or if equal, return.
-_LOAD_BYTE, LOAD_WORD, _SHIFT_RIGHT, _JUMP_IF_SET, JUMP_IF_EQUAL, RETURN = 0x30, 0x20, 0x74, 0x45, 0x15, 0x06
+_LOAD_BYTE, _LOAD_WORD, _SHIFT_RIGHT, _JUMP_IF_SET, _JUMP_IF_EQUAL, _RETURN = 0x30, 0x20, 0x74, 0x45, 0x15, 0x06
 # offsets: flags in the TCP header, which a filter begins at; SKF_NET_OFF, by which it reaches the IP header
 _TCP_FLAGS, _SYN, _IP_HEADER = 13, 0x02, 0xFFF00000
 _IPV4_SOURCE, _IPV6_SOURCE = _IP_HEADER + 12, _IP_HEADER + 8
-PASS, DROP = 0x40000, 0
+_PASS, _DROP = 0x40000, 0
+# This field of struct sk_meminfo counts the datagrams that the socket's filter or its full buffer dropped.
+_SO_MEMINFO, _DROPS_PLACE, _MEMINFO_WORDS = 55, 8, 9
+# the filter of a UDP socket begins at the UDP header
+_UDP_HEADER_BYTES = 8
 # a jump of a filter spans 255 instructions
 _MOST_ADDRESSES = 20
 
@@ -110,6 +116,20 @@ def attach(sock: socket.socket, program: Sequence[Instruction]) -> None:
     sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("HP", len(program), ctypes.addressof(code)))
 
 
+def admit_tags(sock: socket.socket, tags: Sequence[bytes]) -> None:
+    """Let only datagrams whose first four bytes are one of `tags` reach a socket; OSError where the kernel refuses."""
+    program = [Instruction(_LOAD_WORD, 0, 0, _UDP_HEADER_BYTES)]
+    for tag in tags:
+        program += [Instruction(_JUMP_IF_EQUAL, 0, 1, int.from_bytes(tag, "big")), Instruction(_RETURN, 0, 0, _PASS)]
+    attach(sock, [*program, Instruction(_RETURN, 0, 0, _DROP)])
+
+
+def dropped_datagrams(sock: socket.socket) -> int:
+    """Return how many datagrams the kernel has dropped at a socket: by its filter, or because nobody took them."""
+    found = sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * _MEMINFO_WORDS)
+    return int(struct.unpack(f"={len(found) // 4}I", found)[_DROPS_PLACE]) if len(found) >= 4 * _MEMINFO_WORDS else 0
+
+
 def _bounded(tokens: float) -> float:
     return max(-BURST, min(BURST, tokens))
 
@@ -123,19 +143,19 @@ def syn_filter(addresses: Sequence[str]) -> Iterator[Instruction]:
     words = [struct.unpack(f"!{len(address.packed) // 4}I", address.packed) for address in parsed]
     yield Instruction(_LOAD_BYTE, 0, 0, _TCP_FLAGS)
     yield Instruction(_JUMP_IF_SET, 1, 0, _SYN)
-    yield Instruction(RETURN, 0, 0, PASS)
+    yield Instruction(_RETURN, 0, 0, _PASS)
     for version, length, source in ((4, 1, _IPV4_SOURCE), (6, 4, _IPV6_SOURCE)):
         block = [step for address in words if len(address) == length for step in _passes(address, source)]
         yield Instruction(_LOAD_BYTE, 0, 0, _IP_HEADER)
         yield Instruction(_SHIFT_RIGHT, 0, 0, 4)
-        yield Instruction(JUMP_IF_EQUAL, 0, len(block), version)
+        yield Instruction(_JUMP_IF_EQUAL, 0, len(block), version)
         yield from block
-    yield Instruction(RETURN, 0, 0, DROP)
+    yield Instruction(_RETURN, 0, 0, _DROP)
 
 
 def _passes(address: Sequence[int], source: int) -> Iterator[Instruction]:
     """Yield instructions that let a packet from an address pass, and go on behind them with any other."""
     for place, word in enumerate(address):
-        yield Instruction(LOAD_WORD, 0, 0, source + 4 * place)
-        yield Instruction(JUMP_IF_EQUAL, 0, 2 * (len(address) - 1 - place) + 1, word)
-    yield Instruction(RETURN, 0, 0, PASS)
+        yield Instruction(_LOAD_WORD, 0, 0, source + 4 * place)
+        yield Instruction(_JUMP_IF_EQUAL, 0, 2 * (len(address) - 1 - place) + 1, word)
+    yield Instruction(_RETURN, 0, 0, _PASS)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.runtime.security import accept_limiter
-from services.runtime.security.accept_limiter import BURST, PER_S, AcceptLimiter, Admission, syn_filter
+from services.runtime.security import socket_filters
+from services.runtime.security.socket_filters import BURST, PER_S, AcceptLimiter, Admission, syn_filter
 
 S = 1_000_000_000
 KNOWN, STRANGER = "127.0.0.2", "127.0.0.3"
@@ -183,4 +183,4 @@ def test_no_jump_of_the_longest_filter_is_too_far() -> None:
     limiter = AcceptLimiter(many, 0)
     program = list(syn_filter(limiter._addresses))
     assert max(max(step.if_true, step.if_false) for step in program) < 256
-    assert len(limiter._addresses) == accept_limiter._MOST_ADDRESSES
+    assert len(limiter._addresses) == socket_filters._MOST_ADDRESSES
