@@ -90,6 +90,17 @@ def port_signal(
     )  # fmt: skip
 
 
+@compiled
+def tip_signal(
+    tip: TipMeasurement, position_m: float, force_n: float, wave_sqrt_w: float = 0.0, energy_j: float = 0.0
+) -> PortSignal:
+    """Return the signal of a slave half: the state of its tip, and what its law sends with it."""
+    return PortSignal(
+        position_m, 0.0, force_n, wave_sqrt_w, energy_j, tip.separation_m, tip.separation_valid, tip.in_contact,
+        tip.following, 0.0, 0.0,
+    )  # fmt: skip
+
+
 class MasterReference(NamedTuple):
     """What the operator's device is to do: follow position_m, or, where `active` is false, be off.
 

@@ -9,6 +9,7 @@ from services.controller.law import PortSignal as PortSignal
 from services.controller.law import SlaveReference as SlaveReference
 from services.controller.law import TipMeasurement as TipMeasurement
 from services.controller.law import port_signal as port_signal
+from services.controller.law import tip_signal as tip_signal
 from services.controller.laws.shared import pass_through as pass_through
 from services.controller.laws.shared.virtual_mass import Mass as Mass
 from services.controller.laws.shared.virtual_mass import MassConfig as MassConfig

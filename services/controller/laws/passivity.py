@@ -78,6 +78,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
@@ -503,15 +504,8 @@ def slave_send(
     params: PassivityParams, state: SlaveState, tip: TipMeasurement, dt: float
 ) -> tuple[SlaveState, PortSignal]:
     """Send the force of the coupling back, and the energy that has gone into the channel here."""
-    return state, port_signal(
-        position_m=tip.base_position_m,
-        force_n=params.coupling_n_per_m * state.stretch_m / params.mass.force_scale,
-        energy_j=state.account.in_j,
-        separation_m=tip.separation_m,
-        separation_valid=tip.separation_valid,
-        in_contact=tip.in_contact,
-        active=tip.following,
-    )
+    force = params.coupling_n_per_m * state.stretch_m / params.mass.force_scale
+    return state, tip_signal(tip, tip.base_position_m, force, energy_j=state.account.in_j)
 
 
 @compiled

@@ -27,6 +27,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    tip_signal,
 )
 from services.controller.laws.shared.pass_through import SlaveState
 from services.controller.laws.shared.pass_through import slave_start as slave_start
@@ -183,14 +184,7 @@ def slave_send(
 ) -> tuple[SlaveState, PortSignal]:
     """Send the place of the tip, x_s - zeta, and the force on it."""
     place = tip.base_position_m - tip.force_n / params.stiffness_n_per_m
-    return state, port_signal(
-        position_m=place,
-        force_n=tip.force_n,
-        separation_m=tip.separation_m,
-        separation_valid=tip.separation_valid,
-        in_contact=tip.in_contact,
-        active=tip.following,
-    )
+    return state, tip_signal(tip, place, tip.force_n)
 
 
 @compiled

@@ -61,6 +61,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
     Mass,
@@ -442,16 +443,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
         begun=state.begun,
     )
     position = state.anchor_m + p.position_scale * sent_m if state.coupled else state.position_m
-    return state, port_signal(
-        position_m=position,
-        force_n=tip.force_n,
-        wave_sqrt_w=wave,
-        energy_j=sent_j,
-        separation_m=tip.separation_m,
-        separation_valid=tip.separation_valid,
-        in_contact=tip.in_contact,
-        active=tip.following,
-    )
+    return state, tip_signal(tip, position, tip.force_n, wave, sent_j)
 
 
 @compiled

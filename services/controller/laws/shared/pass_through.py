@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from services.controller.law import PortSignal, SlaveReference, TipMeasurement, port_signal
+from services.controller.law import PortSignal, SlaveReference, TipMeasurement, tip_signal
 from services.numerics.compiled import compiled
 
 
@@ -29,11 +29,4 @@ def slave_receive(
 @compiled
 def slave_send(params: object, state: SlaveState, tip: TipMeasurement, dt: float) -> tuple[SlaveState, PortSignal]:
     """Send the measured state of the tip back."""
-    return state, port_signal(
-        position_m=tip.base_position_m,
-        force_n=tip.force_n,
-        separation_m=tip.separation_m,
-        separation_valid=tip.separation_valid,
-        in_contact=tip.in_contact,
-        active=tip.following,
-    )
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n)
