@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from mcap.writer import CompressionType
 from pydantic import BaseModel
 
 from proto.errors import ConfigError, ExistsError, RecordingError
@@ -47,10 +46,7 @@ class CopyWriter:
             if isinstance(error, FileExistsError) and path.exists():
                 raise ExistsError(f"{path}: already exists and is not overwritten") from error
             raise RecordingError(f"{path}: cannot be created: {error.strerror}") from error
-        # The type is Any because the package carries no types.
-        self._mcap: Any = MessageWriter(
-            self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
+        self._mcap = MessageWriter(self._stream, _CHUNK_BYTES)
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._channels: dict[RawChannel, int] = {}
         self._by_identity: dict[int, tuple[RawChannel, int]] = {}

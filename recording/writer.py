@@ -6,10 +6,9 @@ import os
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import IO, Annotated, Literal, Protocol
+from typing import IO, Annotated, Literal
 
 import msgpack
-from mcap.writer import CompressionType
 from pydantic import BaseModel, ConfigDict, Field
 
 from proto import TOPICS
@@ -17,27 +16,11 @@ from proto.errors import RecordingError
 from proto.messages import Record
 from proto.nodes import site_of
 from recording.info import END_NAME
-from recording.mcap_messages import MessageWriter
+from recording.mcap_messages import Compression, MessageWriter
 from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 
-_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 # why a file ended
 FileEnd = Literal["stopped", "split", "snapshot", "quota"]
-
-
-class _McapWriter(Protocol):
-    """The part of mcap's writer that is used here; the package itself carries no return types."""
-
-    def start(self, profile: str) -> None: ...
-    def register_schema(self, name: str, encoding: str, data: bytes) -> int: ...
-    def register_channel(self, topic: str, message_encoding: str, schema_id: int, metadata: dict[str, str]) -> int: ...
-    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> None: ...
-    def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None: ...
-    def add_metadata(self, name: str, data: dict[str, str]) -> None: ...
-    def flush(self) -> None: ...
-    def finish(self) -> None: ...
-    @property
-    def message_count(self) -> int: ...
 
 
 def channel_topic(topic: str, src: str, site: str) -> str:
@@ -56,7 +39,7 @@ class FileSettings(BaseModel):
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,120}\.mcap$",
         description="Name of the file; one that exists is kept and the new one is called NAME_1.mcap, NAME_2.mcap, ...",
     )
-    compression: Literal["zstd", "lz4", "none"] = Field(default="zstd", description="Compression of each chunk")
+    compression: Compression = Field(default="zstd", description="Compression of each chunk")
     chunk_size_bytes: Annotated[int, Field(ge=4096, le=64 << 20)] = Field(
         default=1 << 20, description="Size at which a chunk is closed before its flush [bytes], 4096 to 67108864"
     )
@@ -87,12 +70,7 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self._own_channels: dict[str, int] = {}
         self._own_counts = dict.fromkeys(RECORDS, 0)
-        self._mcap: _McapWriter = MessageWriter(
-            stream,
-            chunk_size=settings.chunk_size_bytes,
-            compression=_COMPRESSION[settings.compression],
-            enable_data_crcs=True,
-        )
+        self._mcap = MessageWriter(stream, settings.chunk_size_bytes, settings.compression)
         with self._guarded():
             self._mcap.start("telenano")
             # from its first moment on the file is one that opens

@@ -42,11 +42,6 @@ FOREIGN = {
     "_instance": "zenoh-ros2-sdk",
     "_py_file": "numba",
     "_py_func": "numba",
-    "_Writer__chunk_builder": "mcap",
-    "_Writer__chunk_indices": "mcap",
-    "_Writer__chunk_size": "mcap",
-    "_Writer__finalize_chunk": "mcap",
-    "_Writer__statistics": "mcap",
 }
 # public in the standard library in spite of their names
 STANDARD = {"_asdict", "_exit", "_make", "_replace"}

@@ -323,7 +323,8 @@ class BreakingFile(io.BytesIO):
 @pytest.mark.parametrize("moment", ["message", "channel", "gap", "rejected", "flush", "finish"])
 def test_a_write_error_ends_the_recording_and_nothing_else(listen: MakeListener, moment: str) -> None:
     file = BreakingFile()
-    config = RecorderConfig(chunk_size_bytes=4096, compression="none")
+    # A small chunk is written with the message that fills it, a large one when it is flushed.
+    config = RecorderConfig(chunk_size_bytes=1 << 20 if moment == "flush" else 4096, compression="none")
     intake = Intake(RecordingWriter(file, Path("x.mcap"), NODE, config))
     listener = listen("haptic_node@master")
     intake.record(listener, frames("haptic/state", haptic_state(0)), EPOCH_NS)

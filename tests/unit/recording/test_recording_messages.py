@@ -1,69 +1,76 @@
-"""Messages written the short way: the same file as by the library, byte for byte."""
+"""The writer of MCAP: the same file as by the library, byte for byte."""
 
+import random
 import tracemalloc
-from io import BytesIO, RawIOBase
-from typing import Any
+from collections.abc import Callable
+from io import BufferedWriter, BytesIO, RawIOBase
+from typing import IO, Any
 
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from recording.mcap_messages import MessageWriter
+from recording.mcap_messages import Compression, MessageWriter
+
+LIBRARY_S = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
 
-def written(kind: type[Writer], compression: CompressionType, chunk_size: int) -> bytes:
-    stream = BytesIO()
-    writer = kind(stream, chunk_size=chunk_size, compression=compression, enable_data_crcs=True)
+def own_writer(stream: IO[bytes], chunk_size: int, compression: Compression) -> MessageWriter:
+    writer = MessageWriter(stream, chunk_size, compression)
     writer.start("telenano")
-    schema = writer.register_schema("Message", "jsonschema", b"{}")
-    channels = [writer.register_channel(f"topic/{number}", "msgpack", schema, {}) for number in range(3)]
-    # times of reception from several sockets are not in order, and may begin at 0
-    for number in range(400):
-        log_ns = (number * 7919) % 1009 * 1000
-        writer.add_message(
-            channels[number % len(channels)], log_ns, bytes([number % 251]) * (number % 97), log_ns + 5, number
-        )
-        if number == 20:
-            # a schema and a channel in the middle of a chunk
-            other = writer.register_schema("Other", "jsonschema", b"{}")
-            channels.append(writer.register_channel("topic/other", "msgpack", other, {}))
-        if number == 150:
+    return writer
+
+
+def library_s_writer(stream: IO[bytes], chunk_size: int, compression: Compression) -> Any:
+    writer = Writer(stream, chunk_size=chunk_size, compression=LIBRARY_S[compression], enable_data_crcs=True)
+    writer.start("telenano", "telenano")
+    return writer
+
+
+def written(make: Callable[..., Any], compression: Compression, chunk_size: int, seed: int) -> bytes:
+    """Return the file after a drawn order of calls."""
+    draw = random.Random(seed)
+    stream = BytesIO()
+    writer = make(stream, chunk_size, compression)
+    schemas = [writer.register_schema("Message", "jsonschema", b"{}")]
+    channels = [writer.register_channel("topic/0", "msgpack", schemas[0], {"site": "local"})]
+    for number in range(draw.choice((0, 1, 40, 1500))):
+        call = draw.random()
+        if call < 0.95:
+            # times of reception from several sockets are not in order, and may begin at 0
+            log_ns = max(0, number - draw.randrange(50)) * 1000
+            payload = draw.randbytes(draw.choice((0, 3, 90, 5000 if number % 100 == 7 else 20)))
+            writer.add_message(draw.choice(channels), log_ns, payload, log_ns + 5, number)
+        elif call < 0.96:
+            schemas.append(writer.register_schema(f"Message{number}", "jsonschema", bytes(draw.choice((2, 9000)))))
+        elif call < 0.97:
+            channels.append(writer.register_channel(f"topic/{number}", "msgpack", draw.choice(schemas), {}))
+        elif call < 0.98:
+            writer.add_attachment(0, number, f"{number}.txt", "text/plain", draw.randbytes(draw.randrange(300)))
+        elif call < 0.99:
+            writer.add_metadata(f"words {number}", {"état": "grün", "n": str(number)})
+        else:
             writer.flush()
-            writer.register_channel("topic/late", "msgpack", schema, {})
     writer.finish()
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 @pytest.mark.parametrize("chunk_size", [4096, 1 << 20])
-def test_the_file_is_the_library_s(compression: CompressionType, chunk_size: int) -> None:
-    assert written(MessageWriter, compression, chunk_size) == written(Writer, compression, chunk_size)
-
-
-def test_the_library_is_as_the_short_way_expects_it() -> None:
-    assert MessageWriter(BytesIO()).is_quick
+def test_the_file_is_the_library_s(compression: Compression, chunk_size: int) -> None:
+    for seed in range(8):
+        own, expected = (written(make, compression, chunk_size, seed) for make in (own_writer, library_s_writer))
+        assert own == expected, f"seed {seed}"
 
 
 def test_messages_are_counted_before_their_chunk_ends() -> None:
     writer = MessageWriter(BytesIO())
     writer.start()
-    channel = writer.register_channel("topic", "msgpack", 0, {})
+    channel = writer.register_channel("topic", "msgpack", 0)
     for number in range(3):
         writer.add_message(channel, number, b"abc", number, 2**32 + number)
         assert writer.message_count == number + 1
     writer.flush()
     assert writer.message_count == 3
-
-
-def test_another_inside_of_the_library_is_left_to_it() -> None:
-    stream, expected = BytesIO(), BytesIO()
-    writers = MessageWriter(stream, use_chunking=False), Writer(expected, use_chunking=False)
-    assert not writers[0].is_quick
-    for writer in writers:
-        writer.start("telenano")
-        channel = writer.register_channel("topic", "msgpack", 0, {})
-        writer.add_message(channel, 3, b"abc", 4, 5)
-        writer.finish()
-    assert stream.getvalue() == expected.getvalue()
 
 
 class Sink(RawIOBase):
@@ -84,9 +91,8 @@ class Sink(RawIOBase):
 
 
 def test_the_index_of_the_chunks_takes_a_fraction_of_the_memory() -> None:
-    def grown(kind: type[Writer]) -> int:
-        writer = kind(Sink(), compression=CompressionType.NONE)
-        writer.start()
+    def grown(make: Callable[..., Any]) -> int:
+        writer = make(BufferedWriter(Sink()), 1 << 20, "none")
         channels = [writer.register_channel(f"topic{number}", "msgpack", 0) for number in range(40)]
         tracemalloc.start()
         for chunk in range(100):
@@ -97,4 +103,4 @@ def test_the_index_of_the_chunks_takes_a_fraction_of_the_memory() -> None:
         tracemalloc.stop()
         return size
 
-    assert grown(MessageWriter) < 0.4 * grown(Writer)
+    assert grown(own_writer) < 0.4 * grown(library_s_writer)
