@@ -135,7 +135,8 @@ class DelayNode(Node):
         self._fates: tuple[Task, ...] = tuple(partial(self._publish_fates, way) for way in self._ways)
         # The report has the state of the link as well, its delays, which late readers need and which the clocks change,
         # and the next exchange of time stamps.
-        self._report = (*self._fates, self._publish_status, self._declare_forward, self._declare_backward, self._ping)
+        self._report: tuple[Task, ...] = (*self._fates, self._publish_status, self._declare_forward)
+        self._report += partial(self._declare, self._backward), partial(to_slave.publish, "clock/ping")
         self._status = PeriodicDeadline(self.clock.monotonic_ns(), STATUS_PERIOD_NS)
         self.state = "running"
 
@@ -260,17 +261,14 @@ class DelayNode(Node):
             self._between = between_sites(self._offset.estimate())
         self._declare(self._forward)
 
-    def _declare_backward(self) -> None:
-        self._declare(self._backward)
-
-    def _ping(self) -> None:
-        self._forward.outlet.publish("clock/ping")
-
     def _publish_fates(self, way: DirectionPath) -> None:
         self._unreported = 0
-        fates = tuple(_link_fate(fate) for fate in way.engine.take_fates())
+        fates = tuple(_link_fate(fate) for fate in self._take_fates(way))
         for first in range(0, len(fates), _MOST_FATES):
             self.publish("link/fates", direction=way.name, fates=fates[first : first + _MOST_FATES])
+
+    def _take_fates(self, way: DirectionPath) -> list[Fate]:
+        return way.engine.take_fates()
 
     def _publish_status(self) -> None:
         if self._named[0] is not self.engine.settings:

@@ -5,6 +5,14 @@ COMMANDS = {
         "telenano_networks.fit_command:fit",
         "Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.",
     ),
+    "link report": (
+        "telenano_networks.report_command:report",
+        "Show what the link did to the messages of a recording: delay, loss, stalls and order, by direction.",
+    ),
+    "link udp": (
+        "telenano_networks.udp_command:udp",
+        "Put the link between two programs that send UDP datagrams, one of which sends to LISTEN.",
+    ),
     "link probe": (
         "telenano_networks.probe_command:probe",
         "Measure the network between two running sites: delay and loss of each datagram, each way.",

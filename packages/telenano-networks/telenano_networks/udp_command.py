@@ -1,0 +1,184 @@
+"""`telenano link udp`: the link between two programs that speak UDP, without any privilege."""
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from presets import DEFAULT_SITE_FILE
+from telenano.cli.output import fail_incomplete, print_rows
+from telenano.extend.commands import (
+    DurationOption,
+    JsonOption,
+    SiteFileOption,
+    TelenanoError,
+    print_json,
+    report_errors,
+)
+
+if TYPE_CHECKING:
+    from recording.writer import RecordingWriter
+    from telenano_networks.udp_link import UdpLink
+    from telenano_networks.udp_ports import UdpPorts
+
+_KEY = "delay_node@master"
+# A kill loses no more of a recording [s].
+_FLUSH_NS = 1_000_000_000
+
+
+def udp(
+    listen: Annotated[
+        str,
+        typer.Argument(
+            metavar="LISTEN",
+            help="Where clients send to: PORT of this machine alone, HOST:PORT or [HOST]:PORT; [::]:PORT for all.",
+        ),
+    ],
+    target: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Where the datagrams go on to.")],
+    profile: Annotated[
+        str, typer.Option("--profile", metavar="NAME", help="Network, of those that `telenano link profile` lists.")
+    ] = "clean",
+    keys: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Setting of the link, such as forward.delay_s=0.02 or seed=3."),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option("--record", metavar="FILE", help="Keep what became of each datagram (MCAP).")
+    ] = None,
+    clients: Annotated[
+        int, typer.Option("--clients", metavar="N", min=1, max=1000, help="Most clients at a time.")
+    ] = 64,
+    duration: DurationOption = None,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    as_json: JsonOption = False,
+) -> None:
+    """Put the link between two programs that send UDP datagrams, one of which sends to LISTEN.
+
+    Forward is from LISTEN to HOST:PORT, backward are the answers. `telenano link set`, `link profile` and `link show`
+    change and show it while it runs, as that of a rig; `telenano link report` reads the file of --record afterwards.
+    Ctrl-C ends it. The exit code is 3 where the recording could not be kept.
+    """
+    with report_errors(as_json):
+        from services.console.command_client import parse_parameters
+        from services.delay_node.config import LinkSettings, changed, network_name
+        from services.runtime.bus.address_book import load_site
+        from services.runtime.wiring.participant import StopSignals, open_participant
+        from telenano_networks.udp_link import UdpLink
+        from telenano_networks.udp_ports import UdpPorts, place_of
+
+        here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
+        settings = changed(LinkSettings(), {"profile": profile, **parse_parameters(keys or ())})
+        book, signals = load_site(site_file), StopSignals()
+        with contextlib.ExitStack() as stack:
+            participant = stack.enter_context(open_participant(_KEY, book, signals.descriptor))
+            try:
+                outlets = participant.bind("delay_node@slave"), participant.bind(_KEY)
+            except TelenanoError as error:
+                raise TelenanoError(f"{error}; another link runs beside it with --rig NAME") from error
+            ports = UdpPorts(here, there, clients, participant.clock)
+            stack.callback(ports.close)
+            keeper = None
+            if record is not None:
+                keeper = Keeper(_writer(record))
+                outlets[1].carry = keeper
+                stack.callback(keeper.close)
+            readers = participant.subscribers(book.sources(_KEY, ["session/control"]))
+            bus = participant.bus_of(outlets[1], [*readers, ports])
+            link = UdpLink(participant.context(bus), settings, outlets, ports, Path(), duration_s=duration)
+            typer.echo(
+                f"datagrams to {_shown(ports)} go on to {there} over the network {network_name(settings)}; "
+                "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
+                err=as_json,
+            )
+            _run(link, bus, signals)
+            document = {**link.summary(), "clients_refused": ports.refused, "unsent": ports.unsent}
+        if keeper is not None:
+            document["recording"] = str(keeper.path)
+    if as_json:
+        print_json(document)
+    else:
+        print_rows(_rows(document))
+        if keeper is not None:
+            typer.echo(f"{keeper.path}: `telenano link report {keeper.path}` reads it")
+    if keeper is not None and keeper.fault:
+        fail_incomplete([keeper.fault])
+
+
+class Keeper:
+    """Writes the messages of the link to a recording; one that cannot be written ends, and the link goes on."""
+
+    def __init__(self, writer: "RecordingWriter") -> None:
+        self.path, self.fault = writer.path, ""
+        self._writer = writer
+        self._channels: dict[str, int] = {}
+        self._flushed_ns = 0
+
+    def __call__(self, topic: str, payload: bytes) -> None:
+        """Keep a message that the link has sent."""
+        from proto import read_header
+        from proto.errors import RecordingError
+
+        if self.fault:
+            return
+        seq, t_ns, src = read_header(topic, payload)
+        try:
+            if topic not in self._channels:
+                self._channels[topic] = self._writer.channel(topic, src, "master")
+            self._writer.write(self._channels[topic], t_ns, t_ns, seq, payload)
+            if t_ns - self._flushed_ns >= _FLUSH_NS:
+                self._flushed_ns = t_ns
+                self._writer.flush()
+        except RecordingError as error:
+            self.fault = f"the recording ends before the link: {error}"
+
+    def close(self) -> None:
+        """Complete the file."""
+        from proto.errors import RecordingError
+
+        if self.fault:
+            return
+        try:
+            self._writer.finish({"state": "stopped", "note": ""})
+        except RecordingError as error:
+            self.fault = str(error)
+
+
+def _writer(path: Path) -> "RecordingWriter":
+    from recording.writer import FileSettings, RecordingWriter
+    from services.runtime.settings.config import validate
+
+    place = {"directory": path.absolute().parent, "file_name": path.name}
+    return RecordingWriter.create(_KEY, validate(FileSettings, place, "--record"))
+
+
+def _run(link: "UdpLink", bus: Any, signals: Any) -> None:
+    from services.runtime.wiring.participant import run_loop
+
+    run_loop(link, bus, signals)
+
+
+def _shown(ports: "UdpPorts") -> str:
+    from telenano_networks.udp_ports import Place
+
+    return str(Place(str(ports.address[0]), int(str(ports.address[1]))))
+
+
+def _rows(document: dict[str, Any]) -> list[dict[str, Any]]:
+    ways = [document[way] for way in ("forward", "backward")]
+    rows = [_row(what, *(way[key] for way in ways)) for what, key in _COUNTS]
+    causes = sorted({cause for way in ways for cause in way["dropped"]})
+    rows += [_row(f"dropped: {cause}", *(way["dropped"].get(cause, 0) for way in ways)) for cause in causes]
+    for what, key in (("delay", "delay_ms"), ("sent late by", "late_ms")):
+        for name, share in (("p50", "median"), ("p99", "99 %"), ("max", "longest")):
+            rows.append(_row(f"{what}, {share} [ms]", *((way[key] or {}).get(name, "") for way in ways)))
+    rows.append({"what": "datagrams of refused clients", "forward": document["clients_refused"], "backward": ""})
+    rows += [{"what": f"unsent: {why}", "forward": count, "backward": ""} for why, count in document["unsent"].items()]
+    return rows
+
+
+_COUNTS = (("arrived", "arrived"), ("sent on", "sent"), ("over the bound", "over_the_bound"), ("not sent yet", "left"))
+
+
+def _row(what: str, forward: Any, backward: Any) -> dict[str, Any]:
+    return {"what": what, "forward": forward, "backward": backward}
