@@ -19,7 +19,6 @@ from telenano.extend.commands import (
 
 if TYPE_CHECKING:
     from recording.writer import RecordingWriter
-    from telenano_networks.udp_link import UdpLink
     from telenano_networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
@@ -61,15 +60,22 @@ def udp(
     """
     with report_errors(as_json):
         from services.console.command_client import parse_parameters
-        from services.delay_node.config import LinkSettings, changed, network_name
+        from services.delay_node.config import network_name, parse_settings
         from services.runtime.bus.address_book import load_site
-        from services.runtime.wiring.participant import StopSignals, open_participant
+        from services.runtime.loop.log import StructuredLog
+        from services.runtime.loop.realtime import apply_realtime
+        from services.runtime.settings.config import nested
+        from services.runtime.settings.scenario import RealtimeConfig
+        from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
         from telenano_networks.udp_link import UdpLink
         from telenano_networks.udp_ports import UdpPorts, place_of
 
         here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
-        settings = changed(LinkSettings(), {"profile": profile, **parse_parameters(keys or ())})
+        flat = {key: None if value == "none" else value for key, value in parse_parameters(keys or ()).items()}
+        settings = parse_settings({"profile": profile, **nested(flat, "--set")}, "the network")
         book, signals = load_site(site_file), StopSignals()
+        # It comes before the context of ZeroMQ, whose threads inherit the scheduling.
+        realtime = apply_realtime(RealtimeConfig(), StructuredLog(_KEY), _KEY)
         with contextlib.ExitStack() as stack:
             participant = stack.enter_context(open_participant(_KEY, book, signals.descriptor))
             try:
@@ -91,7 +97,7 @@ def udp(
                 "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
                 err=as_json,
             )
-            _run(link, bus, signals)
+            run_loop(link, bus, signals, realtime, guarded=True)
             document = {**link.summary(), "clients_refused": ports.refused, "unsent": ports.unsent}
         if keeper is not None:
             document["recording"] = str(keeper.path)
@@ -150,12 +156,6 @@ def _writer(path: Path) -> "RecordingWriter":
 
     place = {"directory": path.absolute().parent, "file_name": path.name}
     return RecordingWriter.create(_KEY, validate(FileSettings, place, "--record"))
-
-
-def _run(link: "UdpLink", bus: Any, signals: Any) -> None:
-    from services.runtime.wiring.participant import run_loop
-
-    run_loop(link, bus, signals)
 
 
 def _shown(ports: "UdpPorts") -> str:
