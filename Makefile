@@ -75,7 +75,7 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 	@$(PYTHON) services/viz_node/build_page.py >/dev/null 2>&1 & \
 	  $(MAKE) --no-print-directory $(VENV)/.rig; failed=$$?; wait; exit $$failed
 	-@$(MAKE) --no-print-directory page
-	$(BIN)/telenano up --scenario fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite --brief
+	$(BIN)/telenano up --scenario fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=lsl runs the tests of packages/telenano-lsl alone.
@@ -154,7 +154,7 @@ pictures: setup ## Draw the pictures of the documents again.
 # wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
 dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
 	$(call install,--require-hashes -r deploy/locks/release.lock)
-	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --brief --out out/release
+	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
 	$(BIN)/python deploy/release.py out/release/session.mcap
 
 lock: setup ## Renew requirements.lock and the locks of the images.

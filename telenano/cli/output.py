@@ -92,10 +92,9 @@ def usage_text(error: Any) -> str:
 
 def _suggested(message: str) -> str:
     """Return a usage error with its suggestion in the words of all others, and with one where a choice has none."""
-    if near := re.search(
-        r"^(No such .+?)(?: \(Possible options?: ([^,)]+).*\)|\.? Did you mean '?([^'?]+)'?\??)$", message
-    ):
-        return f"{near[1]}; did you mean {near[2] or near[3]}?"
+    if near := re.search(r"^(No such .+?)(?: \(Possible options?: (.+)\)|\.? Did you mean '?([^'?]+)'?\??)$", message):
+        # The library gives what is near in the order of the alphabet.
+        return near[1] + probably_meant(near[1].split()[-1].strip("'"), (near[2] or near[3]).split(", "))
     if choice := re.search(r"'([^']*)' is not one of ('.*')", message):
         meant = probably_meant(choice[1], re.findall(r"'([^']*)'", choice[2]))
         # What a package adds under this name may be what cannot be used.
@@ -159,14 +158,14 @@ def print_document(document: dict[str, Any], title: str, *, as_json: bool) -> No
         console().print(summary_tables(document, title))
 
 
-def print_summary(summary: dict[str, Any], title: str, *, brief: bool = False, as_json: bool) -> None:
-    """Print the summary of a session, whose folder is the title, with what to do next in its last three lines.
+def print_summary(summary: dict[str, Any], title: str, *, tables: bool, as_json: bool) -> None:
+    """Print what happened in a session, whose folder is the title, and what to do next in three lines.
 
-    If brief, only those lines are printed. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
+    With `tables` the summary comes first. Exit with EXIT_INCOMPLETE and a sentence when its recording is not whole.
     """
     from analysis.interruptions import Interruption, in_words
 
-    if as_json or not brief:
+    if as_json or tables:
         print_document(summary, title, as_json=as_json)
     if not as_json:
         for line in closing_lines(summary, Path(title)):
@@ -235,12 +234,9 @@ def fail_incomplete(missing: Sequence[str]) -> NoReturn:
     raise typer.Exit(EXIT_INCOMPLETE)
 
 
-def fail_with_summary(error: ReportError, title: str, *, brief: bool = False, as_json: bool) -> NoReturn:
-    """Print the summary of a report whose files cannot be written, if brief its last lines, the error, and exit."""
-    if brief and not as_json:
-        for line in closing_lines(error.summary, Path(title)):
-            typer.echo(line)
-    elif not as_json:
+def fail_with_summary(error: ReportError, title: str, *, as_json: bool) -> NoReturn:
+    """Print the summary of a report whose files cannot be written, the error, and exit."""
+    if not as_json:
         console().print(summary_tables(error.summary, title))
     missing = error.summary["recording"]["missing"]
     also = f"; the recording is not whole: {'; '.join(missing)}" if missing else ""

@@ -259,4 +259,6 @@ def _write_csv(path: Path, rows: Sequence[Row], described: Mapping[str, Describe
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(described))
         writer.writeheader()
-        writer.writerows(rows)
+        # R and pandas both take these for truth values.
+        words = {True: "TRUE", False: "FALSE"}
+        writer.writerows({name: words[v] if isinstance(v, bool) else v for name, v in row.items()} for row in rows)

@@ -90,6 +90,9 @@ def test_parquet_and_csv_hold_the_same_and_parquet_the_units(tmp_path: Path) -> 
         rows = list(csv.DictReader(file))
     assert [float(row["completion_time_s"]) for row in rows] == [row["completion_time_s"] for row in tables.trials]
     assert [row["condition.law"] for row in rows] == [row["condition.law"] for row in tables.trials]
+    # R reads these words, and no others of that meaning, as truth values.
+    words = {True: "TRUE", False: "FALSE", None: ""}
+    assert [row["success"] for row in rows] == [words[row["success"]] for row in tables.trials]
     assert len(json.loads((tmp_path / "dictionary.json").read_text())) == len(tables.dictionary)
     assert read_tables(tmp_path) == tables
     page = (tmp_path / "dictionary.md").read_text()

@@ -1,6 +1,7 @@
 """Read what `ping` printed: the round trips of a measured network.
 
-Lines of other tools than the `ping` of Linux, BSD, macOS and Windows are not read. `ping -D` prints the time of each
+Lines of other tools than the `ping` of Linux, BSD, macOS and Windows are not read; what they call the time is that of
+any language (`time=42 ms`, `Zeit=42ms`). `ping -D` prints the time of each
 answer; without it the packets are taken as sent once a second, which is what `ping` does unless told otherwise.
 """
 
@@ -9,7 +10,8 @@ from pathlib import Path
 
 from proto.errors import ConfigError
 
-_ANSWER = re.compile(r"^(?:\[(?P<stamp>\d+\.\d+)\] )?.*?\btime[=<](?P<ms>\d+(?:[.,]\d+)?) ?ms", re.IGNORECASE)
+_TIME = r"\b[^\W\d]+[=<](?P<ms>\d+(?:[.,]\d+)?) ?(?:ms|мс)"
+_ANSWER = re.compile(rf"^(?:\[(?P<stamp>\d+\.\d+)\] )?.*?{_TIME}", re.IGNORECASE)
 _NUMBER = re.compile(r"\bicmp_seq[= ](\d+)")
 _HEADS = ("PING ", "Pinging ")
 

@@ -32,6 +32,12 @@ def test_the_number_of_a_packet_goes_on_after_sixteen_bits() -> None:
     assert [row[0] for row in round_trips("\n".join(lines), "p")] == pytest.approx(list(range(12)))
 
 
+@pytest.mark.parametrize("said", ["time=42 ms", "Zeit=42ms", "temps=42,0 ms", "tiempo=42.0 ms", "время=42 мс"])
+def test_the_time_is_read_in_other_languages(said: str) -> None:
+    line = f"[1700000000.042000] 64 Bytes von 192.0.2.1: icmp_seq=1 ttl=57 {said}"
+    assert round_trips(line, "p") == [(0.0, 0.042)]
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

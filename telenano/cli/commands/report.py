@@ -19,10 +19,10 @@ def report(
     style: StyleOption = "screen",
     as_json: JsonOption = False,
 ) -> None:
-    """Write figure and summary of a recording again; exit code 3 if something is missing in it."""
+    """Write figure and summary of a recording again, and print it; exit code 3 if something is missing in it."""
     with report_errors(as_json):
         try:
             summary = write_report(files, out, options=figure_options(formats, style))
         except ReportError as error:
             fail_with_summary(error, str(out), as_json=as_json)
-    print_summary(summary, str(out), as_json=as_json)
+    print_summary(summary, str(out), tables=True, as_json=as_json)

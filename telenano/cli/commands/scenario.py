@@ -46,7 +46,7 @@ def show(name: NameArgument, as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def validate(name: NameArgument, settings: SettingsOption = None, as_json: JsonOption = False) -> None:
+def check(name: NameArgument, settings: SettingsOption = None, as_json: JsonOption = False) -> None:
     """Check a scenario with the models of all nodes; exit code 2 and a sentence for each key that is wrong."""
     with report_errors(as_json):
         # the models of all nodes take a second to import
@@ -86,7 +86,7 @@ def new(
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         with whole_file(path, replace=False) as file:
             file.write_text(head + text, encoding="utf-8")
-    text = f"{path}; next: telenano scenario validate {path} && telenano up --scenario {path}"
+    text = f"{path}; next: telenano scenario check {path} && telenano up --scenario {path}"
     print_answer({"file": str(path)}, text, as_json=as_json)
 
 

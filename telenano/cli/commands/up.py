@@ -70,7 +70,6 @@ def up(
     headless: Annotated[
         bool, typer.Option("--headless", help="Print a line for each phase instead of the live view.")
     ] = False,
-    brief: Annotated[bool, typer.Option("--brief", help="End in three lines instead of the tables.")] = False,
     no_view: Annotated[
         bool, typer.Option("--no-view", help="Serve no page; --json, --headless and --site slave serve none either.")
     ] = False,
@@ -88,8 +87,8 @@ def up(
             _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
             return
         with _folder_of(request) as folder:
-            outcome, summary, plan = _run(request, folder, options, headless=headless, brief=brief, as_json=as_json)
-    _print_outcome(outcome, summary, plan, brief=brief, as_json=as_json)
+            outcome, summary, plan = _run(request, folder, options, headless=headless, as_json=as_json)
+    _print_outcome(outcome, summary, plan, as_json=as_json)
 
 
 def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
@@ -100,7 +99,7 @@ def _folder_of(request: UpRequest) -> contextlib.AbstractContextManager[Path]:
 
 
 def _run(
-    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, brief: bool, as_json: bool
+    request: UpRequest, folder: Path, options: FigureOptions, *, headless: bool, as_json: bool
 ) -> tuple[Outcome, dict[str, Any] | None, Plan]:
     """Run the session, in a folder where none is asked for, and make its report."""
     plan = make_plan(request, folder)
@@ -118,7 +117,7 @@ def _run(
     try:
         return outcome, report_of(outcome, plan, view.show, options), plan
     except ReportError as error:
-        fail_with_summary(error, str(plan.out), brief=brief, as_json=as_json)
+        fail_with_summary(error, str(plan.out), as_json=as_json)
 
 
 def _warn(request: UpRequest, plan: Plan) -> None:
@@ -181,14 +180,14 @@ def _restore_default_signals() -> None:
     interrupts.handle()
 
 
-def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, brief: bool, as_json: bool) -> None:
+def _print_outcome(outcome: Outcome, summary: dict[str, Any] | None, plan: Plan, *, as_json: bool) -> None:
     if outcome.failure:
         code = EXIT_BAD_CONFIGURATION if outcome.bad_start else EXIT_FAILED
         fail(outcome.failure, code, as_json=as_json, summary=summary)
     if plan.site == "slave":
         _print_slave(outcome, plan, as_json=as_json)
     elif summary is not None:
-        print_summary(summary, str(plan.out), brief=brief, as_json=as_json)
+        print_summary(summary, str(plan.out), tables=False, as_json=as_json)
     elif not (outcome.ran and plan.attach):
         reason = "the recorder left no recording" if outcome.ran else "stopped before the session began"
         fail("; ".join([reason, *outcome.missing, f"see {plan.out / 'logs'}"]), as_json=as_json)

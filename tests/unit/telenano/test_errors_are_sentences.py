@@ -163,6 +163,11 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
         (("up",), "missing option '--scenario' (`telenano up --help` explains)"),
         (("upp",), "no such command 'upp'; did you mean up? (`telenano --help` explains)"),
         (("up", "--scenario", "fig12", "--duration", "x"), "invalid value for '--duration': "),
+        (
+            ("scan", "--set-point", "3"),
+            "no such option: --set-point; did you mean --setpoint? (`telenano scan --help` explains)",
+        ),
+        (("push", "--out", "x"), "no such option: --out (`telenano push --help` explains)"),
         (("bag", "infoo", "x"), "no such command 'infoo'; did you mean info? (`telenano bag --help` explains)"),
         (
             ("session",),

@@ -104,14 +104,14 @@ def test_a_new_scenario_is_valid_and_names_its_schema(tmp_path: Path) -> None:
     first = path.read_text().splitlines()[0]
     assert first == f"# yaml-language-server: $schema=file://{SCHEMA_DIRECTORY / 'scenario.json'}"
     assert yaml.safe_load(path.read_text())["name"] == "mine"
-    code, out, _ = run("scenario", "validate", str(path))
+    code, out, _ = run("scenario", "check", str(path))
     assert (code, out) == (0, f"{path}: valid, 8 s\n")
     assert run("scenario", "new", "mine", "--out", str(path))[0] == 2
     assert run("scenario", "new", "Not Mine", "--out", str(tmp_path / "x.yaml"))[0] == 2
 
 
 def test_a_wrong_scenario_is_refused_by_key() -> None:
-    code, _, err = run("scenario", "validate", "fig12", "--set", "controller.wave.filter_s=-1")
+    code, _, err = run("scenario", "check", "fig12", "--set", "controller.wave.filter_s=-1")
     assert code == 2
     assert "controller.wave.filter_s: Input should be greater than or equal to 0 (allowed is from 0 to 1e+06)" in err
     names = [row["scenario"] for row in json.loads(run("scenario", "list", "--json")[1])["scenarios"]]

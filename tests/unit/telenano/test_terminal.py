@@ -97,5 +97,5 @@ def test_a_package_that_exits_does_not_end_a_command_in_silence(tmp_path: Path) 
     done = telenano("up", "--scenario", "fig12", "--set", "controller.law=hostile", **environment)
     assert done.returncode == 2
     assert "controller.law: hostile of the package hostile 0.1 cannot be used: its import ends the whole" in done.stderr
-    done = telenano("scenario", "validate", "fig12", **environment)
+    done = telenano("scenario", "check", "fig12", **environment)
     assert (done.returncode, done.stderr) == (0, "")
