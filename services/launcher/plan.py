@@ -27,6 +27,7 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import refusal
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import EVEN, LinkSettings, changes_text, network_name
+from services.delay_node.pipeline import read_files
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
 from services.runtime.settings.option import Option
@@ -255,6 +256,7 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     loaded = effective_scenario(given, request, out)
     elsewhere = {name_of(node) for node in other_nodes(request)} - {name_of(node) for node in own}
     check_sections(loaded, elsewhere)
+    _check_files(loaded, elsewhere)
     plan = Plan(
         book=book,
         site_file=site_file,
@@ -360,15 +362,28 @@ def _reject_recording_place(settings: Sequence[str]) -> None:
 
 
 def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a scenario with absolute file names: they are relative to its folder, the nodes read it from another."""
+    """Return a scenario with absolute file names: in its folder, or else in the one that the command is given in."""
     return {key: _anchored_value(key, value, folder) for key, value in tree.items()}
 
 
 def _anchored_value(key: str, value: Any, folder: Path) -> Any:
     if isinstance(value, dict):
         return anchored(value, folder)
-    named = isinstance(value, str) and (key == "file" or key.endswith("_file"))
-    return str(folder / value) if named else value
+    if not isinstance(value, str) or not (key == "file" or key.endswith("_file")):
+        return value
+    beside, here = folder / value, Path(value).absolute()
+    return str(here if here.exists() and not beside.exists() else beside)
+
+
+def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
+    """Raise ConfigError for the first file that a node of this machine cannot use."""
+    if "delay_node" not in elsewhere:
+        for way in ("forward", "backward"):
+            link = loaded.section("delay_node", LinkSettings)
+            read_files(getattr(link, way), Path(), f"{loaded.origin}: delay_node.{way}")
+    sample = None if "afm_node" in elsewhere else loaded.section("afm_node", AfmConfig).sample
+    if sample is not None and sample.is_file and not Path(sample.name).is_file():
+        raise ConfigError(f"{loaded.origin}: afm_node.sample.name: {sample.name} is neither a file nor a known shape")
 
 
 def driver_is_absent(loaded: LoadedScenario, name: str) -> bool:

@@ -110,28 +110,10 @@ def cat(
 
         recording = open_recordings(files)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
+        if topics and not any(map(chosen, recording.channels)):
+            known = known_names(topics[0], {channel.channel_topic: None for channel in recording.channels})
+            raise RecordingError(f"{files[0]}: has no channel {topics[0]}, {known}")
         _print_lines(map(line, islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count)))
-
-
-@app.command()
-def echo(
-    file: FileArgument,
-    topic: Annotated[str, typer.Argument(metavar="TOPIC", help="Channel, such as teleop/forward@slave.")],
-    start: StartOption = 0.0,
-    end: EndOption = None,
-    count: CountOption = None,
-) -> None:
-    """Print the messages of a channel as `telenano topic echo` does with those of a running rig."""
-    with report_errors(as_json=False):
-        from recording.reader import Recording
-        from recording.tables import plain
-
-        recording = Recording(file)
-        known = [channel.channel_topic for channel in recording.channels]
-        if topic not in known:
-            raise RecordingError(f"{file}: has no channel {topic}, {known_names(topic, dict.fromkeys(known))}")
-        bounds = _bounds(recording.span_ns[0], start, end)
-        _print_lines(map(plain, islice(recording.messages([topic], *bounds), count)))
 
 
 @app.command("filter")

@@ -136,6 +136,34 @@ def test_file_names_in_a_scenario_are_meant_from_its_folder(tmp_path: Path) -> N
     }
 
 
+def test_a_file_that_is_named_at_the_command_line_lies_where_the_command_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "delays.txt").write_text("0.01 0.02")
+    tree = {"jitter": {"table_file": "delays.txt"}}
+    assert anchored(tree, tmp_path / "scenarios") == {"jitter": {"table_file": str(tmp_path / "delays.txt")}}
+    (tmp_path / "scenarios").mkdir()
+    beside = tmp_path / "scenarios" / "delays.txt"
+    beside.write_text("0.03")
+    assert anchored(tree, tmp_path / "scenarios") == {"jitter": {"table_file": str(beside)}}
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("delay_node.forward.jitter={distribution: table, table_file: absent.txt, scale_s: 1}",
+         "delay_node.forward.jitter.table_file: .*absent.txt: is not a file"),
+        ("delay_node.backward.delay_trace.file=absent.txt",
+         "delay_node.backward.delay_trace.file: .*absent.txt: is not a file"),
+        ("afm_node.sample.name=mine.gsf", "afm_node.sample.name: mine.gsf is neither a file nor a known shape"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_not_there_is_named_before_anything_starts(tmp_path: Path, setting: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"fig12.yaml .*{said}"):
+        make_plan(request(tmp_path, settings=(setting,)), tmp_path)
+
+
 def test_replay_is_allowed_to_the_devices_by_their_settings(tmp_path: Path) -> None:
     plan = make_plan(request(tmp_path, allow_replay=True), tmp_path)
     assert plan.scenario.afm_node["allow_replay"] is True

@@ -48,15 +48,15 @@ def test_info_and_list(make_file: MakeFile, tmp_path: Path) -> None:
     run("list", tmp_path / "nowhere", exit_code=1)
 
 
-def test_cat_and_echo_print_a_line_a_message(make_file: MakeFile) -> None:
+def test_cat_prints_a_line_a_message(make_file: MakeFile) -> None:
     path = make_file()
     lines = [json.loads(line) for line in run("cat", path, "--nodes", "haptic_node", "--count", "3").splitlines()]
     assert [(line["channel"], line["seq"]) for line in lines] == [("haptic/state", seq) for seq in range(3)]
     late = [json.loads(line) for line in run("cat", path, "--start", "0.0385").splitlines()]
     assert [line["seq"] for line in late] == [39, 39]
-    messages = [json.loads(line) for line in run("echo", path, "teleop/forward@slave").splitlines()]
-    assert [message["seq"] for message in messages] == list(range(40))
-    run("echo", path, "teleop/forward", exit_code=1)
+    forward = [json.loads(line) for line in run("cat", path, "--topics", "teleop/forward@slave").splitlines()]
+    assert [line["message"]["seq"] for line in forward] == list(range(40))
+    run("cat", path, "--topics", "teleop/forwrd", exit_code=1)
 
 
 def test_filter_split_merge_recover_and_diff(make_file: MakeFile, tmp_path: Path) -> None:

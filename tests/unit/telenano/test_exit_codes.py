@@ -31,8 +31,8 @@ MEANT = {
     "up --scenario fig12 --set controler.law=wave": "controller",
     "up --scenario fig12 --set controller.law=waves": "wave",
     "param list controler": "controller",
+    "bag cat session.mcap --topics haptic/stat": "haptic/state",
     "bag plot session.mcap haptic/stat.x": "haptic/state",
-    "bag echo session.mcap haptic/stat": "haptic/state",
 }
 
 
