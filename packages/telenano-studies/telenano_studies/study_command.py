@@ -89,9 +89,9 @@ def stability(
             (
                 r.line.law,
                 r.line.label,
-                "any" if r.theory_unlimited else _ms(r.theory_ms),
-                _ms(r.critical_delay_ms),
-                _ms(r.critical_link_ms),
+                "any" if r.theory_unlimited else "no theory" if r.theory_ms is None else f"{r.theory_ms:.2f}",
+                _edge(r, r.critical_delay_ms),
+                _edge(r, r.critical_link_ms),
                 *([_over_seeds(r)] if over_seeds else []),
             )
             for r in results
@@ -268,5 +268,6 @@ def _over_seeds(result: LineResult) -> str:
     return f"± {result.seeds.deviation:.2f}, mean {result.seeds.low:.1f} to {result.seeds.high:.1f}, {of}"
 
 
-def _ms(value: float | None) -> str:
-    return "none found" if value is None else f"{value:.2f}"
+def _edge(result: LineResult, value_ms: float | None) -> str:
+    """Return a critical delay, or the longest delay that was tried where all of them are stable."""
+    return f"> {max(result.line.axes.delays_ms):g}" if value_ms is None else f"{value_ms:.2f}"

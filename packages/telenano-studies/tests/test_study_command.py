@@ -159,6 +159,14 @@ def test_stability_prints_a_table(tmp_path: Path) -> None:
     assert "stability.html" in result.stdout
 
 
+def test_a_table_tells_a_sweep_that_was_too_short_from_a_law_without_theory(tmp_path: Path) -> None:
+    options = ["--delay", "0,20", "--stiffness", "10", "--duration", "2", "--workers", "1", "--out", str(tmp_path)]
+    result = RUN.invoke(app, ["stability", "--law", "wave", "--environment", "spring", *options])
+    assert result.exit_code == 0, result.output
+    (row,) = (line for line in result.stdout.splitlines() if "wave" in line)
+    assert [cell.strip() for cell in row.split("│")[1:-1]] == ["wave", "K = 10 N/m", "no theory", "> 20", "> 20"]
+
+
 def test_transparency_prints_one_object(tmp_path: Path) -> None:
     options = ["--law", "virtual_impedance", "--delay", "0,100", "--out", str(tmp_path), "--json"]
     result = RUN.invoke(app, ["transparency", *options, "--frequency", "2,5"])
