@@ -33,10 +33,7 @@ class Question(Record):
 
 
 class ExperimentCue(Message):
-    """What a participant sees and is asked now. Nothing in it tells of the condition.
-
-    It is repeated while it stands, for pages that come later.
-    """
+    """What a participant sees and is asked now, repeated while it stands. Nothing in it tells of the condition."""
 
     id: str = Field(pattern=_ID, description="Identifier that the answers to it name")
     stage: Literal["consent", "instruction", "countdown", "trial", "rest", "question", "pause", "end"] = Field(
@@ -50,6 +47,7 @@ class ExperimentCue(Message):
     done: Count = Field(description="Trials of this session that are over")
     total: Count = Field(description="Trials of this session")
     practice: bool = Field(description="This is practice")
+    labels: Facts = Field(description="Own words of the page: language, begin, go_on, submit, practice, trial")
     quantity: Literal["none", "force", "position", "place"] = Field(
         description="What is to follow the target: nothing; force on the tip; base, along the axis; place across it"
     )

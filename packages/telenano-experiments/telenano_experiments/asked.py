@@ -12,6 +12,12 @@ CONSENT_TEXT = (
 CONSENT = choice("consent", "Do you agree to take part?", ("yes", "no"))
 
 
+def worded(question: Question, text: str, low: str = "", high: str = "", options: tuple[str, ...] = ()) -> Question:
+    """Return a question in other words; what is empty stays as it is."""
+    own = {"text": text, "low": low, "high": high, "options": options}
+    return question.model_copy(update={key: value for key, value in own.items() if value})
+
+
 def _load(name: str, text: str, low: str = "Very low", high: str = "Very high") -> Question:
     return scale(name, text, low, high, 0.0, 100.0, 5.0)
 

@@ -91,6 +91,7 @@ class ExperimentBus:
         done: int = 0,
         total: int = 0,
         practice: bool = False,
+        labels: Mapping[str, str] | None = None,
         course: Course | None = None,
         questions: Sequence[Question] = (),
         band: float = 0.0,
@@ -105,6 +106,7 @@ class ExperimentBus:
             done: How many trials of the session are over.
             total: How many there are.
             practice: Whether this is practice.
+            labels: Own words of the page by their use; None: English.
             course: The target that is shown.
             questions: What is asked, all at once.
             band: Half the width of the band about the target, in its unit.
@@ -120,6 +122,7 @@ class ExperimentBus:
             "done": done,
             "total": total,
             "practice": practice,
+            "labels": dict(labels or {}),
             "quantity": shown.quantity,
             "band": band,
             "times_s": Array.from_numpy(np.asarray(shown.times_s, float)),

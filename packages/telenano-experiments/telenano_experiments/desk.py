@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 from proto.experiment_messages import Question
 from telenano.extend.tasks import TrialData
-from telenano_experiments.asked import CONSENT, CONSENT_TEXT
 from telenano_experiments.bus import Answer, ExperimentBus
 from telenano_experiments.operators import Simulated
 from telenano_experiments.plan import PICTURE_DELAY, Plan, parameters_of
@@ -132,32 +131,39 @@ class BusDesk(Desk):
 
 
 class PersonDesk(BusDesk):
-    """Leads a person at the page through a session."""
+    """Leads a person at the page through a session, in the words of the experiment."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.words = plan.experiment.words
+        # by the name of a question, what each answer that is shown means to the task
+        self._meanings: dict[str, dict[Any, str]] = {}
 
     def consent(self, participant: str) -> bool:
-        answer = self._wait("consent", "Consent", CONSENT_TEXT, questions=(CONSENT,))
-        return answer is not None and answer.values.get(CONSENT.name) == "yes"
+        words = self.words
+        asked = words.consent_choice
+        answer = self._wait("consent", words.consent_title, words.consent, questions=(asked,))
+        return answer is not None and answer.values.get(asked.name) == words.agree
 
     def instruct(self, trial: Trial) -> None:
-        task = self.plan.tasks[trial.task]
-        text = task.instruction(parameters_of(task, trial.task_parameters))
-        self._wait("instruction", task.title, text, practice=trial.phase == "practice")
+        self._wait("instruction", *self._told(trial), practice=trial.phase == "practice")
 
     def begin(self, trial: Trial, attempt: int, *, first: bool) -> None:
         bus, task = self._bus(), self.plan.tasks[trial.task]
         parameters = parameters_of(task, trial.task_parameters)
-        shown: dict[str, Any] = {"done": self.place.done, "total": self.place.total}
+        title, text = self._told(trial)
+        shown: dict[str, Any] = {"done": self.place.done, "total": self.place.total, "labels": self.words.labels}
         shown |= {"practice": trial.phase == "practice"}
         if first:
-            cue = bus.cue("countdown", task.title, remaining_s=_COUNTDOWN_S, **shown)
+            cue = bus.cue("countdown", title, remaining_s=_COUNTDOWN_S, **shown)
             bus.wait(cue, _COUNTDOWN_S, self._idle)
         bus.cue(
             "trial",
-            task.title,
-            task.instruction(parameters),
+            title,
+            text,
             remaining_s=task.intervals(parameters, trial.seed)[0].duration_s,
             course=task.target(parameters, trial.seed),
-            questions=task.questions_during(parameters),
+            questions=self._asked(trial, task.questions_during(parameters)),
             band=task.band(parameters),
             **shown,
         )
@@ -165,25 +171,53 @@ class PersonDesk(BusDesk):
 
     def ask(self, trial: Trial, questions: tuple[Question, ...], data: TrialData) -> Answers:
         end_s = float(data.haptic["time_s"][-1]) if len(data.haptic["time_s"]) else 0.0
-        answer = self._wait("question", self.plan.tasks[trial.task].title, "", questions=questions)
+        answer = self._wait("question", self._told(trial)[0], "", questions=self._asked(trial, questions))
         if answer is None:
             return ()
         time_s = end_s + answer.shown_s
-        return tuple({"name": name, "value": value, "time_s": time_s} for name, value in answer.values.items())
+        return tuple(
+            {"name": name, "value": self._meant(name, value), "time_s": time_s} for name, value in answer.values.items()
+        )
 
     def instrument(self, name: str, trial: Trial) -> Mapping[str, Any] | None:
-        answer = self._wait("question", "A few questions", "", questions=self.plan.experiment.instruments[name])
+        answer = self._wait("question", self.words.questions, "", questions=self.plan.experiment.instruments[name])
         return None if answer is None else dict(answer.values)
 
     def rest(self, duration_s: float) -> bool:
-        self._wait("rest", "Rest", "", remaining_s=duration_s)
+        self._wait("rest", self.words.rest, "", remaining_s=duration_s)
         return True
 
     def pause(self) -> None:
-        self._wait("pause", "Pause", "", answered=False)
+        self._wait("pause", self.words.pause, "", answered=False)
 
     def finish(self) -> None:
-        self._bus().cue("end", "Thank you", "The session is over.", done=self.place.done, total=self.place.total)
+        words, place = self.words, self.place
+        self._bus().cue("end", words.end, words.end_text, done=place.done, total=place.total, labels=words.labels)
+
+    def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
+        found = super().during(elapsed_s)
+        return [{**answer, "value": self._meant(answer["name"], answer["value"])} for answer in found]
+
+    def _told(self, trial: Trial) -> tuple[str, str]:
+        """Return heading and instruction of a trial's task."""
+        task, words = self.plan.tasks[trial.task], self.words.tasks.get(trial.task)
+        parameters = parameters_of(task, trial.task_parameters)
+        if words is None or not words.instruction:
+            return (words.title if words else "") or task.title, task.instruction(parameters)
+        text = words.instruction
+        for name, value in parameters.model_dump().items():
+            text = text.replace(f"{{{name}}}", f"{value:g}" if isinstance(value, float) else str(value))
+        return words.title or task.title, text
+
+    def _asked(self, trial: Trial, questions: tuple[Question, ...]) -> tuple[Question, ...]:
+        """Return questions of a task in the words of the experiment, and note what their answers mean."""
+        found = tuple(self.words.of(trial.task, question) for question in questions)
+        for shown, question in zip(found, questions, strict=True):
+            self._meanings[question.name] = dict(zip(shown.options, question.options, strict=False))
+        return found
+
+    def _meant(self, name: str, value: Any) -> Any:
+        return self._meanings.get(name, {}).get(value, value)
 
     def _bus(self) -> ExperimentBus:
         assert self.bus is not None, "the rig of a person's session has come up"
@@ -204,8 +238,9 @@ class PersonDesk(BusDesk):
         **shown: Any,
     ) -> Answer | None:
         bus = self._bus()
+        place, labels = self.place, self.words.labels
         cue = bus.cue(
-            stage, title, text, remaining_s=remaining_s, done=self.place.done, total=self.place.total, **shown
+            stage, title, text, remaining_s=remaining_s, done=place.done, total=place.total, labels=labels, **shown
         )
 
         def is_over(answers: list[Answer]) -> bool:

@@ -10,7 +10,7 @@ from proto.experiment_messages import Question
 from proto.messages import Scalar
 from services.runtime.settings.config import Settings, flatten
 from telenano.extend.tasks import choice, scale
-from telenano_experiments.asked import INSTRUMENTS
+from telenano_experiments.asked import CONSENT, CONSENT_TEXT, INSTRUMENTS, worded
 from telenano_experiments.orders import OrderKind
 
 # Factors that stand for the delay of both directions: the delay of one way for a unit of the level [s].
@@ -137,6 +137,74 @@ class Item(Settings):
         return scale(self.name, self.text, self.low, self.high, self.least, self.most, self.step)
 
 
+Heading = Annotated[str, Field(max_length=128)]
+Paragraph = Annotated[str, Field(max_length=1024)]
+
+
+class QuestionWords(Settings):
+    """A question of a task in other words; what is empty stays as it is."""
+
+    text: Heading = Field(default="", description="The question")
+    low: Heading = Field(default="", description="What the lower end of its scale means")
+    high: Heading = Field(default="", description="What its upper end means")
+    options: tuple[Heading, ...] = Field(default=(), max_length=16, description="What can be chosen, in its order")
+
+
+class TaskWords(Settings):
+    """A task in other words; what is empty stays as it is."""
+
+    title: Heading = Field(default="", description="Heading")
+    instruction: Paragraph = Field(
+        default="", description="What is to be done; a parameter of the task in braces stands for its value"
+    )
+    questions: dict[str, QuestionWords] = Field(default={}, description="Its questions by name")
+
+
+class Words(Settings):
+    """What a participant reads, in the words and the language of the experiment."""
+
+    language: str = Field(
+        default="en",
+        pattern=r"^[A-Za-z]{2,8}(-[A-Za-z0-9]{1,8})*$",
+        description="Language by BCP 47, such as de or ar, which gives the direction of writing as well",
+    )
+    consent_title: Heading = Field(default="Consent", description="Heading of the consent")
+    consent: Paragraph = Field(default=CONSENT_TEXT, description="What a participant agrees to")
+    consent_question: Heading = Field(default=CONSENT.text, description="What is asked then")
+    agree: Heading = Field(default=CONSENT.options[0], description="Answer of one who takes part")
+    disagree: Heading = Field(default=CONSENT.options[1], description="Answer of one who does not")
+    questions: Heading = Field(default="A few questions", description="Heading of questionnaires")
+    rest: Heading = Field(default="Rest", description="Heading of a rest")
+    pause: Heading = Field(default="Pause", description="Heading of a pause that the experimenter makes")
+    end: Heading = Field(default="Thank you", description="Heading of the end")
+    end_text: Paragraph = Field(default="The session is over.", description="What stands below it")
+    begin: Heading = Field(default="Begin", description="Button below an instruction")
+    go_on: Heading = Field(default="Go on", description="Button that ends a rest")
+    submit: Heading = Field(default="Continue", description="Button below questions")
+    practice: Heading = Field(default="Practice", description="What stands beside the bar in practice")
+    trial: Heading = Field(
+        default="Trial {number} of {total}", description="What stands there otherwise; with {number} and {total}"
+    )
+    tasks: dict[str, TaskWords] = Field(default={}, description="Tasks by name")
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The words of the page itself by their use; none in English as it is."""
+        default = Words()
+        names = ("language", "begin", "go_on", "submit", "practice", "trial")
+        return {name: getattr(self, name) for name in names if getattr(self, name) != getattr(default, name)}
+
+    @property
+    def consent_choice(self) -> Question:
+        """What is asked for consent; the first answer agrees."""
+        return worded(CONSENT, self.consent_question, options=(self.agree, self.disagree))
+
+    def of(self, task: str, question: Question) -> Question:
+        """Return a question of a task in its words here."""
+        words = self.tasks.get(task, TaskWords()).questions.get(question.name)
+        return question if words is None else worded(question, words.text, words.low, words.high, words.options)
+
+
 class Operator(Settings):
     """Who does the trials."""
 
@@ -178,6 +246,7 @@ class Experiment(Settings):
     stop: Stop = Field(default=Stop(), description="What ends a run early")
     questionnaires: dict[str, tuple[Item, ...]] = Field(default={}, description="Instruments of one's own, by name")
     ask: tuple[Asked, ...] = Field(default=(), description="Instruments of questions, and when they are asked")
+    words: Words = Field(default=Words(), description="What participants read, in words of one's own")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -200,6 +269,11 @@ class Experiment(Settings):
                 raise ValueError(f"participants: {name!r} is no pseudonym: it has to be {self.pseudonym} and a number")
         if len(set(self.pseudonyms)) < len(self.pseudonyms):
             raise ValueError("participants: each may be there once")
+        names = [task.name for task in self.tasks]
+        if unknown := sorted(set(self.words.tasks) - set(names)):
+            raise ValueError(f"words.tasks: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
+        if self.words.agree == self.words.disagree:
+            raise ValueError("words.agree and words.disagree are the same word")
         return self
 
     @property

@@ -301,10 +301,28 @@ def load_plan(path: Path, known: Mapping[str, Task] | None = None) -> Plan:
             raise ConfigError(f"{path}: tasks.{number}.name: {INSTALLED.problems.get(entry.name, absent)}")
     plan = Plan(experiment, path, {entry.name: known[entry.name] for entry in experiment.tasks})
     _check_design(plan)
+    _check_words(plan)
     for task, held in plan.block_conditions:
         for condition in plan.within_block:
             _check_condition(plan, task, {**held, **condition})
     return plan
+
+
+def _check_words(plan: Plan) -> None:
+    """Raise ConfigError for words of a question that a task does not ask, or that has another number of answers."""
+    for number, entry in enumerate(plan.experiment.tasks):
+        task, words = plan.tasks[entry.name], plan.experiment.words.tasks.get(entry.name)
+        if words is None:
+            continue
+        parameters = parameters_of(task, plan._checked(number, entry, {}))
+        asked = {one.name: one for one in (*task.questions(parameters), *task.questions_during(parameters))}
+        for name, own in words.questions.items():
+            where = f"{plan.path}: words.tasks.{entry.name}.questions.{name}"
+            if name not in asked:
+                raise ConfigError(f"{where}: is not asked by the task; {known_names(name, asked)}")
+            options = asked[name].options
+            if own.options and len(own.options) != len(options):
+                raise ConfigError(f"{where}.options: has {len(own.options)} words for {', '.join(options) or 'none'}")
 
 
 def _check_design(plan: Plan) -> None:

@@ -6,12 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from experiment_bench import Bench, plan_of
+from experiment_bench import TASKS, Bench, plan_of
 from telenano_experiments.bus import Answer
 from telenano_experiments.desk import PersonDesk
 from telenano_experiments.journal import Journal
 from telenano_experiments.people import People
 from test_experiment_runner import run, trials_in
+
+from proto.errors import ConfigError
+from proto.experiment_messages import Question
+from telenano.extend.tasks import choice
 
 
 class Bus:
@@ -68,7 +72,7 @@ class Page(Bench):
 
 def session(tmp_path: Path, bus: Bus, **changes: Any) -> tuple[str, Any]:
     fields = {"participants": 1, "factors": {"law": ["wave", "passivity"]}, "operator": {"kind": "person"}}
-    plan = plan_of(tmp_path, **{**fields, **changes})
+    plan = plan_of(tmp_path, {**TASKS, "asking": Asking()}, **{**fields, **changes})
     desk = PersonDesk(plan)
     desk.bus = bus  # type: ignore[assignment]
     return run(plan, Page(plan, desk)), plan
@@ -137,3 +141,101 @@ def test_a_button_during_a_trial_is_an_answer_with_its_time(tmp_path: Path) -> N
     desk.bus = bus  # type: ignore[assignment]
     bus.during = [Answer("a", "c1", "participant", {"contact": True}, 12_345, 0.4)]
     assert desk.during(0.1) == [{"name": "contact", "value": True, "given_ns": 12_345}]
+
+
+class Asking(type(TASKS["tiny"])):  # type: ignore[misc]
+    """A task that asks in its trials and after them."""
+
+    name = "asking"
+
+    def questions(self, p: Any) -> tuple[Question, ...]:
+        return (choice("answer", "Which one was stiffer?", ("first", "second")),)
+
+    def questions_during(self, p: Any) -> tuple[Question, ...]:
+        return (choice("contact", "Press at the touch", ("I feel it",)),)
+
+
+WORDS: dict[str, Any] = {
+    "language": "de",
+    "consent_title": "Einverständnis",
+    "consent": "Sie nehmen freiwillig teil.",
+    "consent_question": "Möchten Sie teilnehmen?",
+    "agree": "ja",
+    "disagree": "nein",
+    "questions": "Einige Fragen",
+    "rest": "Pause",
+    "end": "Vielen Dank",
+    "end_text": "Die Sitzung ist zu Ende.",
+    "go_on": "Weiter",
+    "trial": "{number} von {total}",
+    "tasks": {
+        "asking": {
+            "title": "Zwei Federn",
+            "instruction": "Drücken Sie zweimal, je {length_s} Sekunden.",
+            "questions": {"answer": {"text": "Welche war steifer?", "options": ["die erste", "die zweite"]}},
+        }
+    },
+}
+
+
+def words_session(tmp_path: Path, bus: Bus, words: dict[str, Any]) -> tuple[str, Any]:
+    task = {"name": "asking", "parameters": {"length_s": 2.5}}
+    ask = [{"instrument": "nasa_tlx", "after": "session"}]
+    return session(tmp_path, bus, words=words, tasks=[task], factors={"law": ["wave"]}, ask=ask)
+
+
+def test_a_session_is_in_the_words_of_the_experiment_and_its_answers_mean_what_they_do_in_english(
+    tmp_path: Path,
+) -> None:
+    bus = Bus(consent="ja")
+    assert words_session(tmp_path, bus, WORDS)[0] == ""
+    told = {cue["stage"]: cue for cue in bus.cues}
+    assert (told["consent"]["title"], told["consent"]["text"]) == ("Einverständnis", "Sie nehmen freiwillig teil.")
+    assert told["consent"]["questions"][0].options == ("ja", "nein")
+    assert told["instruction"]["title"] == "Zwei Federn"
+    assert told["instruction"]["text"] == "Drücken Sie zweimal, je 2.5 Sekunden."
+    assert (told["end"]["title"], told["end"]["text"]) == ("Vielen Dank", "Die Sitzung ist zu Ende.")
+    asked = [cue for cue in bus.cues if cue["stage"] == "question"]
+    assert [(cue["title"], cue["questions"][0].text) for cue in asked] == [
+        ("Zwei Federn", "Welche war steifer?"), ("Einige Fragen", "How mentally demanding was the task?")
+    ]  # fmt: skip
+    assert {tuple(cue["labels"].items()) for cue in bus.cues} == {
+        (("language", "de"), ("go_on", "Weiter"), ("trial", "{number} von {total}"))
+    }
+    # The page gave the first word, and the table has the task's own.
+    (trial,) = trials_in(tmp_path)
+    assert [(answer["name"], answer["value"]) for answer in trial["answers"]] == [("answer", "first")]
+
+
+def test_the_word_that_declines_declines(tmp_path: Path) -> None:
+    assert words_session(tmp_path, Bus(consent="nein"), WORDS)[0] == "P01 did not agree to take part"
+
+
+def test_an_answer_during_a_trial_means_what_it_does_in_english(tmp_path: Path) -> None:
+    words = {"tasks": {"asking": {"questions": {"contact": {"options": ["Ich fühle es"]}}}}}
+    known = {"asking": Asking()}
+    plan = plan_of(tmp_path, known, tasks=["asking"], factors={"law": ["wave"]}, words=words)
+    desk, bus = PersonDesk(plan), Bus()
+    desk.bus = bus  # type: ignore[assignment]
+    desk.begin(plan.trials("P01")[0], 0, first=False)
+    assert bus.cues[-1]["questions"][0].options == ("Ich fühle es",)
+    bus.during = [Answer("a", "c1", "participant", {"contact": "Ich fühle es"}, 7, 0.5)]
+    assert desk.during(0.5) == [{"name": "contact", "value": "I feel it", "given_ns": 7}]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"tasks": {"askin": {}}}, "words.tasks: askin is no task of this file; known are asking; did you mean"),
+        ({"agree": "no"}, "words.agree and words.disagree are the same word"),
+        ({"language": "deutsch bitte"}, "words.language"),
+        ({"consent": "x" * 1025}, "words.consent"),
+        ({"tasks": {"asking": {"questions": {"answr": {}}}}},
+         r"words.tasks.asking.questions.answr: is not asked by the task; known are answer, contact; did you"),
+        ({"tasks": {"asking": {"questions": {"answer": {"options": ["nur eine"]}}}}},
+         r"questions.answer.options: has 1 words for first, second"),
+    ],
+)  # fmt: skip
+def test_words_that_fit_nothing_are_refused_with_their_key(tmp_path: Path, words: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        words_session(tmp_path, Bus(), words)

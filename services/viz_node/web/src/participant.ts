@@ -2,7 +2,7 @@ import "./styles.css";
 import "./participant.css";
 import { Connection, type LinkState } from "./connection";
 import { make, part } from "./dom";
-import { Remaining, courseOf, cueOf, type Course, type Cue, type Question } from "./experiment/cue";
+import { Remaining, countOf, courseOf, cueOf, directionOf, label, type Course, type Cue, type Question } from "./experiment/cue";
 import { QuestionForm, type Given } from "./experiment/form";
 import { TargetView } from "./experiment/target";
 import { Hand } from "./hand";
@@ -75,7 +75,9 @@ function show(): void {
   part("progress").hidden = !cue?.total;
   if (cue) {
     part("title").textContent = cue.title || "telenano";
-    part("count").textContent = cue.practice ? "Practice" : `Trial ${Math.min(cue.done + 1, cue.total)} of ${cue.total}`;
+    part("count").textContent = countOf(cue);
+    document.documentElement.lang = label(cue, "language");
+    sheet.dir = directionOf(document.documentElement.lang);
     Object.assign(part("done"), { max: Math.max(1, cue.total), value: cue.done });
   }
   if (isTrial) beginTrial(cue!);
@@ -85,7 +87,8 @@ function show(): void {
 
 /** What is on the sheet between trials. */
 function card(): HTMLElement[] {
-  if (link !== "open") return [make("h2", {}, "Not connected"), make("p", {}, linkText)];
+  // The rig ends with the session, and its connection with it.
+  if (link !== "open" && cue?.stage !== "end") return [make("h2", {}, "Not connected"), make("p", {}, linkText)];
   if (!cue) return [make("h2", {}, "Please wait"), make("p", {}, "The experiment has not begun.")];
   const found: HTMLElement[] = [make("h2", {}, cue.title), ...cue.text.split("\n").map((text) => make("p", {}, text))];
   if (cue.remaining_s !== null) found.push(make("p", { class: "left", id: "left" }, ""));
@@ -95,15 +98,16 @@ function card(): HTMLElement[] {
 }
 
 function formOf(questions: Question[]): QuestionForm {
-  const form = new QuestionForm(questions, (given) => {
+  const answer = (given: Given): void => {
     form.busy(true);
     void give(given).then((ok) => form.busy(ok));
-  });
+  };
+  const form = new QuestionForm(questions, answer, label(cue, "submit"));
   return form;
 }
 
 function goOn(): HTMLElement {
-  const button = make("button", { type: "button", class: "go", id: "go-on" }, cue?.stage === "instruction" ? "Begin" : "Go on");
+  const button = make("button", { type: "button", class: "go", id: "go-on" }, label(cue, cue?.stage === "instruction" ? "begin" : "go_on"));
   button.addEventListener("click", () => {
     button.disabled = true;
     void give({ ready: "yes" }).then((ok) => (button.disabled = ok));

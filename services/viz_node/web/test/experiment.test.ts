@@ -1,5 +1,5 @@
 import { expect, it } from "vitest";
-import { Remaining, courseOf, cueOf, targetAt, type Cue } from "../src/experiment/cue";
+import { Remaining, countOf, courseOf, cueOf, directionOf, label, targetAt, type Cue } from "../src/experiment/cue";
 import { linesIn, range } from "../src/experiment/target";
 
 const array = (...values: number[]): Cue["target"] => ({ dtype: "f8", shape: [values.length], data: new Uint8Array(new Float64Array(values).buffer) });
@@ -12,6 +12,7 @@ const cue = (changes: Partial<Cue> = {}): Cue => ({
   done: 0,
   total: 6,
   practice: false,
+  labels: {},
   quantity: "force",
   band: 1e-9,
   times_s: array(0, 2, 4),
@@ -48,4 +49,11 @@ it("shows the whole target, with room for its band, on round lines", () => {
   const lines = linesIn(low, high).map((at) => Math.round(at * 1e9));
   expect(lines).toEqual([0, 5, 10]);
   expect(linesIn(-0.3, 2.2)).toEqual([0, 0.5, 1, 1.5, 2]);
+});
+
+it("says its own words in the language of the experiment, and in English without any", () => {
+  const german = { language: "de", go_on: "Weiter", trial: "{number} von {total}" };
+  expect([label(cue({ labels: german }), "go_on"), label(cue({ labels: german }), "submit"), label(undefined, "begin")]).toEqual(["Weiter", "Continue", "Begin"]);
+  expect([countOf(cue({ done: 2 })), countOf(cue({ done: 6 })), countOf(cue({ done: 2, labels: german })), countOf(cue({ practice: true }))]).toEqual(["Trial 3 of 6", "Trial 6 of 6", "3 von 6", "Practice"]);
+  expect(["en", "ar", "he-IL", "FA", "de-AT"].map(directionOf)).toEqual(["ltr", "rtl", "rtl", "rtl", "ltr"]);
 });

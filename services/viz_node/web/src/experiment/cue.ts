@@ -25,6 +25,8 @@ export interface Cue {
   done: number;
   total: number;
   practice: boolean;
+  /** Own words of the page by their use; English where there is none. */
+  labels: Record<string, string>;
   quantity: Quantity;
   band: number;
   times_s: WireArray;
@@ -41,6 +43,26 @@ export interface Course {
 
 export function cueOf(facts: Facts | undefined): Cue | undefined {
   return facts && typeof facts["id"] === "string" ? (facts as unknown as Cue) : undefined;
+}
+
+const ENGLISH = { language: "en", begin: "Begin", go_on: "Go on", submit: "Continue", practice: "Practice", trial: "Trial {number} of {total}" };
+const RIGHT_TO_LEFT = new Set(["ar", "arc", "ckb", "dv", "fa", "he", "ks", "ps", "sd", "ug", "ur", "yi"]);
+
+/** A word of the page, in the words of the experiment. */
+export function label(cue: Cue | undefined, use: keyof typeof ENGLISH): string {
+  return cue?.labels?.[use] || ENGLISH[use];
+}
+
+/** Where the trials are, in words. */
+export function countOf(cue: Cue): string {
+  if (cue.practice) return label(cue, "practice");
+  const number = Math.min(cue.done + 1, cue.total);
+  return label(cue, "trial").replace("{number}", String(number)).replace("{total}", String(cue.total));
+}
+
+/** The direction in which a language is written. */
+export function directionOf(language: string): "ltr" | "rtl" {
+  return RIGHT_TO_LEFT.has(language.split("-")[0]!.toLowerCase()) ? "rtl" : "ltr";
 }
 
 export function courseOf(cue: Cue): Course | undefined {

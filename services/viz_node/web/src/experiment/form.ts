@@ -12,8 +12,9 @@ export class QuestionForm {
   constructor(
     private readonly questions: readonly Question[],
     private readonly onGiven: (given: Given) => void,
+    submit = "Continue",
   ) {
-    this.submit = make("button", { type: "submit", class: "go", id: "submit", disabled: true }, "Continue");
+    this.submit = make("button", { type: "submit", class: "go", id: "submit", disabled: true }, submit);
     const fields = questions.map((question) => (question.options.length ? this.choice(question) : this.scale(question)));
     this.root = make("form", { class: "questions" }, ...fields, make("div", { class: "row" }, this.submit));
     this.root.addEventListener("submit", (event) => {
