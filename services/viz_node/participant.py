@@ -17,21 +17,9 @@ from services.viz_node.streams import described
 CUE, TRIAL = "experiment/cue", "experiment/trial"
 # The keys of the messages that pages are told of. A cue has nothing of the condition; the trial is for experimenters.
 CUE_KEYS = (
-    "id",
-    "stage",
-    "title",
-    "text",
-    "remaining_s",
-    "done",
-    "total",
-    "practice",
-    "quantity",
-    "band",
-    "times_s",
-    "target",
-    "questions",
-    "answered",
-)
+    "id", "stage", "title", "text", "remaining_s", "done", "total", "practice", "labels",
+    "quantity", "band", "times_s", "target", "questions", "answered",
+)  # fmt: skip
 TRIAL_KEYS = (
     "participant",
     "session",

@@ -368,3 +368,8 @@ def test_a_participant_has_a_token_of_its_own() -> None:
     assert Access("o" * 20, "p" * 20).role_of("") is None
     with pytest.raises(ConfigError, match="are the same"):
         Access.made(operator="q" * 20, participant="q" * 20)
+
+
+def test_a_page_is_told_all_of_a_cue_but_its_header() -> None:
+    header = {"seq", "t_ns", "src", "v"}
+    assert set(CUE_KEYS) == set(TOPICS["experiment/cue"].model.model_fields) - header
