@@ -21,6 +21,7 @@ from recording.messages import RecordedMessage
 from recording.reader import Recording
 from services.viz_node.requests import PROTOCOL
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
+from telenano.cli.output import closing_lines
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 NODES = ("haptic_node", "controller_master", "delay_node", "controller_slave", "afm_node", "recorder")
@@ -249,8 +250,9 @@ def test_recording_of_the_volume_says_the_same_here(first: tuple[dict[str, Any],
     assert again["hold_ratio"] == summary["hold_ratio"]
 
 
-def test_summary_and_nodes_are_in_the_logs(rig: Composed, first: tuple[dict[str, Any], Path]) -> None:
-    assert "hold_ratio" in rig.logs("session")
+def test_closing_lines_and_nodes_are_in_the_logs(rig: Composed, first: tuple[dict[str, Any], Path]) -> None:
+    summary, folder = first
+    assert closing_lines(summary, folder)[0] in rig.logs("session")
     output = rig.logs("afm_node")
     assert "afm_node@slave: ready" in output
     assert "armed: the tip follows fresh commands" in output
