@@ -41,7 +41,7 @@ def test_where_no_hand_presses_the_bus_says_so(rig: Any, scenario: str) -> None:
 @pytest.mark.endurance
 def test_a_guard_on_the_bus_comes_first_with_time_and_limit(rig: Any) -> None:
     # the loop of 200 ms diverges on the spring of 20 N/m, whatever this machine adds
-    summary = run(rig, "virtual_impedance", "spring", "fig12", "--delay-ms", "200")
+    summary = run(rig, "virtual_impedance", "spring", "fig12", "--round-trip-ms", "400")
     assert summary["verdict"] in ("diverged", "guarded")
     assert summary["reason"].startswith("the instrument's guard acted at ")
     assert "(force_limit: more than 200 nN on the tip)" in summary["reason"]
