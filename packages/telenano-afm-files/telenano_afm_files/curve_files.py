@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano_afm_files import igor_waves, map_libraries, nanonis, nanosurf
+from telenano_afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf
 from telenano_afm_files.recorded import Array, Curves, Recorded, Way, constants_of, factor_to_force
 
 # Of a segment so many points are kept at most; a finer curve is interpolated to them.
@@ -31,7 +31,11 @@ _READERS: dict[str, Callable[[str], Curves]] = {
 
 @contextmanager
 def _open(path: str, given: dict[str, float]) -> Any:
-    own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(Path(path).suffix.lower())
+    suffix = Path(path).suffix.lower()
+    own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)
+    if own is None and not suffix.startswith(map_libraries.SUFFIXES):
+        # the names of files of NanoScope end with numbers as well
+        own = bruker.curves_of
     with tempfile.TemporaryDirectory() as folder:
         yield own(path) if own else map_libraries.curves_of(path, Path(folder), given)
 

@@ -23,6 +23,7 @@ import numpy.typing as npt
 from telenano.extend.commands import ConfigError
 from telenano.extend.maps import UNITS, Array, ForceMap, MapError, checked_map, read_members
 from telenano.extend.readers import open_regular, read_in_child
+from telenano_afm_files.bruker import is_nanoscope
 from telenano_afm_files.nanonis import backward_of, sweep_of, unit_of
 from telenano_afm_files.readers import limits_of_curves
 from telenano_afm_files.sader_jarvis import ASKED, as_force
@@ -111,7 +112,7 @@ def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
     if suffix in (".3ds", ".dat"):
         read = _read_3ds if suffix == ".3ds" else _read_dat
         return _on_one_grid(read(path, wanted.channel), wanted, source)
-    if suffix not in _CURVE_SUFFIXES and not path.is_dir():
+    if suffix not in _CURVE_SUFFIXES and not path.is_dir() and not _is_bruker(path):
         raise MapError(f"is no recorded map that can be read; these are {', '.join(MAP_SUFFIXES)}")
     if suffix == ".h5":
         try:
@@ -207,6 +208,11 @@ def _read_3ds(path: Path, channel: str | None) -> _Curves:
         notes.append(f"{lost} values are no number, where curves were cut short; the others are taken")
     facts = {"unit": unit, "axis": "base"}
     return _Curves(ways, (width, depth * lines / ny), facts, tuple(notes))
+
+
+def _is_bruker(path: Path) -> bool:
+    with open_regular(path) as file:
+        return is_nanoscope(file.read(64))
 
 
 def _read_dat(path: Path, channel: str | None) -> _Curves:

@@ -91,9 +91,14 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
     return Curves((int(shape[0]), int(shape[1])), (float(sides[0]), float(sides[1])), each())
 
 
+# the ends of the names of files that afmformats reads; those of raw deflections first
+_RAW_SUFFIXES = (".jpk-", ".csv", ".txt", ".zip")
+SUFFIXES = (*_RAW_SUFFIXES, ".h5", ".tab")
+
+
 def is_raw(path: str) -> bool:
     """Whether afmformats computes the forces of a file from constants, which may be others than those in the file."""
-    return Path(path).suffix.lower().startswith((".jpk-", ".csv", ".txt", ".zip"))
+    return Path(path).suffix.lower().startswith(_RAW_SUFFIXES)
 
 
 def _recorded(curve: Any) -> Recorded:

@@ -29,4 +29,4 @@ NANOSURF = CURVES._replace(
     heights="telenano_afm_files.nanosurf:load_maps", spectrum="telenano_afm_files.nanosurf:load_spectrum"
 )
 NANOSURF_HDF5 = CURVES._replace(heights="telenano_afm_files.nanosurf:load_nhf_maps")
-OTHER = FileReader(heights="telenano_afm_files.gwyddion:load_image")
+OTHER = CURVES._replace(heights="telenano_afm_files.gwyddion:load_image")

@@ -122,6 +122,26 @@ def write_afm_workshop_map(path: Path, nx: int, ny: int) -> Path:
     return path
 
 
+def write_nanoscope(path: Path, side: int = 1, *, factor: int = 1, capture: str = "Never", points: int = 200) -> Path:
+    """Write a force curve of Bruker, or a volume of side x side, in integers of 32 bits whose step is 0.1 mV."""
+    volts = [force / STIFFNESS_N_PER_M / SENSITIVITY_M_PER_V for force in (DOWN_N, UP_N)]
+    # both ways go from the sample away
+    one = np.concatenate([np.round(way[::-1] / 1e-4) for way in volts]).astype("<i4") * factor
+    data = np.tile(one, side * side).tobytes()
+    lines = [
+        "\\*Force file list", "\\Version: 0x09300000", "\\*Scanner list", "\\@Sens. Zsens: V 10.0000 nm/V",
+        "\\*Ciao scan list", f"\\Operating mode: {'Force' if side == 1 else 'Force Volume'}", "\\Scan Size: 0.12 ~m",
+        f"\\PeakForce Capture: {capture}", f"\\@Sens. DeflSens: V {1e9 * SENSITIVITY_M_PER_V} nm/V",
+        "\\*Ciao force list", f"\\force/line: {side}", "\\*Ciao force image list", "\\Data offset: 4096",
+        f"\\Data length: {len(data)}", "\\Bytes/pixel: 2", f"\\Samps/line: {points} 200",
+        f"\\Spring Constant: {STIFFNESS_N_PER_M}", '\\@4:Image Data: S [DeflectionError] "Deflection Error"',
+        "\\@4:Z scale: V [Sens. DeflSens] (0.0001 V/LSB) 2.5 V", "\\@4:Ramp Size: V [Sens. Zsens] (0.006 V/LSB) 2.0 V",
+        "\\*File list end",
+    ]  # fmt: skip
+    path.write_bytes("\r\n".join(lines).encode("latin-1").ljust(4096, b"\0") + data)
+    return path
+
+
 def write_jpk_hdf5(path: Path) -> Path:
     """Write an image of JPK in HDF5: two frames of heights, and the error signal in volts."""
     import h5py

@@ -16,6 +16,7 @@ from maker_files import (
     write_afm_workshop_map,
     write_jpk_hdf5,
     write_nanonis_dat,
+    write_nanoscope,
     write_nhf,
     write_nid,
     write_nid_map,
@@ -174,6 +175,29 @@ def test_a_folder_of_waves_is_a_map_of_asylum(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     with pytest.raises(ConfigError, match="a folder without the waves of a map, which are named as Line0003Point0012"):
         import_map(tmp_path / "other", Wanted({}))
+
+
+def test_a_force_curve_of_bruker_is_read_by_what_is_in_the_file(tmp_path: Path) -> None:
+    found = read_measured(write_nanoscope(tmp_path / "curve.001"))
+    assert (len(found.approach.base_m), found.stiffness_n_per_m) == (200, STIFFNESS_N_PER_M)
+    assert np.diff(found.approach.base_m) == pytest.approx(20e-9 / 199, rel=1e-6)
+    # a step of 0.1 mV is 10 pN
+    far = float(np.median(DOWN_N[:20]))
+    assert found.approach.force_n == pytest.approx(DOWN_N - far, rel=0, abs=1.1e-11)
+    assert found.retract.force_n == pytest.approx(UP_N[::-1] - far, rel=0, abs=1.1e-11)
+    volume = import_map(write_nanoscope(tmp_path / "volume.spm", 3), Wanted({})).map
+    assert (volume.values.shape[:3], volume.stiffness_n_per_m) == ((2, 3, 3), STIFFNESS_N_PER_M)
+    assert np.diff(volume.x_m) == pytest.approx(40e-9, rel=1e-9)
+    for changes, words in (
+        ({"factor": 20_000}, "beyond the 16 bits of its converter"),
+        ({"capture": "Allow"}, "whose piezo follows a sine"),
+        ({"points": 100}, "is no whole file of NanoScope: 1 x 1 curves of 100 and 200 samples"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            read_measured(write_nanoscope(tmp_path / "other.spm", **changes))
+    (tmp_path / "other.spm").write_text("no curve")
+    with pytest.raises(ConfigError, match="is no file of force curves of NanoScope"):
+        read_measured(tmp_path / "other.spm")
 
 
 def test_images_of_jpk_and_nsid_in_hdf5_have_their_size_and_unit(tmp_path: Path) -> None:
