@@ -70,8 +70,8 @@ def curves_of(path: str) -> Curves:
     # A force volume of version 9.2 was seen whose numbers were 256 times those that its header explains.
     if width == 4 and np.count_nonzero(np.abs(data.astype(np.int64)) > _CONVERTER) > samples // 1000:
         raise ValueError(
-            "has deflections beyond the 16 bits of its converter, so that their volts cannot be told: export the curves "
-            "as text, for `telenano calibrate sensitivity --curve`"
+            "has deflections beyond the 16 bits of its converter, so that their volts cannot be told: export the "
+            "curves as text, for `telenano calibrate sensitivity --curve`"
         )
 
     def curve(number: int) -> Recorded:
