@@ -93,7 +93,10 @@ def curves_of(path: str) -> Curves:
 def _sections_of(content: bytes) -> list[_Section]:
     end = content.find(_END, 0, _LONGEST_HEADER)
     if not is_nanoscope(content) or end < 0:
-        raise ValueError("is no file of force curves of NanoScope: it does not begin with \\*Force file list")
+        raise ValueError(
+            "is of no format of force curves that is known here; these are .csv, .dat, .h5, .ibw, .jpk-…, .nhf, .nid, "
+            ".tab, .txt, .zip and NanoScope's, which begin with \\*Force file list"
+        )
     sections: list[_Section] = []
     for line in content[:end].decode("latin-1").splitlines():
         if line[1:2] == "*":

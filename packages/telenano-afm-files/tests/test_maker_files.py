@@ -196,7 +196,7 @@ def test_a_force_curve_of_bruker_is_read_by_what_is_in_the_file(tmp_path: Path) 
         with pytest.raises(ConfigError, match=words):
             read_measured(write_nanoscope(tmp_path / "other.spm", **changes))
     (tmp_path / "other.spm").write_text("no curve")
-    with pytest.raises(ConfigError, match="is no file of force curves of NanoScope"):
+    with pytest.raises(ConfigError, match=r"of no format of force curves that is known here; these are \.csv"):
         read_measured(tmp_path / "other.spm")
 
 
