@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field
 
 from analysis.statistics import Statistic, share, statistic
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.settings.config import Settings as StrictSettings
 from services.runtime.settings.option import Option
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
