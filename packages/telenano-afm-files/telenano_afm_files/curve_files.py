@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano_afm_files.igor_waves import refuse_number
-from telenano_afm_files.map_libraries import blocks_of, refuse_large_archive, require_force_curve, ways_of
+from telenano_afm_files.igor_waves import load_wave, notes_of, refuse_dwell, refuse_number
+from telenano_afm_files.map_libraries import blocks_of, curves_of, refuse_large_archive, require_force_curve, ways_of
 
 _MOST_UNPACKED_BYTES = 1 << 30
 
@@ -30,7 +30,6 @@ def load_afmformats(path: str, number: str) -> Found:
 
 def load_one_of_map(path: str, number: str) -> Found:
     """Return a curve of a map that afmformats reads, by its number; the first is 0."""
-    import afmformats
     from afmformats.errors import MissingMetaDataError
 
     _prepare(path)
@@ -38,7 +37,7 @@ def load_one_of_map(path: str, number: str) -> Found:
     try:
         with tempfile.TemporaryDirectory() as folder:
             for block, _ in blocks_of(path, Path(folder)):
-                curves = afmformats.load_data(block)
+                curves = curves_of(block)
                 if wanted < len(curves):
                     return _columns_of(curves[wanted])
                 wanted -= len(curves)
@@ -48,7 +47,7 @@ def load_one_of_map(path: str, number: str) -> Found:
 
 
 def _columns_of(found: Any) -> Found:
-    require_force_curve(found.metadata)
+    require_force_curve(found)
     if "spring constant" not in found.metadata:
         raise ValueError("its metadata lack the spring constant")
     height = found["height (measured)"] if "height (measured)" in found else found["height (piezo)"]
@@ -75,9 +74,9 @@ def load_deflections(path: str) -> Found:
 
     Arrays: how many points each has; then, of all one after another, height [m] and deflection as it was read [V].
     """
-    import afmformats
-
     _prepare(path)
+    if path.lower().endswith(".ibw"):
+        refuse_dwell(notes_of(load_wave(path)[0]))
     # The forces of other formats were computed before, by constants that stand in the file.
     is_raw = ".jpk-" in path.lower()
     counts, heights, volts = [], [], []
@@ -85,8 +84,8 @@ def load_deflections(path: str) -> Found:
         block, _ = next(blocks_of(path, Path(folder)))
         # With constants of 1 the force of a file of JPK is the voltage itself.
         given = {"spring constant": 1.0, "sensitivity": 1.0} if is_raw else {}
-        for curve in afmformats.load_data(block, meta_override=given):
-            require_force_curve(curve.metadata)
+        for curve in curves_of(block, given):
+            require_force_curve(curve)
             if lacks := [key for key in ("spring constant", "sensitivity") if key not in curve.metadata]:
                 raise ValueError(f"its metadata lack {', '.join(lacks)}: the voltage that was read cannot be told")
             height, force = ways_of(curve)[0]

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.readers import open_regular
+from telenano_afm_files.map_libraries import refusal_of_pause
 
 _VERSION = 5
 _DATA_START = 384
@@ -119,6 +120,7 @@ def load_curve(path: str, number: str) -> Found:
             raise ValueError(f"it has no column {' or '.join(names)}")
     if missing := [name for name in ("SpringConstant", "Indexes") if name not in notes]:
         raise ValueError(f"its note lacks {', '.join(missing)}")
+    refuse_dwell(notes)
     # towards the sample is where the deflection rises: Asylum's sensor does too
     height = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
     turn = int(float(notes["Indexes"].split(",")[1])) + 1
@@ -130,6 +132,12 @@ def load_curve(path: str, number: str) -> Found:
 def notes_of(wave: dict[str, Any]) -> dict[str, str]:
     """Return the lines of the note of a wave by their keys."""
     return dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
+
+
+def refuse_dwell(notes: dict[str, str]) -> None:
+    """Raise ValueError where a curve of Asylum's dwells: a part of it goes neither to the sample (1) nor away (-1)."""
+    if "0" in (way.strip() for way in notes.get("Direction", "").split(",")):
+        raise ValueError(refusal_of_pause("a dwell at the sample"))
 
 
 def refuse_number(number: str) -> None:

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterator
@@ -59,7 +60,6 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
         sensitivity: The sensitivity [m/V] likewise.
         report: The descriptor that takes the advance.
     """
-    import afmformats
     from afmformats.errors import MissingMetaDataError
 
     # it reports with a traceback what it raises as well
@@ -75,7 +75,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, repor
     with tempfile.TemporaryDirectory() as folder:
         for block, share in blocks_of(path, Path(folder)):
             try:
-                curves = afmformats.load_data(block, meta_override=override)
+                curves = curves_of(block, override)
             except MissingMetaDataError as error:
                 missing = [ours for ours, theirs in names.items() if theirs in error.meta_keys]
                 text = f"is missing; give it to `telenano sample import` by --set {missing[0]}=…"
@@ -153,14 +153,50 @@ def _facts(metadata: Any) -> dict[str, Any]:
     }
 
 
-def require_force_curve(metadata: Any) -> None:
-    """Raise ValueError for a curve of another kind, which is no force against distance however its columns look."""
-    mode = str(metadata.get("imaging mode", "")) or "force-distance"
-    if mode != "force-distance":
+def curves_of(path: str, given: dict[str, float] | None = None) -> Any:
+    """Return the curves that afmformats reads; `given` are metadata in place of those of the file.
+
+    Raises:
+        ValueError: They pause between approach and retraction, or are no curves that the library knows.
+    """
+    import afmformats
+    from afmformats.errors import FileFormatNotSupportedError
+
+    try:
+        return afmformats.load_data(path, meta_override=given or {})
+    except FileFormatNotSupportedError as error:
+        # The library knows two kinds of pause of JPK's; a file with another is of no format to it.
+        if (count := _segments_of(path)) > 2:
+            raise ValueError(refusal_of_pause(f"{count} segments")) from error
         raise ValueError(
-            f"it holds curves of {mode.replace('-', ' ')}, taken over time at a constant force or place, and no force "
-            "against distance: give a curve of an approach and a retraction without a pause"
-        )
+            "it has no force curves in a form that afmformats reads: export them as HDF5 or .tab"
+        ) from error
+
+
+def _segments_of(path: str) -> int:
+    """Return how many segments the longest curve of an archive of JPK's has; 0 for another file."""
+    if not zipfile.is_zipfile(path):
+        return 0
+    with zipfile.ZipFile(path) as archive:
+        found = [re.search(r"(?:^|/)segments/(\d{1,6})/", name) for name in archive.namelist()]
+    return max((int(each[1]) + 1 for each in found if each), default=0)
+
+
+def refusal_of_pause(kind: str) -> str:
+    """Return why curves of a kind that hold the tip for a while cannot be used."""
+    return (
+        f"it holds curves of {kind.replace('-', ' ')}, taken over time at a constant force or place, and no force "
+        "against distance: give a curve of an approach and a retraction without a pause"
+    )
+
+
+def require_force_curve(curve: Any) -> None:
+    """Raise ValueError for a curve of another kind, which is no force against distance however its columns look."""
+    mode = str(curve.metadata.get("imaging mode", "")) or "force-distance"
+    if mode != "force-distance":
+        raise ValueError(refusal_of_pause(mode))
+    if len(found := np.unique(np.asarray(curve["segment"]))) > 2:
+        raise ValueError(refusal_of_pause(f"{len(found)} segments"))
 
 
 def ways_of(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
@@ -169,7 +205,7 @@ def ways_of(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.fl
     Raises:
         ValueError: The curve is one of creep or relaxation.
     """
-    require_force_curve(curve.metadata)
+    require_force_curve(curve)
     height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
     force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
     found = []
