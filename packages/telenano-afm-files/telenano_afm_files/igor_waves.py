@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.readers import open_regular
+from telenano_afm_files.map_libraries import refusal_of_pause
 from telenano_afm_files.recorded import Curves, Recorded
 
 _VERSION = 5
@@ -118,6 +119,9 @@ def curves_of(path: str) -> Curves:
             raise ValueError(f"it has no column {' or '.join(names)}")
     if "Indexes" not in notes:
         raise ValueError("its note lacks Indexes")
+    # a part of a curve that dwells goes neither to the sample (1) nor away (-1)
+    if "0" in (way.strip() for way in notes.get("Direction", "").split(",")):
+        raise ValueError(refusal_of_pause("a dwell at the sample"))
     # towards the sample is where the deflection rises: Asylum's sensor does too
     base = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
     # where segments end: a curve that dwells has more than two

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -58,7 +59,7 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
         given: Constants in place of those of the file, of a file that has deflections as they were read.
     """
     import afmformats
-    from afmformats.errors import MissingMetaDataError
+    from afmformats.errors import FileFormatNotSupportedError, MissingMetaDataError
 
     # it reports with a traceback what it raises as well
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
@@ -72,6 +73,11 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
             except MissingMetaDataError as error:
                 names = [ours for ours, theirs in _NAMES.items() if theirs in error.meta_keys]
                 raise ValueError(lacks(names)) from error
+            except FileFormatNotSupportedError as error:
+                # The library knows two kinds of pause of JPK's; a file with another is of no format to it.
+                if (count := _segments_of(path)) > 2:
+                    raise ValueError(refusal_of_pause(f"{count} segments")) from error
+                raise
             # an archive of something else, or one line of a grid
             except (ArithmeticError, AttributeError, LookupError, UnicodeDecodeError) as error:
                 raise ValueError(f"afmformats cannot read force curves in it ({error})") from error
@@ -108,6 +114,8 @@ def _recorded(curve: Any) -> Recorded:
     force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
     if not len(force) or {len(height), len(segment)} != {len(force)}:
         raise ValueError(f"its columns have {len(force)}, {len(height)} and {len(segment)} points")
+    if len(kinds := np.unique(segment)) > 2:
+        raise ValueError(refusal_of_pause(f"{len(kinds)} segments"))
     if segment[0] == segment[-1]:
         raise ValueError("it needs an approach and a retraction")
     ways = tuple((height[part], force[part]) for part in (segment == segment[0], segment == segment[-1]))
@@ -172,10 +180,24 @@ def require_force_curve(metadata: Any) -> None:
     """Raise ValueError for a curve of another kind, which is no force against distance however its columns look."""
     mode = str(metadata.get("imaging mode", "")) or "force-distance"
     if mode != "force-distance":
-        raise ValueError(
-            f"it holds curves of {mode.replace('-', ' ')}, taken over time at a constant force or place, and no force "
-            "against distance: give a curve of an approach and a retraction without a pause"
-        )
+        raise ValueError(refusal_of_pause(mode))
+
+
+def refusal_of_pause(kind: str) -> str:
+    """Return why curves of a kind that hold the tip for a while cannot be used."""
+    return (
+        f"it holds curves of {kind.replace('-', ' ')}, taken over time at a constant force or place, and no force "
+        "against distance: give a curve of an approach and a retraction without a pause"
+    )
+
+
+def _segments_of(path: str) -> int:
+    """Return how many segments the longest curve of an archive of JPK's has; 0 for another file."""
+    if not zipfile.is_zipfile(path):
+        return 0
+    with zipfile.ZipFile(path) as archive:
+        found = [re.search(r"(?:^|/)segments/(\d{1,6})/", name) for name in archive.namelist()]
+    return max((int(each[1]) + 1 for each in found if each), default=0)
 
 
 def tell(report: int, share: float) -> None:

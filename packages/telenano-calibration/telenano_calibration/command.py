@@ -69,10 +69,10 @@ def stiffness(
     ] = None,
     size: Annotated[
         tuple[float, float] | None,
-        typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [um]: Sader's method as well."),
+        typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [nm]: Sader's method as well."),
     ] = None,
     size_error: Annotated[
-        float, typer.Option("--size-error", min=0.0, metavar="UM", help="Standard error of each of them [um].")
+        float, typer.Option("--size-error", min=0.0, metavar="NM", help="Standard error of each of them [nm].")
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
@@ -96,10 +96,10 @@ def stiffness(
             averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
             raise ConfigError("--sensitivity: what was measured in volts needs the way for a volt [nm/V]")
-        width, length = (1e-6 * value for value in size) if size else (None, None)
+        width, length = (1e-9 * value for value in size) if size else (None, None)
         way_m, way_error_m = (1.0, 0.0) if is_of_metres else (1e-9 * (sensitivity_nm or 0.0), 1e-9 * sensitivity_error)
         mode = BY_ANGLE if factor is None else factor
-        known = Thermal(way_m, temperature, mode, width, length, rate, averages or 1.0, way_error_m, 1e-6 * size_error)
+        known = Thermal(way_m, temperature, mode, width, length, rate, averages or 1.0, way_error_m, 1e-9 * size_error)
         if spectrum is not None:
             found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, known)
         else:

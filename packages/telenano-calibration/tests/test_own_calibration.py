@@ -225,7 +225,7 @@ def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
     sensitivity = json.loads(found.stdout)
     assert sensitivity["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=2e-3)
     own = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "thermal.txt"), "--temperature", "295", "--json"]
-    found = run(app, [*own, "--sensitivity", "60", "--averages", "50", "--size", "30", "225"])
+    found = run(app, [*own, "--sensitivity", "60", "--averages", "50", "--size", "30e3", "225e3"])
     assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
     refused = run(app, own)
     assert refused.exit_code == 2
