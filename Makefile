@@ -28,7 +28,7 @@ LINT = ! git grep -nE '^(<{7}|>{7}) ' && \
   $(BIN)/ruff format --check . && \
   $(BIN)/mypy && \
   $(BIN)/lint-imports --no-cache && \
-  $(BIN)/python -P -m proto.contract --check
+  $(BIN)/python tests/contract/wire_contract.py --check
 
 .PHONY: help firmware setup page demo test check endurance mutation lint bench reliability schemas site pictures dist lock \
   image-locks images clean

@@ -18,9 +18,9 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
+from wire_contract import examples
 
 from proto import TOPICS
-from proto.contract import examples
 from proto.experiment_messages import Question
 from proto.messages import Array, Message
 from services.viz_node import hub as hubs
