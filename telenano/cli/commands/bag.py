@@ -54,7 +54,11 @@ def info(
 ) -> None:
     """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
+        from recording.indexed import open_indexed
+        from recording.people import people_in
+
         found = (_by_index(file, full=full) or _read(file)).model_dump(mode="json")
+        found["people"] = people_in(open_indexed([file]))
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
