@@ -71,9 +71,7 @@ class People:
         """Revoke the address of somebody; ConfigError where nobody of that name has one."""
         known = sorted({each.name for each in self._all() if each.is_admitted(self._now_s())})
         if name not in known:
-            raise ConfigError(
-                f"--revoke {printable(name)}: has no address; {', '.join(known) or 'nobody'} has"
-            )
+            raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(known) or 'nobody'} has")
         self._write([msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in self._all()])
 
     def find(self, token: str) -> Person | None:
