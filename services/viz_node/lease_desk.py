@@ -122,6 +122,7 @@ class LeaseDesk:
             "number": self.lease.number,
             "holder": "" if holder is None else holder.id,
             "label": "" if holder is None else holder.label,
+            "what": "" if holder is None else holder.what,
             "kept": self.lease.kept,
             "asking": [[each.id, each.label] for each in self.lease.asking],
         }

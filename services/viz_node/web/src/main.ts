@@ -7,6 +7,7 @@ import { part } from "./dom";
 import { Hand } from "./hand";
 import { Image } from "./image";
 import { PANELS, hasExperiment } from "./panels";
+import type { HandPanel } from "./panels/hand";
 import type { ScenePanel } from "./panels/scene";
 import type { ScopesPanel } from "./panels/scopes";
 import { StatusPanel } from "./panels/status";
@@ -47,6 +48,7 @@ const status = new StatusPanel(part("status"), cockpit);
 const regions = new Regions(PANELS, cockpit);
 const view = (regions.panel("scene") as ScenePanel).view;
 const scopes = regions.panel("curves") as ScopesPanel;
+const handPanel = regions.panel("hand") as HandPanel;
 const timeline = regions.panel("recording") as TimelinePanel;
 
 /** Between frames, and what the page itself took of each, drawing and taking in what came [ms]. */
@@ -151,6 +153,7 @@ addEventListener("keydown", (event) => {
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
   if (event.key === "o" && commands.may) part("couple").click();
+  if (event.key === "h") handPanel.lease.first();
   // clutch and mode of the hand across the sample, where there is one
   if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();
   if (event.key === "k" && commands.may) nextOption("lateral-mode");

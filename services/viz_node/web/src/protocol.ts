@@ -70,6 +70,19 @@ export interface SourceAbout {
 
 export type Facts = Record<string, unknown>;
 
+/** Who has the hand: the number of the lease, the id and the name of its holder, whether it was taken, who asks. */
+export interface LeaseFacts {
+  number: number;
+  holder: string;
+  label: string;
+  /** page, or what kind of process. */
+  what: string;
+  kept: boolean;
+  asking: [id: string, label: string][];
+}
+
+export type Role = "operator" | "observer" | "participant" | "pupil" | "teacher";
+
 export interface Changes {
   /** Time of the publishers at which the times of the curves begin [ns], to a quarter of a microsecond. */
   origin_ns?: number;
@@ -79,6 +92,7 @@ export interface Changes {
   lines?: Line[];
   streams?: Record<string, StreamData> | StreamAbout[];
   source?: SourceAbout;
+  lease?: LeaseFacts;
 }
 
 export interface Tick extends Changes {
@@ -88,7 +102,9 @@ export interface Tick extends Changes {
 
 export interface Snapshot extends Changes {
   k: "snapshot";
-  role: "operator" | "observer" | "participant";
+  role: Role;
+  /** What this page is called in a lease. */
+  me?: string;
   commands: boolean;
   hand: boolean;
   streams: StreamAbout[];
