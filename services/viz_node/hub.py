@@ -16,6 +16,7 @@ from proto.messages import Scalar
 from proto.nodes import TIP
 from recording.messages import LeftOut
 from services.console.lease import FREE_COMMANDS, Party
+from services.runtime.loop.loop_age import LoopAge, Part
 from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
@@ -36,7 +37,7 @@ from services.viz_node.requests import (
     Request,
     TransportRequest,
 )
-from services.viz_node.source import Source
+from services.viz_node.source import AGE_TOPICS, Source
 from services.viz_node.streams import described
 
 TICK_S = 1.0 / 30.0
@@ -67,6 +68,8 @@ _LONGEST_SHOWN_S = 1e6
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 _METRICS_NS = 1_000_000_000
+# The age of the loop is told so often [s]; a page that answers later was away.
+_AGE_S, _LONGEST_WAY_S = 1.0, 5.0
 REVOKED = "this address was revoked, or has expired: ask for another where the rig runs"
 
 Answers = Mapping[str, tuple[str, str]]
@@ -192,6 +195,8 @@ class Hub:
         self._looked_s = self._silent_s = 0.0
         self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
         self._picture = ParticipantPicture()
+        # the age of the loop by its parts, as it was taken last [s], and what it is of
+        self._age, self._age_s, self._parts = LoopAge(), time.monotonic(), list[Part]()
         # the text of the newest reports, and when it was made [ns]
         self._metrics, self._metrics_ns = "", -_METRICS_NS
 
@@ -239,9 +244,12 @@ class Hub:
             self._feed = Feed()
         for seen in self._source.poll(watched=bool(self.sessions)):
             self._feed.record(seen)
+            if seen.topic in AGE_TOPICS and self._commander is not None:
+                self._feed.left_out.guard(lambda each: self._age.take(*each), seen)
         for session in self.sessions if restarted else ():
             session.restart(self.snapshot(session))
         changes = self._feed.take()
+        changes |= self._take_age()
         if (lease := self._look_at_lease()) is not None:
             changes["lease"] = lease
         about = self._source.about()
@@ -253,6 +261,17 @@ class Hub:
             self._offer(picture, self.sessions - self._told())
         if changes:
             self._offer(changes, self._told())
+
+    def _take_age(self) -> dict[str, Any]:
+        """Return the age of the loop by its parts for the pages, once a second, and each page the way to itself."""
+        now_s = time.monotonic()
+        if now_s - self._age_s < _AGE_S:
+            return {}
+        self._age_s, self._parts = now_s, self._age.parts() if self.sessions else []
+        for session in self._told():
+            way_s = sorted(session.ways_s)[len(session.ways_s) // 2] if session.ways_s else None
+            session.answer(_packed({"k": "way", "stamp_s": now_s, "way_s": way_s}))
+        return {"age": [[part.name, part.p50_s, part.p99_s] for part in self._parts]} if self._parts else {}
 
     def _look_at_lease(self) -> Mapping[str, Any] | None:
         """Return what pages are told of the lease, if it has changed; who lost it lets go, and its commands are void.
@@ -336,7 +355,7 @@ class Hub:
         The text is made at most once a second, however many ask: what it takes is time of the pages.
         """
         if not 0 <= now_ns - self._metrics_ns < _METRICS_NS:
-            self._metrics, self._metrics_ns = metrics_text(self._feed.snapshot()["nodes"], now_ns), now_ns
+            self._metrics, self._metrics_ns = metrics_text(self._feed.snapshot()["nodes"], now_ns, self._parts), now_ns
         return self._metrics
 
     def snapshot(self, session: Session) -> bytes:
@@ -361,7 +380,14 @@ class Hub:
     async def handle(self, session: Session, request: Request, arrived_s: float) -> None:
         """Carry out a request that arrived at a time [s] and queue the answer; what a role may not do is refused."""
         session.heard_s = time.monotonic()
-        if isinstance(request, HereRequest) or session.ended:
+        if isinstance(request, HereRequest):
+            if (
+                request.stamp_s
+                and 0.0 <= (way_s := session.heard_s - request.stamp_s - request.waited_s) < _LONGEST_WAY_S
+            ):
+                session.ways_s.append(way_s)
+            return
+        if session.ended:
             return
         if isinstance(request, HandRequest):
             self._push(session, request)

@@ -25,6 +25,8 @@ class Session:
         self.role, self.person = role, person
         self.party = Party(secrets.token_hex(8), "" if person is None else person.name, role.value)
         self.heard_s = 0.0
+        # the newest ways to the page and back [s]
+        self.ways_s: deque[float] = deque(maxlen=9)
         # An address that is revoked ends its pages, after the frame that says so.
         self.ended = False
         self.ready = asyncio.Event()

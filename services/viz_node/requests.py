@@ -105,7 +105,13 @@ class LeaseRequest(_Frame, tag="lease", frozen=True):
 
 
 class HereRequest(_Frame, tag="here", frozen=True):
-    """A page is there: who has the hand and says nothing for a second has lost it."""
+    """A page is there: who has the hand and says nothing for a second has lost it.
+
+    `stamp_s`: of the frame `way` that it answers, `waited_s`: for how long that was at the page [s].
+    """
+
+    stamp_s: float = 0.0
+    waited_s: float = 0.0
 
 
 class AnswerRequest(_Frame, tag="experiment", frozen=True):

@@ -154,13 +154,14 @@ def _print_addresses() -> None:
 
 def _print_address_for(name: str, role: str, minutes: float) -> None:
     """Give a person an address at each page of this rig that answers."""
-    lines = served_addresses([runtime_directory()])
-    served = [line.removeprefix("operator: ") for line in lines if line.startswith("operator: ")]
+    # an address is told by several names, and that of a participant is of another page
+    lines = (line.partition(": ")[2].partition("#") for line in served_addresses([runtime_directory()]))
+    served = dict.fromkeys(base for base, sign, _ in lines if sign and not base.endswith(".html"))
     if not served:
         raise ConfigError("no page of this rig is served on this machine: `telenano up` serves one, or `telenano view`")
     token = People().add(name, role, minutes)
-    for address in served:
-        typer.echo(f"{name} ({role}, {minutes:g} min): {address.partition('#')[0]}#{token}")
+    for base in served:
+        typer.echo(f"{name} ({role}, {minutes:g} min): {base}#{token}")
 
 
 def _serve_again(serve_once: Callable[[], None]) -> None:

@@ -17,13 +17,21 @@ from test_viz_server import ACCESS, Page, Rig, command, until
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
+from services.runtime.loop.loop_age import Part
 from services.viz_node import hub as hubs
 from services.viz_node import server
 from services.viz_node.access import Role
+from services.viz_node.feed import Seen
+from services.viz_node.metrics import metrics_text
 from services.viz_node.people import People
 from telenano.cli.commands import view as view_command
 from telenano.cli.root import app
 
+ADDRESSES = [
+    "view: http://127.0.0.1:8650/#secret",
+    "observer: http://127.0.0.1:8650/#other",
+    "participant: http://127.0.0.1:8650/participant.html#third",
+]
 PAUL, TINA, OTTO = "Paul", "Ms Tina Ås", "Otto"
 
 
@@ -222,9 +230,7 @@ def test_the_command_gives_an_address_at_each_page_of_the_rig(monkeypatch: pytes
     run = CliRunner().invoke
     alone = run(app, ["view", "--for", PAUL, "--role", "pupil"])
     assert alone.exit_code == 2 and "no page of this rig is served" in alone.output
-    monkeypatch.setattr(
-        view_command, "served_addresses", lambda folders: ["operator: http://127.0.0.1:8650/#secret", "observer: x"]
-    )
+    monkeypatch.setattr(view_command, "served_addresses", lambda folders: ADDRESSES)
     given = run(app, ["view", "--for", PAUL, "--role", "pupil", "--for-minutes", "30"])
     head, _, token = given.output.strip().partition("#")
     assert head == f"{PAUL} (pupil, 30 min): http://127.0.0.1:8650/"
@@ -232,3 +238,37 @@ def test_the_command_gives_an_address_at_each_page_of_the_rig(monkeypatch: pytes
     assert run(app, ["view", "--revoke", PAUL]).output == f"the address of {PAUL} is revoked\n"
     assert replace(ACCESS, people=People()).role_of(token) is None
     assert run(app, ["view", "--revoke", PAUL]).exit_code == 2
+
+
+def test_the_way_to_a_page_and_the_age_of_the_loop_are_told_and_given_to_a_monitoring_system(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hubs, "_AGE_S", 0.05)
+    page = Page(stack, client)
+    t_ns = 10**18
+    delay = {"direction": "forward", "hand_t_ns": t_ns, "delay_ns": 20_000_000, "transit_ns": 0, "clock_ahead_ns": 0}
+    rig.source.waiting.append(Seen("link/delay", "delay_node@master", t_ns, delay))
+    for number in range(40):
+        hand_ns = t_ns + number * 1_000_000
+        afm = {"hand_t_ns": hand_ns}
+        answer = {"answered_t_ns": hand_ns, "answered_at_ns": hand_ns + 23_000_000}
+        age = rig.hub._age
+        age.take("afm/state", "afm_node@slave", hand_ns + 21_000_000, afm)
+        age.take("haptic/command", "controller@master", hand_ns + 22_000_000, afm)
+        age.take("haptic/state", "haptic_node@master", hand_ns + 24_000_000, answer)
+    told: dict[str, float] = {}
+    while not told:
+        told = {name: p50_s for name, p50_s, _ in page.take("tick").get("age", ())}
+    assert told["link there, on purpose"] == pytest.approx(0.02, rel=1e-9)
+    assert told["whole"] == pytest.approx(0.023, rel=1e-9)
+    text = metrics_text({}, 0, [Part("whole", 0.02, 0.023)])
+    assert 'telenano_loop_age_seconds{part="whole",quantile="0.99"} 0.023' in text.splitlines()
+    assert "# TYPE telenano_loop_age_seconds gauge" in client.get("/metrics").text
+    # the page had the question for a tenth of a second, which is not of the way
+    for _ in range(3):
+        stamp_s = page.take("way")["stamp_s"]
+        page.send({"k": "here", "stamp_s": stamp_s, "waited_s": 0.0})
+    until(lambda: any(session.ways_s for session in rig.hub.sessions))
+    while (way_s := page.take("way")["way_s"]) is None:
+        pass
+    assert 0.0 <= way_s < 5.0

@@ -211,7 +211,7 @@ def test_from_another_machine_the_reports_need_a_token(
 
 def test_the_reports_are_made_once_a_second_whatever_asks(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
-    monkeypatch.setattr(hubs, "metrics_text", lambda nodes, now_ns: f"{made.append(now_ns)}")
+    monkeypatch.setattr(hubs, "metrics_text", lambda nodes, now_ns, age: f"{made.append(now_ns)}")
     # 50 requests a tenth of a second for 3 s, and a clock that was set back
     for now_ns in [*(n // 50 * 100_000_000 for n in range(1500)), 5]:
         rig.hub.metrics(now_ns)

@@ -1,6 +1,7 @@
 import "./styles.css";
 import type { Cockpit } from "./cockpit";
 import { Commands } from "./commands";
+import { medianFrame } from "./age";
 import { Connection } from "./connection";
 import { Document } from "./document";
 import { part } from "./dom";
@@ -94,6 +95,7 @@ connection.onFrame = (frame: ServerFrame) => {
     // an experiment has begun: its panel is there from now on
     if (!had && hasExperiment(cockpit)) regions.begin();
   }
+  else if (frame.k === "way") store.wayS = frame.way_s ?? NaN;
   else if (frame.k === "hand") cockpit.hand.refuse(frame.text);
   dirty = true;
   taken += performance.now() - begun;
@@ -113,6 +115,7 @@ function draw(now: number): void {
   }
   for (const kept of [frames, costs]) if (kept.length > FRAMES_KEPT) kept.shift();
   before = now;
+  store.frameS = medianFrame(frames);
   if (dirty) {
     dirty = false;
     view?.follow();
@@ -132,6 +135,7 @@ setInterval(() => {
   store.clock.tick(performance.now());
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
   status.draw();
+  handPanel.lease.write();
 }, BANNERS_MS);
 
 function setTheme(name: string): void {

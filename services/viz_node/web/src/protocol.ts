@@ -93,6 +93,8 @@ export interface Changes {
   streams?: Record<string, StreamData> | StreamAbout[];
   source?: SourceAbout;
   lease?: LeaseFacts;
+  /** The age of the loop by its parts: name, of the median sample and of the slow one at 99 % [s]; the last is the whole. */
+  age?: [name: string, p50_s: number, p99_s: number][];
 }
 
 export interface Tick extends Changes {
@@ -132,12 +134,19 @@ export interface HandNotice {
   text: string;
 }
 
+/** A question for the way to this page and back, and what it was found to be last [s]. */
+export interface WayFrame {
+  k: "way";
+  stamp_s: number;
+  way_s: number | null;
+}
+
 export interface Forms {
   k: "forms";
   forms: Facts;
 }
 
-export type ServerFrame = Forms | Tick | Snapshot | Answer | Refused | HandNotice;
+export type ServerFrame = WayFrame | Forms | Tick | Snapshot | Answer | Refused | HandNotice;
 
 export function read(frame: ArrayBuffer): ServerFrame {
   return decode(new Uint8Array(frame)) as ServerFrame;

@@ -33,7 +33,7 @@ page.onmessage = ({ data }: MessageEvent<ToSocket>) => {
 };
 setInterval(push, SEND_MS);
 // not before the server has told who this page is: its first frame is its token
-setInterval(() => me && send(pack({ k: "here" })), HERE_MS);
+setInterval(() => me && here(), HERE_MS);
 
 function open(url: string): void {
   socket = new WebSocket(url);
@@ -45,10 +45,23 @@ function open(url: string): void {
   socket.onmessage = ({ data }: MessageEvent<ArrayBuffer>) => {
     const frame = read(data);
     spring.take(frame);
+    if (frame.k === "way") {
+      asked = [frame.stamp_s, performance.now()];
+      here();
+    }
     if (frame.k === "snapshot") me = frame.me ?? "";
     if ((frame.k === "snapshot" || frame.k === "tick") && frame.lease) lease = me && frame.lease.holder === me ? frame.lease.number : 0;
     tell({ k: "frame", frame: data }, [data]);
   };
+}
+
+/** The newest question for the way to this page [s], and when it came [ms]. */
+let asked: [stamp_s: number, at: number] | undefined;
+
+function here(): void {
+  const way = asked && { stamp_s: asked[0], waited_s: (performance.now() - asked[1]) / 1e3 };
+  asked = undefined;
+  send(pack({ k: "here", ...way }));
 }
 
 function push(): void {

@@ -45,6 +45,11 @@ export class Clock {
 export class Store {
   role: Snapshot["role"] = "observer";
   me = "";
+  age: NonNullable<Tick["age"]> = [];
+  /** The way from the server to this page and back [s], NaN until it is known. */
+  wayS = NaN;
+  /** Between two frames of this page, as requestAnimationFrame has them [s], NaN until it is known. */
+  frameS = NaN;
   lease: LeaseFacts = { number: 0, holder: "", label: "", what: "page", kept: false, asking: [] };
   commands = false;
   hand = false;
@@ -104,6 +109,7 @@ export class Store {
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
     if (tick.lease) this.lease = tick.lease;
+    if (tick.age) this.age = tick.age;
     if (tick.origin_ns) this.originNs = tick.origin_ns;
   }
 
