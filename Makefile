@@ -155,7 +155,7 @@ pictures: setup ## Draw the pictures of the documents again.
 dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
 	$(call install,--require-hashes -r deploy/locks/release.lock)
 	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
-	$(BIN)/python deploy/release.py out/release/session.mcap
+	$(BIN)/python tests/releases/release.py out/release/session.mcap
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \

@@ -8,7 +8,7 @@ of, taken, or lost by silence. Whoever asks for something has a number of the le
 holder, so that what was said under an earlier lease is refused.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 
@@ -196,17 +196,14 @@ def withdrawn(lease: Lease, now_ns: int) -> Lease:
 
 def packed(lease: Lease) -> bytes:
     """Return a lease as it is kept."""
-    return msgspec.json.encode(lease._asdict() | {"holder": lease.holder and list(lease.holder)})
+    return msgspec.json.encode(lease)
 
 
 def unpacked(data: bytes) -> Lease:
     """Return the lease that was kept; a file that was not written to its end is that of nobody."""
     try:
-        fields: dict[str, Any] = msgspec.json.decode(data)
-        asking = tuple(Party(*each) for each in fields.pop("asking"))
-        holder = fields.pop("holder")
-        return Lease(**fields, holder=holder and Party(*holder), asking=asking)
-    except (msgspec.DecodeError, TypeError, AttributeError, KeyError):
+        return msgspec.json.decode(data, type=Lease)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return Lease()
 
 

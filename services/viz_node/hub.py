@@ -16,11 +16,12 @@ from proto.messages import Scalar
 from proto.nodes import TIP
 from recording.messages import LeftOut
 from services.console.lease import FREE_COMMANDS, Party
+from services.console.lease_register import LeaseRegister
 from services.runtime.loop.loop_age import LoopAge, Part
 from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
-from services.viz_node.lease_desk import LeaseDesk, OwnRegister, Register
+from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.metrics import metrics_text
 from services.viz_node.page_session import REQUESTS_PER_S, Session
 from services.viz_node.participant import ParticipantPicture
@@ -154,7 +155,7 @@ class Hub:
         forms: Callable[[], Mapping[str, Any]] | None = None,
         open_hand: Callable[[], HandOutlet] | None = None,
         document: Document | None = None,
-        register: Register | None = None,
+        register: LeaseRegister | None = None,
     ) -> None:
         """Prepare to serve a source.
 
@@ -447,6 +448,9 @@ class Hub:
         if isinstance(request, EstopRequest):
             return await self._stop(self._commander, session.party.name)
         if isinstance(request, LeaseRequest):
+            # Opening the way of the hand may take as long as a lease lasts without its holder.
+            with contextlib.suppress(TelenanoError):
+                self._outlet()
             said = self.desk.ask_for(session, request)
             # whoever had it lets go before the answer
             self.tick()

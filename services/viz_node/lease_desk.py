@@ -3,7 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from proto.errors import RefusedError, RigError
 from recording.messages import LeftOut
@@ -21,19 +21,9 @@ from services.console.lease import (
     take,
     withdrawn,
 )
-from services.console.lease_register import Step
+from services.console.lease_register import LeaseRegister, Step
 from services.viz_node.page_session import Session
 from services.viz_node.requests import LeaseRequest
-
-
-class Register(Protocol):
-    """What keeps the lease for all pages and processes of a machine."""
-
-    def look(self) -> Lease:
-        """Return the lease as it is now."""
-
-    def change(self, step: Step) -> Lease:
-        """Change the lease by a step and return it; RefusedError says why not."""
 
 
 class OwnRegister:
@@ -56,7 +46,7 @@ class LeaseDesk:
     `lease`: as it was looked at last; `refused`: how often something was refused, by reason.
     """
 
-    def __init__(self, register: Register) -> None:
+    def __init__(self, register: LeaseRegister | OwnRegister) -> None:
         self.lease = Lease()
         self.refused = LeftOut()
         self._register = register
