@@ -50,4 +50,5 @@ KNOWN_PACKAGES = {
     "task push_particle": "telenano-experiments",
     "task touch_and_hold": "telenano-experiments",
     "task track": "telenano-experiments",
+    "topic pub": "telenano-networks",
 }

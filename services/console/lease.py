@@ -189,6 +189,13 @@ def seen(lease: Lease, party: Party, now_ns: int, heard_ns: int | None = None) -
     return lease._replace(seen_ns=now_ns if heard_ns is None else max(lease.seen_ns, min(heard_ns, now_ns)))
 
 
+def stood_still(lease: Lease, party: Party, now_ns: int) -> Lease:
+    """Note that the server of a party stood still and could not hear it; what others made of the lease counts."""
+    if lease.holder is None or lease.holder.id != party.id or now_ns - lease.seen_ns > 3 * VANISHED_NS:
+        return current(lease, now_ns)
+    return lease._replace(seen_ns=now_ns)
+
+
 def withdrawn(lease: Lease, now_ns: int) -> Lease:
     """Note that the tip has been withdrawn."""
     return current(lease, now_ns)._replace(withdraw=False)

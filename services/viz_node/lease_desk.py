@@ -18,6 +18,7 @@ from services.console.lease import (
     hand_over,
     let_go,
     seen,
+    stood_still,
     take,
     withdrawn,
 )
@@ -46,11 +47,13 @@ class LeaseDesk:
     `lease`: as it was looked at last; `refused`: how often something was refused, by reason.
     """
 
-    def __init__(self, register: LeaseRegister | OwnRegister) -> None:
+    def __init__(self, register: LeaseRegister | OwnRegister, clock: Callable[[], float] = time.monotonic) -> None:
         self.lease = Lease()
         self.refused = LeftOut()
         self._register = register
         self._told: Mapping[str, Any] = {}
+        self._sessions: Collection[Session] = ()
+        self._clock, self._looked_s = clock, clock()
         self._beat_s = 0.0
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
@@ -91,6 +94,8 @@ class LeaseDesk:
 
     def tick(self, sessions: Collection[Session], now_s: float) -> Mapping[str, Any] | None:
         """Look at the lease, say that its holder is there, and return what pages are told if it has changed."""
+        self._sessions = sessions
+        self._forgive(now_s)
         # where the file cannot be had pages are told nothing new, and what they send is refused by name
         with contextlib.suppress(RigError):
             self.lease = self._register.look()
@@ -104,6 +109,14 @@ class LeaseDesk:
             return None
         self._told = facts
         return facts
+
+    def _forgive(self, now_s: float) -> None:
+        """Let nobody lose the hand for a moment in which this server itself stood still, if nobody else took it."""
+        stood_s, self._looked_s = now_s - self._looked_s, now_s
+        own = next((each for each in self._sessions if self.has(each)), None)
+        if stood_s > 2.0 * BEAT_S and own is not None:
+            with contextlib.suppress(RigError):
+                self.lease = self._register.change(lambda lease, now_ns: stood_still(lease, own.party, now_ns))
 
     def facts(self) -> dict[str, Any]:
         """Return what pages are told of the lease."""
@@ -128,6 +141,7 @@ class LeaseDesk:
         return self.lease.withdraw
 
     def _change(self, session: Session, step: Step) -> None:
+        self._forgive(self._clock())
         try:
             self.lease = self._register.change(step)
         except RefusedError as error:

@@ -18,6 +18,7 @@ from services.console.lease import (
     let_go,
     packed,
     seen,
+    stood_still,
     take,
     unpacked,
     withdrawn,
@@ -119,6 +120,15 @@ def test_who_vanishes_loses_it_and_the_tip_is_withdrawn_if_it_was_pressed() -> N
     # a time ahead is one of before the machine was started again
     assert current(pressed._replace(seen_ns=10), 9).holder is None
     assert seen(pressed, OWNER, VANISHED_NS + 1).holder is None
+
+
+def test_a_server_that_stood_still_for_a_moment_keeps_the_hand_of_its_page_unless_another_took_it() -> None:
+    taken = take(Lease(), OWNER, 0)
+    late_ns = 2 * VANISHED_NS
+    assert stood_still(taken, OWNER, late_ns).holder == OWNER
+    assert stood_still(current(taken, late_ns), OWNER, late_ns).holder is None
+    assert stood_still(take(taken, TEACHER, late_ns), OWNER, late_ns).holder == TEACHER
+    assert stood_still(taken, OWNER, 2 * late_ns).holder is None
 
 
 def test_a_lease_is_kept_as_it_is_and_half_a_file_is_nobodys() -> None:

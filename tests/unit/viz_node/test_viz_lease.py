@@ -42,13 +42,16 @@ class World:
     def __init__(self) -> None:
         self.now_ns = 10**9
         self.register = OwnRegister(lambda: self.now_ns)
-        self.desk = LeaseDesk(self.register)
+        self.desk = self._desk()
         self.server_stalled = False
         self.serial = 0
         self.pages = [self._page(role) for role in ROLES]
         self.numbers: dict[int, str] = {}
         self.withdrawn: list[int] = []
         self.old: list[tuple[Session, int]] = []
+
+    def _desk(self) -> LeaseDesk:
+        return LeaseDesk(self.register, lambda: self.now_ns * 1e-9)
 
     def _page(self, role: Role) -> Page:
         self.serial += 1
@@ -67,7 +70,7 @@ class World:
             self.server_stalled = not self.server_stalled
         elif what == "restart server":
             # its pages connect again, as others, and what it knew is gone
-            self.desk, self.server_stalled = LeaseDesk(self.register), False
+            self.desk, self.server_stalled = self._desk(), False
             self.pages = [self._page(page.session.role) for page in self.pages]
         elif what == "console takes":
             party = Session(Role.TEACHER).party
