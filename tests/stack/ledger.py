@@ -77,7 +77,7 @@ FAULTS = {
     "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
     "both devices stay latched",
     "an emergency stop while a console is at work": "both devices stop",
-    "an emergency stop from the page of the view": "both devices stop; an observer's is refused",
+    "an emergency stop from the page of the view": "both devices stop, for an observer as well",
     "the wall clock is set by an hour, forwards and back": "commands given afterwards are obeyed, a stop too",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
 }

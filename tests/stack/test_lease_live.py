@@ -150,6 +150,7 @@ def test_who_vanishes_loses_the_hand_and_the_tip_is_withdrawn_and_a_hand_that_is
 
         def start_again(page: Pressing) -> None:
             views[-1].kill()
+            views[-1].close()
             views.append(View(rig.environment))
 
         lost("the server of the page is killed while a page has the hand", start_again, page)
