@@ -33,8 +33,8 @@ FAULTS = {
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
     "a law of a package never returns": "its process is ended after 1.5 s of processor time, hand let go; restarted",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
-    "the page that has the hand is killed": "the hand is lost within 1 s, and the tip withdrawn",
-    "the page that has the hand stands still": "the hand is lost within 1 s, and the tip withdrawn; what it sends "
+    "the page that has the hand is killed": "the hand is lost within 1 s of the server's time, and the tip withdrawn",
+    "the page that has the hand stands still": "lost within 1 s of the server's time, the tip withdrawn; what it sends "
     "afterwards is refused",
     "the server of the page stands still while a page has the hand": "nobody has the hand after 1 s; the tip is "
     "withdrawn when the server goes on",
