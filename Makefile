@@ -28,7 +28,7 @@ LINT = ! git grep -nE '^(<{7}|>{7}) ' && \
   $(BIN)/ruff format --check . && \
   $(BIN)/mypy && \
   $(BIN)/lint-imports --no-cache && \
-  $(BIN)/python -P -m proto.contract --check
+  $(BIN)/python tests/contract/wire_contract.py --check
 
 .PHONY: help firmware setup page demo test check endurance mutation lint bench reliability schemas site pictures dist lock \
   image-locks images clean
@@ -123,7 +123,7 @@ bench: setup ## Measure the tables of docs/performance.md; some minutes.
 reliability: setup ## Inject faults into real rigs and renew the table of docs/reliability.md; it needs root.
 	@mkdir -p out && rm -f out/faults.jsonl
 	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_stalls.py tests/stack/test_running_rig.py \
-	  tests/stack/test_estop_kept.py tests/stack/test_stalled_link.py \
+	  tests/stack/test_estop_kept.py tests/stack/test_stalled_link.py tests/stack/test_lease_live.py \
 	  tests/stack/test_full_disk.py tests/stack/test_flooded_endpoints.py tests/stack/test_wall_clock.py \
 	  tests/stack/test_two_sites.py tests/stack/test_relay.py tests/stack/test_compose.py tests/stack/test_hangs.py \
 	  tests/stack/test_full_line.py --deselect tests/stack/test_full_line.py::test_a_law_rests_in_contact_over_1_mbit_each_way \
@@ -157,7 +157,7 @@ pictures: setup ## Draw the pictures of the documents again.
 dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
 	$(call install,--require-hashes -r deploy/locks/release.lock)
 	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
-	$(BIN)/python deploy/release.py out/release/session.mcap
+	$(BIN)/python tests/releases/release.py out/release/session.mcap
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \

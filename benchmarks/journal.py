@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 import zmq
+from wire_examples import ordinary_example
 
 from proto import TOPICS, decode, encode
-from proto.contract import examples
 from proto.sequence import Arrival
 from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
@@ -71,7 +71,7 @@ def measure_turns(law: str, repeats: int) -> dict[str, dict[str, float]]:
         ControllerConfig.model_validate({"law": law}),
     )
     journal = InputJournal(node, lambda: {"teleop/forward": 1, "haptic/command": 1})
-    message = examples(TOPICS["haptic/state"])["ordinary"]
+    message = ordinary_example("haptic/state")
     payload = encode(message)
     received = Received("haptic/state", message, payload, 10**18, Arrival.NEXT)
     node.on_message(received)
@@ -133,8 +133,7 @@ class LinkBench:
         """Let both links handle a second of a rig; return the processor time of each [s]."""
         taken_s = dict.fromkeys(self.loops, 0.0)
         fields = {
-            topic: examples(TOPICS[topic])["ordinary"].model_dump(exclude={"seq", "t_ns", "src", "v"})
-            for topic, _, _ in SECOND
+            topic: ordinary_example(topic).model_dump(exclude={"seq", "t_ns", "src", "v"}) for topic, _, _ in SECOND
         }
         due_ns = self._clock.monotonic_ns()
         for _ in range(SLICES):

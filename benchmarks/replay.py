@@ -33,9 +33,9 @@ import numpy as np
 import yaml
 import zmq
 from mcap.writer import CompressionType, Writer
+from wire_examples import ordinary_example
 
-from proto import TOPICS, encode
-from proto.contract import examples
+from proto import encode
 from proto.messages import Message
 from proto.nodes import PLAYER
 from recording.reader import Recording
@@ -77,7 +77,7 @@ STREAMS = (
 @cache
 def ordinary(topic: str) -> Message:
     """Give the example of a topic; a clock that is said to differ would have the player shift what it plays."""
-    example = examples(TOPICS[topic])["ordinary"]
+    example = ordinary_example(topic)
     if topic != "link/status":
         return example
     clock = {"valid": False, "offset_s": 0.0, "uncertainty_s": 0.0, "round_trip_s": 0.0, "exchanges": 0}

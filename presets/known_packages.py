@@ -3,6 +3,9 @@
 # A command, a format of `bag export`, a reader, or a name in a scenario or an experiment, and its distribution.
 KNOWN_PACKAGES = {
     "assemble": "telenano-assembly",
+    "bag diff": "telenano-studies",
+    "bag plot": "telenano-studies",
+    "bag recalibrate": "telenano-calibration",
     "benchmark": "telenano-experiments",
     "bridge foxglove": "telenano-foxglove",
     "bridge lsl": "telenano-lsl",
@@ -47,4 +50,5 @@ KNOWN_PACKAGES = {
     "task push_particle": "telenano-experiments",
     "task touch_and_hold": "telenano-experiments",
     "task track": "telenano-experiments",
+    "topic pub": "telenano-networks",
 }

@@ -74,6 +74,8 @@ Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Facts = Annotated[dict[str, Annotated[Scalar, _OneFault()]], Field(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
+# the name that a person was given at the rig
+PersonName = Annotated[str, Field(min_length=1, max_length=64)]
 Latches = Annotated[dict[str, Annotated[str, Field(max_length=64)]], Field(max_length=MAX_KEYS)]
 
 _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8"}
@@ -197,12 +199,16 @@ class HapticState(real.HandCounts, real.CoupledHand, _Extended):
     sample_age_s: DurationS | None = real.SAMPLE_AGE_S
 
 
-class OperatorForce(Message):
+class OperatorForce(_Extended):
     """The force of an operator who has no device, for a simulated one: from the page of the view."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"by": 2}
 
     force_n: ForceVector = Field(
         description="Force on the device by the operator in the master frame [N]; pushing is -z, F_m = -z"
     )
+    by: PersonName | None = Field(default=None, description="Name of who has the hand, where they were given one")
 
 
 class HapticCommand(Message, _HandSample):
@@ -427,8 +433,8 @@ class ClockPong(Message):
 class SessionControl(_Extended):
     """A command to the nodes of a session; each node it concerns answers with a session/event of the same id."""
 
-    version: ClassVar[int] = 3
-    additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2, "node_latch": 3}
+    version: ClassVar[int] = 4
+    additions: ClassVar[Mapping[str, int]] = {"validity_s": 2, "node_t_ns": 2, "node_latch": 3, "by": 4}
 
     id: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$", description="Identifier that the answers repeat")
     command: Literal["start", "stop", "arm", "estop", "set", "mark"] = Field(
@@ -448,6 +454,9 @@ class SessionControl(_Extended):
         default=None,
         description="By node@site: latch in the data of the refusal that this answers, which names the node's run and "
         "counts its emergency stops",
+    )
+    by: PersonName | None = Field(
+        default=None, description="Name of who gave it, where they were given one; the answers repeat it in their data"
     )
 
 

@@ -4,6 +4,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import zmq
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.messages import Message, NodeHealth, Scalar, SessionEvent
 from proto.nodes import LINK, PAGE, Site, is_console, is_estop, is_meant, is_pattern, name_of, site_of
+from services.console.lease import FREE_COMMANDS, MOST_LETTERS
+from services.console.lease_register import NAME_VARIABLE, Hold, acting
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.bus.publisher import ZmqPublisher, publish_end
 from services.runtime.loop.commands import Command, CommandClient
@@ -102,10 +105,12 @@ def send_control(
     *,
     issued_ns: int | None = None,
     retry_ns: int = 0,
+    by: str | None = None,
 ) -> dict[str, SessionEvent]:
     """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
 
     A command that has waited since it was given does not move a device that an emergency stop has stopped meanwhile.
+    What moves something needs the hand, which this process has for the time of the command where nobody has it.
 
     Args:
         command: The command.
@@ -115,6 +120,7 @@ def send_control(
         is_wanted: Called before each sending; once it returns false, nothing more is sent.
         issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now.
         retry_ns: How long the command is tried again after a refusal [ns].
+        by: The name of who gave it, of a page whose lease of the hand was looked at; None for this process.
 
     Returns:
         The answers by node, refusals included.
@@ -123,7 +129,16 @@ def send_control(
         RigError: Nodes do not answer, no rig is there, the command is no longer wanted, or an emergency stop made it
             void.
         EndpointError: Another console is at work.
+        RefusedError: Somebody else has the hand.
     """
+    if by is None:
+        by = os.environ.get(NAME_VARIABLE, "")[:MOST_LETTERS]
+        lease: AbstractContextManager[Hold | None] = nullcontext() if command.name in FREE_COMMANDS else acting()
+        with lease as hold:
+            still = is_wanted if hold is None else (lambda: is_wanted() and hold.is_held())
+            return send_control(
+                command, site_file, site, on_answer, still, issued_ns=issued_ns, retry_ns=retry_ns, by=by
+            )
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
     book = load_site(site_file)
     meant = addressed(book, command.target, site)
@@ -136,7 +151,7 @@ def send_control(
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
         expected = () if is_pattern(command.target) else tuple(meant)
-        wanted = [replace(command, expected=expected)]
+        wanted = [replace(command, expected=expected, by=by)]
         client = CommandClient(participant.clock, publisher.publish, wanted, retry_ns=retry_ns, issued_ns=issued_ns)
         attention = Attention(time.monotonic())
         while not (given_up := not is_wanted()) and not client.advance():

@@ -48,9 +48,9 @@ class _Console:
     """A rig as the console of its master's site reaches it."""
 
     def __init__(
-        self, site_file: Path, observer: Observer, is_wanted: Callable[[], bool], issued_ns: int | None
+        self, site_file: Path, observer: Observer, is_wanted: Callable[[], bool], issued_ns: int | None, by: str | None
     ) -> None:
-        self._site_file, self._observer, self._is_wanted = site_file, observer, is_wanted
+        self._site_file, self._observer, self._is_wanted, self._by = site_file, observer, is_wanted, by
         self._issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
 
     def look(self, duration_s: float) -> Iterable[Any]:
@@ -67,6 +67,7 @@ class _Console:
             self._is_wanted,
             issued_ns=self._issued_ns,
             retry_ns=round(retry_s * 1e9),
+            by=self._by,
         )
         # What has waited for the answer is older than it.
         deque(self._observer.listen(_LOOK_S), maxlen=0)
@@ -75,7 +76,13 @@ class _Console:
         return "; ".join(event.text for event in answers.values())
 
 
-def couple_anew(site_file: Path, is_wanted: Callable[[], bool] = lambda: True, *, issued_ns: int | None = None) -> str:
+def couple_anew(
+    site_file: Path,
+    is_wanted: Callable[[], bool] = lambda: True,
+    *,
+    issued_ns: int | None = None,
+    by: str | None = None,
+) -> str:
     """Couple hand and tip of a running rig anew, and return a sentence of where they are.
 
     Args:
@@ -83,6 +90,7 @@ def couple_anew(site_file: Path, is_wanted: Callable[[], bool] = lambda: True, *
         is_wanted: Called before each sending; once it returns false, nothing more is sent.
         issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now. An
             emergency stop after it makes it void.
+        by: As of `send_control`.
 
     Raises:
         RigError: It is refused, and nothing has moved; or it was not completed, and the tip stays withdrawn.
@@ -91,7 +99,7 @@ def couple_anew(site_file: Path, is_wanted: Callable[[], bool] = lambda: True, *
     book = load_site(site_file)
     require_rig(book, site_file)
     with closing(Observer(book, TOPICS)) as observer:
-        return couple(_Console(site_file, observer, is_wanted, issued_ns))
+        return couple(_Console(site_file, observer, is_wanted, issued_ns, by))
 
 
 def couple(rig: RunningRig) -> str:

@@ -28,7 +28,8 @@ _RECORDERS_S = 1.0
 _LINGER_MS = 200
 _SUBSCRIBED = b"\x01session/control"
 _TOPIC, _ANSWERS = b"session/control", b"session/event"
-_SCHEMA_VERSION = 1
+# of a session/control, and of one that says who gave it
+_SCHEMA_VERSION, _NAMED_VERSION = 1, 4
 _LINK = f"{LINK}@master"
 
 
@@ -140,9 +141,11 @@ class _Inlet:
 class _Sender:
     """Sends the stop of one site to inlets."""
 
-    def __init__(self, site: str, identifier: str, target: str, inlets: Sequence[_Inlet]) -> None:
+    def __init__(self, site: str, identifier: str, target: str, inlets: Sequence[_Inlet], by: str = "") -> None:
         self._fields = {"src": f"estop@{site}", "v": _SCHEMA_VERSION, "id": identifier, "command": "estop"}
         self._fields |= {"target": target, "parameters": {}}
+        if by:
+            self._fields |= {"by": by, "v": _NAMED_VERSION}
         self._clock = SystemClock()
         self._messages: list[bytes] = []
         self.inlets = inlets
@@ -162,7 +165,9 @@ class _Sender:
         return packed
 
 
-def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> dict[str, Answer]:
+def emergency_stop(
+    rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None], by: str = ""
+) -> dict[str, Answer]:
     """Stop the devices that are reached directly or through the link, and wait until all of them have answered.
 
     The stop is kept for those on this machine, and for those of a rig here that do not run: they obey it when they can.
@@ -172,6 +177,7 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         reach: The way to each device.
         target: The target, as in a session/control.
         on_answer: Called with each answer.
+        by: The name of who gave it, if they have one.
 
     Returns:
         The answers by node.
@@ -196,7 +202,8 @@ def emergency_stop(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         for site in sorted({site_of(node) for node in _stopped_at(reach)}):
             nodes = [node for node in _stopped_at(reach) if site_of(node) == site]
             opened = [_Inlet(context, rig.endpoints[node], whole=node in recorders) for node in (*nodes, *recorders)]
-            senders.append(_Sender(site, identifier, target, [stack.enter_context(closing(inlet)) for inlet in opened]))
+            inlets = [stack.enter_context(closing(inlet)) for inlet in opened]
+            senders.append(_Sender(site, identifier, target, inlets, by))
         inlets = [inlet for sender in senders for inlet in sender.inlets]
         begun_s = next_s = now_s = time.monotonic()
         while now_s - begun_s < _DEADLINE_S:

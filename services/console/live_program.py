@@ -14,6 +14,7 @@ from proto.instrument import AfmProgram
 from proto.messages import AfmScanline, AfmState, NodeHealth, Scalar
 from proto.nodes import TIP
 from services.console.command_client import send_control
+from services.console.lease_register import holding
 from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command
 from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
@@ -131,13 +132,14 @@ def run_program(
         def send(word: str) -> None:
             _send(site_file, {"program": word})
 
-        try:
-            # an instrument that has begun is told to end
-            with interrupts.held():
-                _send(site_file, parameters)
-            return listener.listen(on_report, send)
-        except KeyboardInterrupt:
-            return _aborted(listener, send)
+        with holding("program"):
+            try:
+                # an instrument that has begun is told to end
+                with interrupts.held():
+                    _send(site_file, parameters)
+                return listener.listen(on_report, send)
+            except KeyboardInterrupt:
+                return _aborted(listener, send)
 
 
 def _aborted(listener: "_Listener", send: Callable[[str], None]) -> AfmProgram:

@@ -17,13 +17,13 @@ from proto.messages import (
 )
 from proto.nodes import RECORDER, START_ORDER, is_visitor, name_of, site_of
 from services.launcher.readiness import oldest_input_s, unmet
+from services.runtime.loop.loop_age import STAGES, LoopAge
 from services.runtime.wiring.observer import RIG_HINT, Observer
 
 M = TypeVar("M", bound=Message)
 
-# The messages of the law at 1 kHz are left out: they are not needed, and reading them would cost the rig processor
-# time.
-NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "afm/state", "session/event")
+# The messages of the law are for the age of the loop by its parts.
+NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "session/event", "link/delay", *STAGES)
 _LINK = "delay_node@master"
 _HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
 _LAW_FACTS = ("src", "law", "switching", "passive", "heard", "silence_s", "net_valid", "net_energy_j")
@@ -39,6 +39,7 @@ class RigStatus:
         self.first: dict[str, NodeHealth] = {}
         self.events: dict[tuple[str, int], SessionEvent] = {}
         self.notices: list[str] = []
+        self.age = LoopAge()
         self._newest: dict[tuple[str, type[Message]], Message] = {}
 
     def record(self, message: Message) -> None:
@@ -72,7 +73,9 @@ def listen(observer: Observer, duration_s: float) -> RigStatus:
     """Listen to a rig for a time [s]; RigError if no node reports."""
     status = RigStatus()
     for observed in observer.listen(duration_s):
-        status.record(observed.received.message)
+        message = observed.received.message
+        status.record(message)
+        status.age.take(observed.received.topic, message.src, message.t_ns, vars(message))
     status.notices = [notice.text for notice in observer.notices]
     if not status.first:
         raise RigError(f"no node reports: {RIG_HINT}")
@@ -150,6 +153,7 @@ def document_of(status: RigStatus, expected: Sequence[str]) -> dict[str, Any]:
         "laws": [_facts(law, _LAW_FACTS) for _, law in sorted(status.newest(LawStatus).items())],
         "hand": [_facts(hand, _HAND_FACTS) for hand in status.newest(HapticState).values()],
         "afm": [_facts(afm, _AFM_FACTS) for afm in status.newest(AfmState).values()],
+        "age": [part._asdict() for part in status.age.parts()],
         "connections": status.notices,
         "events": [_facts(event, _EVENT_FACTS) for event in status.events.values()],
     }

@@ -6,10 +6,11 @@ import os
 import re
 import secrets
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from proto.errors import ConfigError
+from services.viz_node.people import People, Person
 
 LOOPBACK = "127.0.0.1"
 OPERATOR_VARIABLE = "TELENANO_VIEW_OPERATOR_TOKEN"
@@ -22,14 +23,17 @@ _ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/\s]*")
 
 
 class Role(StrEnum):
-    """What a page may do: an observer looks, an operator commands as well.
+    """What a page may do: all look and may stop, and who is more than an observer may have the hand.
 
-    A participant of an experiment holds the hand, answers and stops, and is told nothing of the rig.
+    A pupil has it when it is handed over; an operator takes it when nobody has it, a teacher from anybody. A
+    participant of an experiment presses, answers and stops, and is told nothing of the rig.
     """
 
     OBSERVER = "observer"
+    PUPIL = "pupil"
     PARTICIPANT = "participant"
     OPERATOR = "operator"
+    TEACHER = "teacher"
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class Access:
     origins: tuple[str, ...] = ()
     # empty where there is none
     participant_token: str = ""
+    # those who were given an address by name
+    people: People = field(default_factory=People)
 
     @classmethod
     def made(
@@ -97,7 +103,17 @@ class Access:
             return Role.OPERATOR
         if is_participant:
             return Role.PARTICIPANT
-        return Role.OBSERVER if is_observer else None
+        if is_observer:
+            return Role.OBSERVER
+        person = self.person_of(token)
+        return Role(person.role) if person is not None and self.people.is_admitted(person) else None
+
+    def person_of(self, token: str) -> Person | None:
+        """Return who was given a token by name, also one that is no longer valid; None for any other token.
+
+        Its digest is looked up, and a time that depends on a digest tells nothing of the token.
+        """
+        return self.people.find(token)
 
     def admits_address(self, address: str) -> bool:
         """Return whether the address that a connection comes from is in one of the networks."""

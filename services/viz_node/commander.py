@@ -39,17 +39,20 @@ class RigCommander:
         parameters: Mapping[str, Scalar],
         is_wanted: Callable[[], bool],
         issued_ns: int,
+        by: str,
     ) -> dict[str, tuple[str, str]]:
         """Send a command and return by node `ack` or `refused` and a sentence; RigError when nobody answers."""
         if command == COUPLE:
-            return {TIP: ("ack", couple_anew(self._site_file, is_wanted, issued_ns=issued_ns))}
+            return {TIP: ("ack", couple_anew(self._site_file, is_wanted, issued_ns=issued_ns, by=by))}
         if command not in _NAMES:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)
-        answers = send_control(wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns)
+        answers = send_control(
+            wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by
+        )
         return {src: (event.kind, event.text) for src, event in answers.items()}
 
-    def estop(self) -> dict[str, tuple[str, str]]:
+    def estop(self, by: str) -> dict[str, tuple[str, str]]:
         """Stop the devices as `telenano estop` does: those of this machine at once, others at the console."""
         rig, reach = self._rig, self._rig.reach(_EVERYBODY, "")
         answers: dict[str, tuple[str, str]] = {}
@@ -58,13 +61,14 @@ class RigCommander:
             answers.setdefault(answer.node, (answer.kind, answer.text))
 
         if reach.direct or reach.by_link:
-            emergency_stop(rig, reach, _EVERYBODY, note)
+            emergency_stop(rig, reach, _EVERYBODY, note, by)
         if reach.by_console or not answers:
             send_control(
                 Command("estop", _EVERYBODY),
                 self._site_file,
                 "master",
                 lambda event: note(Answer(event.src, event.kind, event.text)),
+                by=by,
             )
         return answers
 
@@ -83,8 +87,9 @@ class RigHand:
             self._open.close()
             raise
 
-    def push(self, force_n: float, across_n: tuple[float, float] = (0.0, 0.0)) -> None:
-        self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]))
+    def push(self, force_n: float, across_n: tuple[float, float] = (0.0, 0.0), by: str = "") -> None:
+        named = {"by": by} if by else {}
+        self._publisher.publish("operator/force", force_n=(*across_n, to_site_frame(force_n)[2]), **named)
 
     def answer(self, **fields: Any) -> None:
         """Publish what a person answered to a cue of an experiment."""

@@ -6,30 +6,39 @@ import threading
 import time
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, wait
+from functools import partial
 from typing import Any, Protocol, TypeVar
 
 import msgpack
 
 from proto.errors import RefusedError, TelenanoError
 from proto.messages import Scalar
+from proto.nodes import TIP
 from recording.messages import LeftOut
+from services.console.lease import FREE_COMMANDS, Party
+from services.console.lease_register import LeaseRegister
+from services.runtime.loop.loop_age import LoopAge, Part
 from services.viz_node.access import Role
 from services.viz_node.document import Document
 from services.viz_node.feed import Feed
+from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.metrics import metrics_text
 from services.viz_node.page_session import REQUESTS_PER_S, Session
 from services.viz_node.participant import ParticipantPicture
+from services.viz_node.people import Person
 from services.viz_node.requests import (
     AnswerRequest,
     CommandRequest,
     DocumentRequest,
     EstopRequest,
     HandRequest,
+    HereRequest,
+    LeaseRequest,
     PartRequest,
     Request,
     TransportRequest,
 )
-from services.viz_node.source import Source
+from services.viz_node.source import AGE_TOPICS, Source
 from services.viz_node.streams import described
 
 TICK_S = 1.0 / 30.0
@@ -60,6 +69,9 @@ _LONGEST_SHOWN_S = 1e6
 # Obeyed at any age, and whoever has left: it only ends a motion.
 _STOP = "stop"
 _METRICS_NS = 1_000_000_000
+# The age of the loop is told so often [s]; a page that answers later was away.
+_AGE_S, _LONGEST_WAY_S = 1.0, 5.0
+REVOKED = "this address was revoked, or has expired: ask for another where the rig runs"
 
 Answers = Mapping[str, tuple[str, str]]
 T = TypeVar("T")
@@ -75,22 +87,23 @@ class Commander(Protocol):
         parameters: Mapping[str, Scalar],
         is_wanted: Callable[[], bool],
         issued_ns: int,
+        by: str,
     ) -> Answers:
         """Send a command; return by node `ack` or `refused` and a sentence. TelenanoError says why not.
 
         It is not sent again once `is_wanted` is false, and an emergency stop after `issued_ns`, on the monotonic clock
-        [ns], makes it void.
+        [ns], makes it void. `by` is the name of who gave it, or empty.
         """
 
-    def estop(self) -> Answers:
+    def estop(self, by: str) -> Answers:
         """Stop the devices at once; return by node the answer. TelenanoError says why not."""
 
 
 class HandOutlet(Protocol):
     """Where the force of an operator at a page goes."""
 
-    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
-        """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go."""
+    def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
+        """Publish a force [N] towards the sample, and one across it; 0 when the hand lets go. `by`: whose it is."""
 
     def answer(self, **fields: Any) -> None:
         """Publish the answer of a person to a cue of an experiment."""
@@ -109,6 +122,7 @@ class Wish:
         self.session = session
         self.arrived_s = arrived_s
         self.reason = ""
+        self.needs_lease = command not in FREE_COMMANDS
         self._command = command
         self._is_void = threading.Event()
 
@@ -141,18 +155,25 @@ class Hub:
         forms: Callable[[], Mapping[str, Any]] | None = None,
         open_hand: Callable[[], HandOutlet] | None = None,
         document: Document | None = None,
+        register: LeaseRegister | None = None,
     ) -> None:
         """Prepare to serve a source.
 
         Parameters: commander, None where there is nothing to command; forms, JSON schemas of what `set` changes, by
         node, which may take a second; open_hand, opens the way of the page's force to the haptic node, None where
-        there is none; document, what a page may read in of a recording, None for a running rig.
+        there is none; document, what a page may read in of a recording, None for a running rig; register, the lease
+        that the rig's processes share, None where these pages are alone.
         """
+        self.desk = LeaseDesk(register or OwnRegister())
+        # whether the address of a page is still valid
+        self.is_admitted: Callable[[Person], bool] = lambda person: True
         self.sessions: set[Session] = set()
         # what ended the hub, and what is called then
         self.fault: BaseException | None = None
         self.on_end: Callable[[], None] = lambda: None
         self.on_tick: Callable[[], None] = lambda: None
+        # called with whoever has the hand from now on, None for nobody
+        self.on_lease: Callable[[Party | None], None] = lambda party: None
         self._source = source
         self._commander = commander
         self._make_forms = forms
@@ -166,6 +187,7 @@ class Hub:
         self._reads = 0
         self._next_stop: asyncio.Task[Answers] | None = None
         self._alive_s: float | None = None
+        self._withdrawing: asyncio.Task[None] | None = None
         self._held_up_s = self._distrust_until_s = 0.0
         self._about: Mapping[str, Any] = {}
         self._hand: HandOutlet | None = None
@@ -174,6 +196,8 @@ class Hub:
         self._looked_s = self._silent_s = 0.0
         self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
         self._picture = ParticipantPicture()
+        # the age of the loop by its parts, as it was taken last [s], and what it is of
+        self._age, self._age_s, self._parts = LoopAge(), time.monotonic(), list[Part]()
         # the text of the newest reports, and when it was made [ns]
         self._metrics, self._metrics_ns = "", -_METRICS_NS
 
@@ -221,9 +245,14 @@ class Hub:
             self._feed = Feed()
         for seen in self._source.poll(watched=bool(self.sessions)):
             self._feed.record(seen)
+            if seen.topic in AGE_TOPICS and self._commander is not None:
+                self._feed.left_out.guard(lambda each: self._age.take(*each), seen)
         for session in self.sessions if restarted else ():
             session.restart(self.snapshot(session))
         changes = self._feed.take()
+        changes |= self._take_age()
+        if (lease := self._look_at_lease()) is not None:
+            changes["lease"] = lease
         about = self._source.about()
         if about != self._about:
             self._about = about
@@ -233,6 +262,55 @@ class Hub:
             self._offer(picture, self.sessions - self._told())
         if changes:
             self._offer(changes, self._told())
+
+    def _take_age(self) -> dict[str, Any]:
+        """Return the age of the loop by its parts for the pages, once a second, and each page the way to itself."""
+        now_s = time.monotonic()
+        if now_s - self._age_s < _AGE_S:
+            return {}
+        self._age_s, self._parts = now_s, self._age.parts() if self.sessions else []
+        for session in self._told():
+            way_s = sorted(session.ways_s)[len(session.ways_s) // 2] if session.ways_s else None
+            session.answer(_packed({"k": "way", "stamp_s": now_s, "way_s": way_s}))
+        return {"age": [[part.name, part.p50_s, part.p99_s] for part in self._parts]} if self._parts else {}
+
+    def _look_at_lease(self) -> Mapping[str, Any] | None:
+        """Return what pages are told of the lease, if it has changed; who lost it lets go, and its commands are void.
+
+        A page whose address was revoked is told so and ended. Where a hand that pressed has vanished, the tip is
+        withdrawn.
+        """
+        for session in [each for each in self.sessions if each.person and not self.is_admitted(each.person)]:
+            self.desk.refused.note("revoked", f"{session.party.label}: the address was revoked, or has expired")
+            self.leave(session)
+            session.end(_packed({"k": "refused", "text": REVOKED}))
+        found = self.desk.tick(self.sessions, time.monotonic())
+        if found is not None and self._holder is not None and not self.desk.may_press(self._holder):
+            self._holder.answer(_packed({"k": "hand", "held": False, "text": f"Let go: {self._who_has_it()}"}))
+            self._release()
+        holder = self.desk.lease.holder
+        if found is not None:
+            self.on_lease(holder)
+        if found is not None and holder is not None:
+            for wish in self._wishes:
+                if wish.session.party.id != holder.id and wish.needs_lease:
+                    wish.make_void(self._who_has_it())
+        is_free = self._withdrawing is None or self._withdrawing.done()
+        if self.desk.lease.withdraw and self._commander is not None and is_free:
+            with contextlib.suppress(RuntimeError):
+                self._withdrawing = asyncio.get_running_loop().create_task(self._withdraw(self._commander))
+        return found
+
+    async def _withdraw(self, commander: Commander) -> None:
+        """Withdraw the tip of a holder who has vanished, as that of a hand that is lost, unless somebody has it now."""
+        send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
+        with contextlib.suppress(TelenanoError):
+            await asyncio.wrap_future(_in_thread(send))
+            self.desk.note_withdrawn()
+
+    def _who_has_it(self) -> str:
+        holder = self.desk.lease.holder
+        return f"{holder.label if holder else 'nobody'} has the hand now"
 
     def _told(self) -> set[Session]:
         """Return the pages that are told everything: all but those of participants."""
@@ -244,9 +322,9 @@ class Hub:
             if not session.offer(frame):
                 session.restart(self.snapshot(session))
 
-    def join(self, role: Role) -> Session:
+    def join(self, role: Role, person: Person | None = None) -> Session:
         """Return the session of a new page, with a snapshot waiting for it."""
-        session = Session(role)
+        session = Session(role, person)
         # what has come since belongs to the pages that are there
         self.tick()
         self.sessions.add(session)
@@ -263,6 +341,7 @@ class Hub:
         for wish in self._wishes:
             if wish.session is session:
                 wish.make_void("its page has left")
+        self.desk.leave(session)
         if session is self._holder:
             self._release()
 
@@ -277,7 +356,7 @@ class Hub:
         The text is made at most once a second, however many ask: what it takes is time of the pages.
         """
         if not 0 <= now_ns - self._metrics_ns < _METRICS_NS:
-            self._metrics, self._metrics_ns = metrics_text(self._feed.snapshot()["nodes"], now_ns), now_ns
+            self._metrics, self._metrics_ns = metrics_text(self._feed.snapshot()["nodes"], now_ns, self._parts), now_ns
         return self._metrics
 
     def snapshot(self, session: Session) -> bytes:
@@ -293,12 +372,24 @@ class Hub:
                 "streams": described(),
                 "forms": self._forms,
                 "source": self._source.about(),
+                "me": session.party.id,
+                "lease": self.desk.facts(),
                 **self._feed.snapshot(),
             }
         )
 
     async def handle(self, session: Session, request: Request, arrived_s: float) -> None:
         """Carry out a request that arrived at a time [s] and queue the answer; what a role may not do is refused."""
+        session.heard_s = time.monotonic()
+        if isinstance(request, HereRequest):
+            if (
+                request.stamp_s
+                and 0.0 <= (way_s := session.heard_s - request.stamp_s - request.waited_s) < _LONGEST_WAY_S
+            ):
+                session.ways_s.append(way_s)
+            return
+        if session.ended:
+            return
         if isinstance(request, HandRequest):
             self._push(session, request)
             return
@@ -346,16 +437,24 @@ class Hub:
             raise RefusedError(f"this page asks more than {REQUESTS_PER_S} times a second")
         if isinstance(request, AnswerRequest) and session.role is not Role.OBSERVER:
             return await self._answer(session, request)
-        may_stop = session.role is Role.PARTICIPANT and isinstance(request, EstopRequest)
-        if session.role is not Role.OPERATOR and not may_stop:
+        if session.role in (Role.OBSERVER, Role.PARTICIPANT) and not isinstance(request, EstopRequest):
             whose = "an observer, who may look" if session.role is Role.OBSERVER else "a participant, who may answer"
-            raise RefusedError(f"this page was opened with the token of {whose} and not command")
+            self.desk.refused.note("role", f"{session.party.label}: {type(request).__name__}")
+            raise RefusedError(f"this page was opened with the token of {whose} and stop, and not command")
         if isinstance(request, TransportRequest):
             return {"transport": ("ack", self._source.transport(request.action, request.value))}
         if self._commander is None:
             raise RefusedError("a recording cannot be commanded")
         if isinstance(request, EstopRequest):
-            return await self._stop(self._commander)
+            return await self._stop(self._commander, session.party.name)
+        if isinstance(request, LeaseRequest):
+            # Opening the way of the hand may take as long as a lease lasts without its holder.
+            with contextlib.suppress(TelenanoError):
+                self._outlet()
+            said = self.desk.ask_for(session, request)
+            # whoever had it lets go before the answer
+            self.tick()
+            return {"lease": ("ack", said)}
         if isinstance(request, CommandRequest):
             return await self._command(self._commander, session, request, arrived_s)
         raise RefusedError("a page says hello once")
@@ -401,25 +500,25 @@ class Hub:
             session.answering = False
         raise RefusedError("no experiment takes the answer: does one run?")
 
-    async def _stop(self, commander: Commander) -> Answers:
+    async def _stop(self, commander: Commander, by: str) -> Answers:
         """Stop the devices beside whatever else is being sent, and give up every command of every page."""
         for wish in self._wishes:
             wish.make_void("an emergency stop came after it")
         if len(self._stops) < _MOST_STOPS:
-            return await self._stop_now(commander)
+            return await self._stop_now(commander, by)
         if self._next_stop is None:
-            self._next_stop = asyncio.create_task(self._stop_next(commander))
+            self._next_stop = asyncio.create_task(self._stop_next(commander, by))
         # Requests that come meanwhile share it, because it has not begun.
         return await asyncio.shield(self._next_stop)
 
-    async def _stop_next(self, commander: Commander) -> Answers:
+    async def _stop_next(self, commander: Commander, by: str) -> Answers:
         while len(self._stops) >= _MOST_STOPS:
             await asyncio.sleep(TICK_S)
         self._next_stop = None
-        return await self._stop_now(commander)
+        return await self._stop_now(commander, by)
 
-    async def _stop_now(self, commander: Commander) -> Answers:
-        stop = _in_thread(commander.estop)
+    async def _stop_now(self, commander: Commander, by: str) -> Answers:
+        stop = _in_thread(partial(commander.estop, by))
         self._stops.add(stop)
         stop.add_done_callback(self._stops.discard)
         return await asyncio.wrap_future(stop)
@@ -430,15 +529,20 @@ class Hub:
         """Send a command in its turn, unless it is void or too old by then."""
         self._check_arrival(session, request)
         wish = Wish(session, request.command, arrived_s)
+        if wish.needs_lease:
+            self.desk.act(session, request.lease)
         self._wishes.append(wish)
         try:
             async with self._turn:
                 wish.check(time.monotonic())
                 issued_ns = round(wish.arrived_s * 1e9)
                 names = request.command, request.target, request.parameters
-                return await asyncio.wrap_future(_in_thread(lambda: commander.send(*names, wish.is_wanted, issued_ns)))
+                by = session.party.name
+                send = partial(commander.send, *names, wish.is_wanted, issued_ns, by)
+                return await asyncio.wrap_future(_in_thread(send))
         finally:
             self._wishes.remove(wish)
+            self._end_act(session)
 
     def _check_arrival(self, session: Session, request: CommandRequest) -> None:
         """Raise RefusedError for a command that may not even wait for its turn."""
@@ -468,25 +572,34 @@ class Hub:
         self._alive_s = now_s
 
     def _push(self, session: Session, request: HandRequest) -> None:
-        """Pass on the force of the page that holds the hand; one at a time holds it."""
+        """Pass on the force of the page that has the hand; one at a time has it."""
         if not session.may_ask(time.monotonic()):
             return
-        free = self._holder in (None, session)
-        if self._open_hand is None or session.role is Role.OBSERVER or not free:
-            reason = "another page holds the hand" if not free else "this page cannot hold the hand"
-            if request.held:
-                session.answer(_packed({"k": "hand", "held": False, "text": reason}))
-            return
         if not request.held:
-            self._release()
+            if session is self._holder:
+                self._release()
+            if self.desk.has(session):
+                self._end_act(session)
             return
         try:
+            if self._open_hand is None or session.role is Role.OBSERVER:
+                raise RefusedError("this page cannot hold the hand")
+            if session is not self._holder or request.lease not in (0, self.desk.lease.number):
+                self.desk.act(session, request.lease, presses=True)
+                if self._holder not in (None, session):
+                    raise RefusedError("another page holds the hand")
             outlet = self._outlet()
             self._holder, self._force = session, (request.force_n, (request.across_x_n, request.across_y_n))
             self._looked_s, self._silent_s = time.monotonic(), 0.0
-            outlet.push(*self._force)
+            outlet.push(*self._force, session.party.name)
         except TelenanoError as error:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
+
+    def _end_act(self, session: Session) -> None:
+        """Let a page that has not taken the hand have it no longer than its acts last."""
+        if session is not self._holder and not any(wish.session is session for wish in self._wishes):
+            with contextlib.suppress(TelenanoError):
+                self.desk.ended(session)
 
     def _hold(self) -> None:
         """Repeat the force of the page that holds the hand, and let go for one that has said nothing for too long."""
@@ -499,14 +612,14 @@ class Hub:
             self._release()
             return
         with contextlib.suppress(TelenanoError):
-            self._hand.push(*self._force)
+            self._hand.push(*self._force, self._holder.party.name)
 
     def _release(self) -> None:
         """Let go of the hand: the force at the device is none. The endpoint stays open for the next time."""
         holder, self._holder = self._holder, None
         if holder is not None and self._hand is not None:
             with contextlib.suppress(TelenanoError):
-                self._hand.push(0.0, (0.0, 0.0))
+                self._hand.push(0.0, (0.0, 0.0), holder.party.name)
 
 
 def _packed(fields: Mapping[str, Any]) -> bytes:

@@ -8,7 +8,7 @@ from proto.nodes import site_of
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.wiring.participant import OBSERVER, open_participant
 from services.viz_node.feed import Seen, seen
-from services.viz_node.source import LOOP_TOPICS, TOPICS_SHOWN, NoTransport
+from services.viz_node.source import AGE_TOPICS, LOOP_TOPICS, TOPICS_SHOWN, NoTransport
 
 # So many batches of a node are taken at once: ten seconds of the busiest topics come in several calls.
 _MOST_BATCHES = 8
@@ -27,7 +27,7 @@ class LiveSource(NoTransport):
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
-        self.subscribers = participant.observe(lambda topic, node: topic in TOPICS_SHOWN)
+        self.subscribers = participant.observe(lambda topic, node: topic in TOPICS_SHOWN + AGE_TOPICS)
         self._watched = True
         self._watch(False)
 

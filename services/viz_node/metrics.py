@@ -1,7 +1,9 @@
 """What a monitoring system asks for at /metrics: the newest reports of all nodes, as text of Prometheus 0.0.4."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
+
+from services.runtime.loop.loop_age import Part
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _STATES = ("starting", "ready", "running", "safe", "stopping", "ended")
@@ -28,12 +30,13 @@ NODE_METRICS = (
 )
 
 
-def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int) -> str:
+def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Sequence[Part] = ()) -> str:
     """Return one sample a node and figure.
 
     Args:
         nodes: By node, such as `afm_node@slave`: its newest report, with `beat`, the time of sending [ns], and `state`.
         now_ns: The clock that the nodes stamp their messages with [ns].
+        age: The age of the loop by its parts.
     """
     lines: list[str] = []
     for metric in NODE_METRICS:
@@ -46,6 +49,13 @@ def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int) -> str:
         for src, facts in nodes.items()
         for state in _STATES
     )
+    parts = (
+        (f'part="{part.name}",quantile="{share}"', value)
+        for part in age
+        for share, value in (("0.5", part.p50_s), ("0.99", part.p99_s))
+    )
+    about = "Age of what the hand feels, by its parts, while a page is open."
+    lines += _family("telenano_loop_age_seconds", "gauge", about, parts)
     lines += _family("telenano_state", "gauge", "1 at what the node is at, 0 at the others.", states)
     return "\n".join(lines) + "\n"
 

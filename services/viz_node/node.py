@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import ClassVar
 
 from proto.errors import EndpointError
+from services.console.lease import Party
+from services.console.lease_register import LeaseRegister
 from services.runtime.bus.bus import Received, Refusals, ZmqBus
 from services.runtime.bus.publisher import NullPublisher, Publisher
 from services.runtime.loop.node import Node, NodeContext
@@ -42,7 +44,8 @@ class PageNode(Node):
     def __init__(self, context: NodeContext, hub: Hub, server: PageServer) -> None:
         super().__init__(context)
         self._hub, self._server = hub, server
-        hub.on_tick = self._count
+        hub.on_tick, hub.on_lease = self._count, self._say_who
+        self._said: Party | None = None
 
     def on_message(self, received: Received) -> None:
         """Ignore a message: the hub has connections of its own."""
@@ -55,6 +58,15 @@ class PageNode(Node):
         self._server.close()
         self._hub.close()
 
+    def _say_who(self, holder: Party | None) -> None:
+        """Publish who has the hand, for a recording; whoever has no name and acts for a moment is none to be named."""
+        named = holder if holder is not None and (holder.name or self._hub.desk.lease.kept) else None
+        if named != self._said:
+            self._said = named
+            by = {"by": named.name} if named is not None and named.name else {}
+            text = f"{named.label if named else 'nobody'} has the hand"
+            self.event("node", "info", text, role=named.role if named else "", **by)
+
     def _count(self) -> None:
         self.steps += 1
 
@@ -65,9 +77,11 @@ def page_of_rig(
     """Return the node that serves the page of a rig at a bound address, and its bus."""
     commander = RigCommander(site_file)
     source = LiveSource(participant.book, str(site_file))
-    hub = Hub(source, commander, forms, lambda: RigHand(site_file))
+    hub = Hub(source, commander, forms, lambda: RigHand(site_file), register=LeaseRegister())
     server = PageServer(hub, access, bound, tls, participant.wake_descriptor)
-    bus = PageBus(participant, _publisher_of(participant), server, [*source.subscribers.values(), hub.left_out])
+    bus = PageBus(
+        participant, _publisher_of(participant), server, [*source.subscribers.values(), hub.left_out, hub.desk.refused]
+    )
     return PageNode(participant.context(bus), hub, server), bus
 
 

@@ -1,9 +1,12 @@
 """What a page that is open is known by: its role, the frames that wait to be sent to it, and how often it asks."""
 
 import asyncio
+import secrets
 from collections import deque
 
+from services.console.lease import Party
 from services.viz_node.access import Role
+from services.viz_node.people import Person
 
 # two seconds: a page that is further behind begins anew
 MOST_QUEUED = 60
@@ -13,10 +16,19 @@ REQUESTS_PER_S = 200
 
 
 class Session:
-    """One page: its role, and the frames that wait to be sent to it."""
+    """One page: its role and its person, and the frames that wait to be sent to it.
 
-    def __init__(self, role: Role) -> None:
-        self.role = role
+    `party`: what it is to the lease of the hand; `heard_s`: when it was heard last, on the monotonic clock [s].
+    """
+
+    def __init__(self, role: Role, person: Person | None = None) -> None:
+        self.role, self.person = role, person
+        self.party = Party(secrets.token_hex(8), "" if person is None else person.name, role.value)
+        self.heard_s = 0.0
+        # the newest ways to the page and back [s]
+        self.ways_s: deque[float] = deque(maxlen=9)
+        # An address that is revoked ends its pages, after the frame that says so.
+        self.ended = False
         self.ready = asyncio.Event()
         # An answer of this page to a cue is being sent until the experiment has taken it.
         self.answering = False
@@ -38,11 +50,21 @@ class Session:
         self._answers.append(frame)
         self.ready.set()
 
+    def end(self, frame: bytes) -> None:
+        """Send a last frame, after which the connection of the page is closed."""
+        self.answer(frame)
+        self.ended = True
+
     def restart(self, frame: bytes) -> None:
         """Drop the changes that wait, and queue a snapshot."""
         self._frames.clear()
         self._frames.append(frame)
         self.ready.set()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether a page whose address was revoked has been told all that waited for it."""
+        return self.ended and not self._answers
 
     async def next_frame(self) -> bytes:
         """Wait for the next frame."""

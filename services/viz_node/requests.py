@@ -15,6 +15,7 @@ Name = Literal["start", "stop", "arm", "set", "mark", "couple"]
 COMMANDS: tuple[Name, ...] = get_args(Name)
 _Id = Annotated[str, Meta(pattern="^[A-Za-z0-9_-]{1,64}\\Z")]
 _Text = Annotated[str, Meta(max_length=256)]
+_Number = Annotated[int, Meta(ge=0, le=2**53)]
 _Integer = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 _Values = Annotated[dict[str, bool | _Integer | float | Annotated[str, Meta(max_length=4096)]], Meta(max_length=64)]
 
@@ -48,6 +49,8 @@ class CommandRequest(_Frame, tag="command", frozen=True):
     command: Name
     target: _Text
     parameters: _Values = {}
+    # number of the lease of the hand under which it was given; 0 where the page has none
+    lease: _Number = 0
 
 
 class EstopRequest(_Frame, tag="estop", frozen=True):
@@ -89,6 +92,26 @@ class HandRequest(_Frame, tag="hand", frozen=True):
     held: bool = False
     across_x_n: float = 0.0
     across_y_n: float = 0.0
+    lease: _Number = 0
+
+
+class LeaseRequest(_Frame, tag="lease", frozen=True):
+    """What a page wants of the lease of the hand; `to` is the id of one who asks, for whom it is."""
+
+    id: _Id
+    action: Literal["ask", "take", "hand_over", "let_go"]
+    to: _Text = ""
+    lease: _Number = 0
+
+
+class HereRequest(_Frame, tag="here", frozen=True):
+    """A page is there: who has the hand and says nothing for a second has lost it.
+
+    `stamp_s`: of the frame `way` that it answers, `waited_s`: for how long that was at the page [s].
+    """
+
+    stamp_s: float = 0.0
+    waited_s: float = 0.0
 
 
 class AnswerRequest(_Frame, tag="experiment", frozen=True):
@@ -109,6 +132,8 @@ Request = (
     | DocumentRequest
     | PartRequest
     | AnswerRequest
+    | LeaseRequest
+    | HereRequest
 )
 _decoder: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
 

@@ -7,7 +7,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import urlsplit
@@ -148,11 +148,14 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
         file.unlink(missing_ok=True)
 
 
-def served_addresses() -> list[str]:
-    """Return a line for each address of the servers of this user that answer, by what the address is called."""
+def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:
+    """Return a line for each address of the servers of this user that answer, by what the address is called.
+
+    Parameters: folders, those of the rigs that are meant, all if None.
+    """
     found = []
-    for rig in rigs_with_folders():
-        for file in sorted(rig_directory(rig).glob(f"*{_ADDRESSES}")):
+    for folder in [rig_directory(rig) for rig in rigs_with_folders()] if folders is None else folders:
+        for file in sorted(folder.glob(f"*{_ADDRESSES}")):
             port = file.name.removesuffix(_ADDRESSES).rpartition("-")[2]
             with contextlib.suppress(OSError):
                 lines = read_secret(file).decode().splitlines()

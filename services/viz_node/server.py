@@ -18,9 +18,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from services.runtime.clock import SystemClock
 from services.viz_node.access import Access, Role, is_loopback
 from services.viz_node.connections import SILENCE_S, Connections
-from services.viz_node.hub import Hub
+from services.viz_node.hub import REVOKED, Hub
 from services.viz_node.metrics import MEDIA_TYPE
 from services.viz_node.page_session import Session
+from services.viz_node.people import Person
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 
 MOST_PAGES = 16
@@ -139,13 +140,13 @@ class _PageSocket:
     async def serve(self, socket: WebSocket) -> None:
         await socket.accept()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            role = await self._role(socket)
-            if role is not None:
+            shown = await self._role(socket)
+            if shown is not None:
                 self._connections.admit(client_of(socket.scope))
-                await self._converse(socket, role)
+                await self._converse(socket, *shown)
 
-    async def _role(self, socket: WebSocket) -> Role | None:
-        """Return the role of a page that has shown its token; None when it was refused."""
+    async def _role(self, socket: WebSocket) -> tuple[Role, Person | None] | None:
+        """Return the role and the person of a page that has shown its token; None when it was refused."""
         try:
             request = read_request(await asyncio.wait_for(_receive(socket), _HELLO_S))
             if not isinstance(request, Hello):
@@ -157,7 +158,11 @@ class _PageSocket:
                 await _refuse(socket, _POLICY, text)
                 return None
             role = self._access.role_of(request.token)
-            if role is None:
+            person = self._access.person_of(request.token)
+            if role is None and person is not None:
+                self._hub.desk.refused.note("revoked", f"{person.name}: the address was revoked, or has expired")
+                await _refuse(socket, _POLICY, REVOKED)
+            elif role is None:
                 await asyncio.sleep(_WRONG_TOKEN_S)
                 await _refuse(
                     socket,
@@ -166,16 +171,17 @@ class _PageSocket:
                 )
             elif (pages := len(self._hub.sessions)) >= MOST_PAGES:
                 await _refuse(socket, _TRY_LATER, f"{pages} pages are open, which is as many as may be")
-                return None
-            return role
+            else:
+                return role, person
+            return None
         except TimeoutError:
             await _refuse(socket, _POLICY, f"no token came within {_HELLO_S:g} s")
         except RequestError as error:
             await _refuse(socket, _UNSUPPORTED, str(error))
         return None
 
-    async def _converse(self, socket: WebSocket, role: Role) -> None:
-        session = self._hub.join(role)
+    async def _converse(self, socket: WebSocket, role: Role, person: Person | None) -> None:
+        session = self._hub.join(role, person)
         sender = asyncio.create_task(_send_all(socket, session))
         try:
             while True:
@@ -211,8 +217,9 @@ async def _receive(socket: WebSocket) -> bytes:
 
 
 async def _send_all(socket: WebSocket, session: Session) -> None:
-    while True:
+    while not session.is_over:
         await socket.send_bytes(await session.next_frame())
+    await socket.close(_POLICY)
 
 
 async def _refuse(socket: WebSocket, code: int, text: str) -> None:
@@ -228,6 +235,7 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
     listener that it is served at.
     """
     connections = connections or Connections()
+    hub.is_admitted = access.people.is_admitted
     clock = SystemClock()
 
     @contextlib.asynccontextmanager
@@ -250,7 +258,7 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
         # A monitoring system of this machine is asked for no token, and one of another machine sends it in a header.
         if not is_loopback(host):
             token = request.headers.get("authorization", "").removeprefix("Bearer ")
-            if access.role_of(token) not in (Role.OBSERVER, Role.OPERATOR):
+            if access.role_of(token) in (None, Role.PARTICIPANT):
                 await asyncio.sleep(_WRONG_TOKEN_S)
                 text = "from another machine /metrics needs the token of an observer: Authorization: Bearer TOKEN"
                 return PlainTextResponse(f"telenano: {text}\n", 401, {"www-authenticate": "Bearer"})

@@ -21,6 +21,10 @@ TOPICS_SHOWN = (
 )
 
 
+# of which the age of the loop is told by its parts
+AGE_TOPICS = ("haptic/state", "haptic/command", "afm/state", "link/delay")
+
+
 class Source(Protocol):
     """Messages to show."""
 

@@ -165,7 +165,7 @@ def _stop_rig(request: EstopRequest, name: str, show: Callable[[Answer], None]) 
 def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> None:
     """Stop the devices that are reached without a console; RigError where none of those that are meant runs."""
     if reach.direct or reach.by_link:
-        emergency_stop(rig, reach, target, on_answer)
+        emergency_stop(rig, reach, target, on_answer, os.environ.get("TELENANO_NAME", ""))
     elif reach.absent and not reach.by_console:
         if kept := keep_for_absent(rig, reach, target):
             raise RigError(f"{', '.join(kept)} does not run now: the stop is kept, it comes back in emergency stop")

@@ -10,10 +10,10 @@ import pytest
 import yaml
 import zmq
 from typer.testing import CliRunner
+from wire_contract import FOLDER
 
 from presets import DEFAULT_SITE_FILE
 from proto import TOPICS
-from proto.contract import FOLDER
 from proto.nodes import LINK, name_of, site_of
 from services.runtime.bus.address_book import load_site
 from telenano.cli.root import app

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import spec_client
 from pydantic import BaseModel
+from wire_contract import CASES, FOLDER, WITH_ADDITIONS, artefacts, drifted, main, rewrite
 
 from proto import TOPICS, WireError, accept, decode, encode
-from proto.contract import CASES, FOLDER, WITH_ADDITIONS, artefacts, drifted, main, rewrite
 from proto.ranges import Range, any_range
 
 VECTORS: list[dict[str, Any]] = json.loads((FOLDER / "golden" / "vectors.json").read_text(encoding="utf-8"))
@@ -47,7 +47,7 @@ def copy(tmp_path: Path) -> Path:
 
 
 def test_nothing_has_drifted() -> None:
-    assert drifted() == [], "run python -m proto.contract and read the difference"
+    assert drifted() == [], "run python tests/contract/wire_contract.py and read the difference"
 
 
 def test_making_the_files_twice_gives_the_same() -> None:

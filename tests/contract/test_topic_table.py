@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from annotated_types import Ge
 from pydantic import BaseModel
+from wire_contract import FOLDER, range_table, schema_of, topic_table
 
 from proto import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
 from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
-from proto.contract import FOLDER, range_table, schema_of, topic_table
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
 from proto.ranges import RANGES
 

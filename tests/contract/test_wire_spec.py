@@ -12,10 +12,10 @@ import spec_client
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
+from wire_contract import examples
 
 from presets import DEFAULT_SITE_FILE, SITE_DIRECTORY, TWO_SITES_FILE
 from proto import TOPICS, decode, encode
-from proto.contract import examples
 from proto.messages import AfmScanline, Array, Record, SessionControl
 from proto.sequence import Arrival, SequenceTracker
 from services.runtime.bus.address_book import load_site

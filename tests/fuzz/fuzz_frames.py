@@ -10,9 +10,9 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from wire_contract import examples, schema_of
 
 from proto import TOPICS, Topic, encode
-from proto.contract import examples, schema_of
 from proto.messages import Array
 from proto.nodes import LINK, NODES, name_of
 from services.controller.config import OWN_LAWS as LAWS

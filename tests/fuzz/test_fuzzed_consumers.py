@@ -23,10 +23,10 @@ from telenano_foxglove.bridge import Bridge as FoxgloveBridge
 from telenano_lsl.bridge import MARKERS, STATES, LslBridge, Sample, Stream
 from telenano_ros2.bridge import Ros2Bridge
 from telenano_ros2.crtk import TEXTS, Encoder, Ros2Message
+from wire_contract import examples
 
 from analysis.report import write_report
 from proto import TOPICS, encode
-from proto.contract import examples
 from recording.channel_filter import ALL
 from recording.messages import LeftOut, RecordedChannel, RecordedMessage, readable
 from recording.multi_file import open_recordings

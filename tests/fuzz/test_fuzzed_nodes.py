@@ -11,9 +11,9 @@ import fuzzed_nodes
 import msgpack
 import pytest
 from fuzz_frames import Frames, stream
+from wire_contract import examples
 
 from proto import TOPICS, accept, encode
-from proto.contract import examples
 from proto.sequence import MOST_COUNTED
 from services.controller.config import OWN_LAWS as LAWS
 

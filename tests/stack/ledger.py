@@ -33,6 +33,14 @@ FAULTS = {
     "the disk of the recording is full": "the rig goes on; reported by `up` and `status`; summary of what was recorded",
     "a law of a package never returns": "its process is ended after 1.5 s of processor time, hand let go; restarted",
     "a node that dies again and again": "the rig is stopped with a summary of the deaths",
+    "the page that has the hand is killed": "the hand is lost within 1 s of the server's time, and the tip withdrawn",
+    "the page that has the hand stands still": "lost within 1 s of the server's time, the tip withdrawn; what it sends "
+    "afterwards is refused",
+    "the server of the page stands still while a page has the hand": "nobody has the hand after 1 s; the tip is "
+    "withdrawn when the server goes on",
+    "the server of the page is killed while a page has the hand": "hand let go; the new server withdraws the tip",
+    "the hand stands still and is killed while a page has it": "the lease is the page's all the while, and an "
+    "emergency stop asks for none",
     "a node that spins": "killed and restarted as one that died; one that is stopped keeps its process",
     "the slave's site starts late": "the master waits, reports for what, and begins by itself",
     "the slave's address is not reached": "reported after 5 s with what to look for, and again every minute",
@@ -72,7 +80,7 @@ FAULTS = {
     "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
     "both devices stay latched",
     "an emergency stop while a console is at work": "both devices stop",
-    "an emergency stop from the page of the view": "both devices stop; an observer's is refused",
+    "an emergency stop from the page of the view": "both devices stop, for an observer as well",
     "the wall clock is set by an hour, forwards and back": "commands given afterwards are obeyed, a stop too",
     "the AFM's process is killed in its container": "hand let go; restarted by the engine, waits to be armed",
 }

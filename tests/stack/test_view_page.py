@@ -436,7 +436,7 @@ def test_the_tip_is_pressed_from_a_headset_and_stopped_there(rig: Rig, chromium:
 def test_an_observer_sees_and_cannot_command(chromium: Any, view: View) -> None:
     observer = open_page(chromium, view.observer)
     observer.until("telenano.store.rings.get('tip')?.length > 100", "curves on the observer's page")
-    assert observer.page.is_disabled("#estop")
+    assert observer.page.is_enabled("#estop")
     answer = observer.value("telenano.connection.ask({k: 'command', command: 'stop', target: 'haptic_node'})")
     assert (answer["ok"], "observer" in answer["text"]) == (False, True)
     observer.page.context.close()

@@ -153,7 +153,7 @@ def states(rig: Rig, chromium: Any, view: View) -> None:
     observer.until("telenano.store.rings.get('tip')?.length > 3000", "curves on the observer's page")
     theme(observer, "light")
     look(observer, "observer")
-    assert observer.page.is_disabled("#estop")
+    assert observer.page.is_enabled("#estop")
     observer.page.context.close()
     page.fill("#delay", "60")
     assert "acknowledged" in page.answered(lambda: page.click("#delay-set"))

@@ -75,7 +75,6 @@ def test_the_core_names_what_packages_bring_in_one_table_of_suggestions() -> Non
     names, packages = names_of_packages()
     named = re.compile(rf"[\"'](?:{'|'.join(names)})[\"']|{'|'.join(packages)}")
     assert named.search("import telenano_lsl") and named.search('driver == "nanonis"') and not named.search("hd = 1")
-    # the site shows what every package has
-    files = [path for path in core_files() if path.name not in ("known_packages.py", "site_pages.py")]
+    files = [path for path in core_files() if path.name != "known_packages.py"]
     found = {path.relative_to(ROOT).as_posix(): named.findall(path.read_text()) for path in files}
     assert {name: words for name, words in found.items() if words} == {}

@@ -20,6 +20,8 @@ from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.haptic_node.devices.calibration import HandleCalibration
+from services.runtime.loop.freshness import DelayHistory
+from services.runtime.loop.loop_age import STAGES, WAYS, Delay, split
 from telenano.extend.commands import TelenanoError
 
 Ints = npt.NDArray[np.int64]
@@ -31,18 +33,10 @@ _SCALES = {
     "contact_x_cm": ("position of the hand for a count",),
     "release_force_nn": _TIP_FORCE,
 }
-# The messages that answer one sample of the hand, in their order: topic, and what has passed until it is sent.
-_STAGES = (
-    ("teleop/forward", "hand to the master's half"),
-    ("afm/command", "link there, and the slave's half"),
-    ("afm/state", "instrument, until it is measured"),
-    ("teleop/backward", "slave's half"),
-    ("haptic/command", "link back, and the master's half"),
-)
-_ANSWERED = "way to the device"
 # Below so many samples a share of a stage says nothing.
 _LEAST_SAMPLES = 50
-_MS = 1e-6
+# what begins at one site and ends at the other: the clocks leave open how much of it is of which way
+_OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back")
 
 
 class Source(NamedTuple):
@@ -140,7 +134,7 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
     """
     hand = columns(recording, "haptic/state", ("answered_t_ns", "answered_at_ns"))
     answers = _first(hand["answered_t_ns"], hand["answered_at_ns"])
-    times = [_sent(recording, topic, timeline) for topic, _ in _STAGES]
+    times = [_sent(recording, topic, timeline) for topic in STAGES]
     kept = [
         key for key in sorted(answers) if max(start_ns, 1) <= key <= end_ns and all(key in at_ns for at_ns in times)
     ]
@@ -150,16 +144,41 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
             f"back, {_LEAST_SAMPLES} are needed: give the master's recording of a session whose loop was closed"
         )
     passed = np.array([[key, *(at_ns[key] for at_ns in times), answers[key]] for key in kept], np.int64)
-    parts_ms = np.asarray(_MS * np.diff(passed, axis=1), np.float64)
     clock = timeline.clock
     open_ms = 0.0 if clock is None else 1e3 * clock.uncertainty_s
-    names = [*(name for _, name in _STAGES), _ANSWERED]
-    loop_ms = np.asarray(_MS * (passed[:, -1] - passed[:, 0]), np.float64)
+    parts = split(passed, tuple(STAGES), _delays(recording, kept), _device_ages(recording, kept))
+    # a simulated device has no age, and on one machine there is no line
+    found_s = {name: values for name, values in parts.items() if values.any()}
+    loop_ms = 1e3 * np.sum(list(found_s.values()), axis=0)
     found = [
-        _stage(name, values, loop_ms, open_ms if name.startswith("link") else 0.0)
-        for name, values in zip(names, parts_ms.T, strict=True)
+        _stage(name, 1e3 * values, loop_ms, open_ms if name in _OF_TWO_CLOCKS else 0.0)
+        for name, values in found_s.items()
     ]
     return [*found, _stage("loop", loop_ms, loop_ms, 0.0)]
+
+
+def _delays(recording: RecordingSource, kept: Sequence[int]) -> dict[str, Delay]:
+    """Return what the link said of each way for each sample, or nothing where it said nothing."""
+    histories = {way: (DelayHistory(), DelayHistory()) for way in WAYS}
+    for message in recording.select(lambda channel: channel.topic == "link/delay" and channel.via == "direct"):
+        said: Any = message.decode()
+        for history, value_ns in zip(histories[said.direction], (said.delay_ns, said.transit_ns), strict=True):
+            history.record(said.hand_t_ns, value_ns)
+    return {
+        way: Delay(*(np.array([history.of(key) for key in kept], np.int64) for history in both))
+        for way, both in histories.items()
+    }
+
+
+def _device_ages(recording: RecordingSource, kept: Sequence[int]) -> npt.NDArray[np.float64]:
+    """Return how old each sample was when the hand's device stamped it [s], which only a real one says."""
+    ages: dict[int, float] = {}
+    for message in recording.select(lambda channel: channel.topic == "haptic/state" and channel.via == "direct"):
+        said: Any = message.decode()
+        if said.sample_age_s is None:
+            break
+        ages[said.t_ns] = said.sample_age_s
+    return np.array([ages.get(key, 0.0) for key in kept])
 
 
 def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[np.float64], clock_ms: float) -> Stage:

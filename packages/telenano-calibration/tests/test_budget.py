@@ -91,10 +91,10 @@ def test_the_stages_add_up_to_the_loop_and_the_link_has_its_delay(recording_of: 
     assert sum(stage.mean_ms for stage in stages) == pytest.approx(loop.mean_ms, rel=1e-12)
     assert sum(stage.share for stage in stages) == pytest.approx(1.0, rel=1e-12)
     assert min(stage.mean_ms for stage in stages) > 0.0
-    links = [stage for stage in stages if stage.stage.startswith("link")]
+    links = {stage.stage: stage.mean_ms for stage in stages if stage.stage.startswith("link")}
     # 4 ms each way on purpose
-    assert all(4.0 < link.mean_ms < 6.0 for link in links)
-    assert [stage.clock_ms > 0.0 for stage in stages] == [stage in links for stage in stages]
+    assert links == {"link there, on purpose": 4.0, "link back, on purpose": 4.0}
+    assert {stage.stage for stage in stages if stage.clock_ms} == {"law of the slave", "law of the master"}
     ages_ms = 1e-6 * (session.hand["answered_at_ns"] - session.hand["answered_t_ns"])
     assert loop.p50_ms == pytest.approx(float(np.median(ages_ms[session.hand["answered_t_ns"] > 0])), rel=0.02)
 
@@ -112,8 +112,12 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
 
     monkeypatch.setattr(Timeline, "times_ns", shifted)
     after = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
-    changes = [new.mean_ms - old.mean_ms for new, old in zip(after, before, strict=True)]
-    assert changes == pytest.approx([0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0], abs=1e-9)
+    changes = {new.stage: new.mean_ms - old.mean_ms for new, old in zip(after, before, strict=True)}
+    moved = {name: change for name, change in changes.items() if abs(change) > 1e-9}
+    # what is left of the way back is no less than nothing, so that its part on purpose gives way
+    assert moved.pop("law of the slave") == pytest.approx(1.0, abs=1e-9)
+    assert sum(moved.values()) == pytest.approx(-1.0, abs=1e-9)
+    assert set(moved) <= {"law of the master", "link back, on purpose"}
 
 
 def test_a_recording_whose_loop_cannot_be_followed_is_refused_in_words(

@@ -1,6 +1,10 @@
 """The commands of this package, which telenano lists without importing what they need."""
 
 COMMANDS = {
+    "topic pub": (
+        "telenano_networks.publish_command:pub",
+        "Publish messages in the place of a node that does not run, for trials and tests.",
+    ),
     "link fit": (
         "telenano_networks.fit_command:fit",
         "Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.",

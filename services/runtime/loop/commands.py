@@ -54,7 +54,7 @@ STALL_NS = round(DEFAULT_VALIDITY_S * 1e9)
 class Command:
     """A command and the nodes (node@site) that have to answer it; none for a pattern, where those that know it answer.
 
-    What is not `required` may fail, and the next command follows all the same.
+    What is not `required` may fail, and the next command follows all the same. `by` is the name of who gave it.
     """
 
     name: CommandName
@@ -63,6 +63,7 @@ class Command:
     parameters: Mapping[str, Scalar] = field(default_factory=dict)
     required: bool = True
     deadline_ns: int = DEADLINE_NS
+    by: str = ""
 
     @property
     def begins_motion(self) -> bool:
@@ -242,6 +243,7 @@ class CommandClient:
                 command=command.name,
                 target=command.target,
                 parameters=dict(command.parameters),
+                **({"by": command.by} if command.by else {}),
                 **self._quotations(),
             )
         return False
@@ -361,7 +363,7 @@ class CommandHandler:
         if is_new:
             if refusal := self._refusal(control, now_ns):
                 text, facts = refusal
-                facts = {"command": control.command, **facts, "sent_t_ns": control.t_ns}
+                facts = {"command": control.command, **facts, "sent_t_ns": control.t_ns, **_giver(control)}
                 self._event("refused", "warning", text, answer_to=control.id, **facts)
                 return False
             answer = self._answers[control.id] = self._answer(control)
@@ -372,7 +374,7 @@ class CommandHandler:
             elif answer.kind == "ack" and control.command == "arm":
                 self.latch.release()
         kind, level, text, _ = self._answers[control.id]
-        self._event(kind, level, text, answer_to=control.id, command=control.command)
+        self._event(kind, level, text, answer_to=control.id, command=control.command, **_giver(control))
         return is_new
 
     def _note_stop(self, control: SessionControl, now_ns: int) -> None:
@@ -418,6 +420,10 @@ class CommandHandler:
             return _Answer("ack", "info", self._execute(control), begins)
         except TelenanoError as error:
             return _Answer("refused", "warning", str(error), begins)
+
+
+def _giver(control: SessionControl) -> dict[str, Scalar]:
+    return {} if control.by is None else {"by": control.by}
 
 
 def stop_of(node: str, now_ns: int) -> SessionControl:

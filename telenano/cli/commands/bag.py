@@ -18,13 +18,12 @@ from recording.channel_filter import Selection
 from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import CountOption, ExcludeOption, JsonOption, SiteFileOption, TopicsOption, command_group
-from telenano.cli.output import console, print_answer, print_document, print_json, print_rows, report_errors
+from telenano.cli.output import print_answer, print_document, print_json, report_errors
 
 if TYPE_CHECKING:
     from recording.info import RecordingInfo
 
 _CHANNEL_COLUMNS = ("channel_topic", "src", "messages", "rate_hz", "gaps", "lost", "restarts")
-_PLOT_SIZE = (100, 12)
 # a shorter recording is read as a whole in a second or two
 _LONG_BYTES = 16 << 20
 
@@ -54,7 +53,11 @@ def info(
 ) -> None:
     """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
+        from recording.indexed import open_indexed
+        from recording.people import people_in
+
         found = (_by_index(file, full=full) or _read(file)).model_dump(mode="json")
+        found["people"] = people_in(open_indexed([file]))
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
@@ -133,33 +136,6 @@ def filter_file(
 
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         _print_model(filter_recording(file, out, chosen, start, end), as_json)
-
-
-@app.command()
-def recalibrate(
-    file: FileArgument,
-    out: OutOption,
-    handle: Annotated[
-        Path | None, typer.Option("--handle", metavar="FILE", help="handle.yaml, of the same handle.")
-    ] = None,
-    stage: Annotated[
-        Path | None, typer.Option("--stage", metavar="FILE", help="stage.yaml, of the same instrument.")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Read what real devices sent with another calibration, into a new recording."""
-    with report_errors(as_json):
-        from analysis.recalibrate import recalibrate as read_again
-        from services.afm_node.devices.converter_calibration import read_calibration as read_stage
-        from services.haptic_node.devices.calibration import read_calibration as read_handle
-
-        found = read_again(
-            file,
-            out,
-            handle=None if handle is None else read_handle(handle),
-            stage=None if stage is None else read_stage(stage),
-        )
-        _print_model(found, as_json)
 
 
 @app.command()
@@ -282,37 +258,6 @@ def export(
 
 
 @app.command()
-def diff(
-    left: FileArgument,
-    right: FileArgument,
-    topics: TopicsOption = None,
-    exclude: ExcludeOption = None,
-    tolerance: ToleranceOption = None,
-    ignore: Annotated[
-        list[str] | None, typer.Option("--ignore", metavar="FIELD", help="Not this field, such as t_ns (repeatable).")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Compare two recordings message by message, by channel and number; exit code 1 if they differ."""
-    with report_errors(as_json):
-        from recording.diff import diff_recordings
-        from recording.tolerance import Tolerances
-
-        allowed = Tolerances.parse(tolerance or ())
-        chosen = Selection.of(topics or (), exclude or ())
-        found = diff_recordings(left, right, allowed, ignore or (), chosen)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        rows = [row.model_dump() for row in found.channels if row.only_left or row.only_right or row.different]
-        typer.echo("the same" if found.same else f"{left} and {right} differ")
-        if rows:
-            print_rows(rows)
-    if not found.same:
-        raise typer.Exit(EXIT_FAILED)
-
-
-@app.command()
 def rerun(
     file: FileArgument,
     node: Annotated[
@@ -345,31 +290,6 @@ def rerun(
     print_answer({"nodes": [result.model_dump(mode="json") for result in results]}, verdicts, as_json=as_json)
     if not all(result.identical for result in results):
         raise typer.Exit(EXIT_FAILED)
-
-
-@app.command()
-def plot(
-    file: FileArgument,
-    fields: Annotated[
-        list[str], typer.Argument(metavar="TOPIC.FIELD", help="What to draw, such as afm/state.tip_force_n.2.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="PNG to make; default: the terminal.")
-    ] = None,
-) -> None:
-    """Draw fields over time, on the terminal or into a PNG."""
-    with report_errors(as_json=False):
-        from analysis.plot import draw, read_traces, save_png
-
-        traces = read_traces(file, fields)
-        if out is not None:
-            save_png(traces, out, file.name)
-            typer.echo(str(out))
-            return
-        size = console().size
-        width = size.width if console().is_terminal else _PLOT_SIZE[0]
-        for trace in traces:
-            typer.echo(draw(trace, width, _PLOT_SIZE[1]))
 
 
 def _row(path: Path) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """`telenano session`: send a command to the nodes of a running rig."""
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,6 +13,8 @@ from proto.messages import SessionEvent
 from proto.nodes import Site
 from services.console.command_client import parse_parameters, send_control
 from services.console.coupling import couple_anew
+from services.console.lease import CONSOLE
+from services.console.lease_register import holding
 from services.runtime.clock import process_start_ns
 from services.runtime.loop.commands import Command, CommandName
 from telenano.cli.estop_command import EstopRequest, run_estop
@@ -30,15 +33,20 @@ def session(
     target: TargetOption = "*",
     site: SiteOption = None,
     site_file: RigFileOption = None,
+    take: Annotated[bool, typer.Option("--take", help="Take the hand from a page for this command.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing."""
-    if command == "couple":
-        _couple(parameters or (), target, site, site_file, as_json=as_json)
-        return
+    """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing.
+
+    Where a person at a page has the hand it is refused, but for stop, estop and mark. TELENANO_NAME names who gives it.
+    """
     if command == "estop":
         raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))
-    send_command(command, parameters or (), target, site_file, site, as_json=as_json)
+    with report_errors(as_json), holding(CONSOLE, role="teacher") if take else contextlib.nullcontext():
+        if command == "couple":
+            _couple(parameters or (), target, site, site_file, as_json=as_json)
+        else:
+            send_command(command, parameters or (), target, site_file, site, as_json=as_json)
 
 
 def _couple(

@@ -17,6 +17,7 @@ from services.launcher.rig_status import NEEDED, RigStatus, document_of, expecte
 from services.launcher.rigs import RigFacts, about_rig, running_rigs
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
+from services.runtime.loop.loop_age import Part, in_words
 from services.runtime.wiring.observer import Observer
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
@@ -30,6 +31,8 @@ _COLUMNS = (
 _LEFT = ("node", "state", "refused", "granted")
 # A node that takes less than this share of its steps is on a machine that has no room for them.
 _LEAST_SHARE = 0.95
+# What takes less of the age of the loop is not named [s].
+_LEAST_PART_S = 5e-6
 _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at a limit"}
 
 
@@ -118,6 +121,9 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
         if clock := link["clock"]:
             ahead_ms, uncertainty_ms = clock["offset_s"] * 1e3, clock["uncertainty_s"] * 1e3
             yield "clocks", Text(f"the slave's clock is {ahead_ms:.3f} ms ahead, ± {uncertainty_ms:.3f} ms")
+    if age := [Part(**facts) for facts in document["age"]]:
+        rest = ", ".join(f"{one.name} {1e3 * one.p50_s:.3g}" for one in age[:-1] if one.p50_s > _LEAST_PART_S)
+        yield "age of the loop", Text(f"{in_words(age)} ({1e3 * age[-1].p99_s:.3g} ms at 99 %); in ms: {rest}")
     if about := document.get("rig"):
         yield "processors", Text(processors_text(about), "yellow" if about.get("behind") else "")
     heard = [facts for facts in document["nodes"] if facts["heard"]]

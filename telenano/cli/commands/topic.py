@@ -12,7 +12,6 @@ import typer
 from presets import DEFAULT_SITE_FILE
 from proto import TOPICS
 from proto.errors import RigError
-from proto.nodes import VIEW
 from recording.quantities import quantity
 from recording.tables import json_fields
 from services.launcher.scenario_keys import value_at
@@ -121,32 +120,6 @@ def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
     else:
         print_document(facts, name, as_json=False)
         print_rows(fields)
-
-
-@app.command()
-def pub(
-    topic: TopicArgument,
-    fields: Annotated[
-        str, typer.Argument(metavar="FIELDS", help="Fields of the message as YAML: '{force_n: [0, 0, -0.5]}'.")
-    ],
-    src: Annotated[
-        str,
-        typer.Option("--as", metavar="NODE@SITE", help="Node in whose place it is published; it must not run."),
-    ] = VIEW,
-    rate: Annotated[
-        float, typer.Option("--rate", min=0.01, max=1000.0, metavar="HZ", help="Messages a second.")
-    ] = 10.0,
-    count: CountOption = None,
-    site_file: SiteFileOption = DEFAULT_SITE_FILE,
-    as_json: JsonOption = False,
-) -> None:
-    """Publish messages in the place of a node that does not run, until Ctrl-C or a number; for trials and tests."""
-    with report_errors(as_json):
-        from services.launcher.publish import publish
-
-        sent = publish(load_site(site_file), src, known_name(topic)[0], fields, rate, count)
-    text = f"published {sent} messages on {topic} as {src}"
-    print_answer({"topic": topic, "src": src, "sent": sent}, text, as_json=as_json)
 
 
 @app.command()

@@ -18,6 +18,7 @@ from recording.indexed import open_indexed
 from recording.multi_file import RecordingSource
 from services.launcher.restart_policy import RestartTracker
 from services.runtime.bus.address_book import load_site
+from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.clock import SystemClock
 from services.runtime.loop.realtime import behind_others
 from services.runtime.wiring.main import EXIT_DIED
@@ -31,6 +32,7 @@ from services.viz_node.hub import Hub
 from services.viz_node.level_cache import LevelCache
 from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
+from services.viz_node.people import ROLES, People
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.serve import PageServer, Tls, addresses_of, announced, missing_for_view, served_addresses
 from telenano.cli.options import (
@@ -42,6 +44,9 @@ from telenano.cli.options import (
     SiteFileOption,
 )
 from telenano.cli.output import report_errors
+
+# a lesson
+_DEFAULT_MINUTES = 90.0
 
 
 class Served(NamedTuple):
@@ -71,6 +76,17 @@ def view(
         bool,
         typer.Option("--addresses", help="Print the addresses, with their tokens, of your pages here, and end."),
     ] = False,
+    person: Annotated[
+        str | None,
+        typer.Option("--for", metavar="NAME", help="Print an address of its own for a person, and end."),
+    ] = None,
+    role: Annotated[str, typer.Option("--role", metavar="ROLE", help=f"With --for: {', '.join(ROLES)}.")] = "operator",
+    minutes: Annotated[
+        float, typer.Option("--for-minutes", metavar="MIN", help="With --for: how long it is valid [min].")
+    ] = _DEFAULT_MINUTES,
+    revoke: Annotated[
+        str | None, typer.Option("--revoke", metavar="NAME", help="Revoke the address of a person at once, and end.")
+    ] = None,
 ) -> None:
     """Serve the operator's page of a running rig, or of a recording, until Ctrl-C; prints the addresses to open.
 
@@ -79,8 +95,17 @@ def view(
 
     The token of the operator is in TELENANO_VIEW_OPERATOR_TOKEN, that of observers in TELENANO_VIEW_OBSERVER_TOKEN,
     that of a participant of an experiment in TELENANO_VIEW_PARTICIPANT_TOKEN; without them new ones are made.
+
+    `--for NAME` gives a person an address at the pages of the rig that --rig or TELENANO_RIG names.
     """
     with report_errors(False):
+        if revoke is not None:
+            People().revoke(revoke)
+            typer.echo(f"the address of {revoke} is revoked")
+            return
+        if person is not None:
+            _print_address_for(person, role, minutes)
+            return
         if addresses:
             _print_addresses()
             return
@@ -125,6 +150,18 @@ def _print_addresses() -> None:
         raise ConfigError("you serve no page on this machine: `telenano up` serves one, or `telenano view`")
     for line in lines:
         typer.echo(line)
+
+
+def _print_address_for(name: str, role: str, minutes: float) -> None:
+    """Give a person an address at each page of this rig that answers."""
+    # an address is told by several names, and that of a participant is of another page
+    lines = (line.partition(": ")[2].partition("#") for line in served_addresses([runtime_directory()]))
+    served = dict.fromkeys(base for base, sign, _ in lines if sign and not base.endswith(".html"))
+    if not served:
+        raise ConfigError("no page of this rig is served on this machine: `telenano up` serves one, or `telenano view`")
+    token = People().add(name, role, minutes)
+    for base in served:
+        typer.echo(f"{name} ({role}, {minutes:g} min): {base}#{token}")
 
 
 def _serve_again(serve_once: Callable[[], None]) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from wire_contract import examples
 
 from proto import TOPICS, encode
-from proto.contract import examples
 from proto.ends import end_data
 from recording.writer import FileSettings, RecordingWriter
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter

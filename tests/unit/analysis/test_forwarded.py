@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 import pytest
+from wire_contract import examples
 
 from analysis.forwarded import Forwarded, compare_forwarded
 from proto import TOPICS, encode
-from proto.contract import examples
 
 TOPIC = "teleop/forward"
 BASE = examples(TOPICS[TOPIC])["ordinary"]

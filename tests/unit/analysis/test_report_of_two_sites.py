@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from made_sessions import BEGAN_NS, NS, Made, hand_force_n
+from telenano_studies.plot import read_traces
 
 import telenano
-from analysis.plot import read_traces
 from analysis.report import write_report
 from recording.merge_sites import merge_sites
 from recording.reader import Recording

@@ -159,7 +159,7 @@ def test_command_and_page_end_at_the_same_function(monkeypatch: pytest.MonkeyPat
     done = run(["session", "couple", "--site-file", str(file)])
     assert (done.exit_code, done.output) == (0, "hand and tip are coupled anew\n")
     commander = commander_module.RigCommander(DEFAULT_SITE_FILE)
-    answers = commander.send("couple", "*", {}, lambda: True, 0)
+    answers = commander.send("couple", "*", {}, lambda: True, 0, "")
     assert answers == {"afm_node@slave": ("ack", "hand and tip are coupled anew")}
     assert "couple" in COMMANDS
     refused = run(["session", "couple", "--json"])

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 import zmq
+from wire_contract import examples
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto import decode, encode
-from proto.contract import examples
 from proto.errors import EndpointError, RigError
 from proto.messages import SessionControl
 from proto.nodes import DEVICES

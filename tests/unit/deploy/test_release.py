@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[3]
-_spec = importlib.util.spec_from_file_location("release", ROOT / "deploy" / "release.py")
+_spec = importlib.util.spec_from_file_location("release", ROOT / "tests" / "releases" / "release.py")
 assert _spec is not None
 assert _spec.loader is not None
 release = importlib.util.module_from_spec(_spec)

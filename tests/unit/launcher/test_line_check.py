@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 from launcher_bench import SECOND_NS, TICK_NS, Rig
+from wire_contract import examples
 
 from proto import TOPICS
-from proto.contract import examples
 from proto.network_messages import LinkNetwork
 from services.launcher.line_check import FULL_BIT_PER_S, LEAST_BIT_PER_S
 

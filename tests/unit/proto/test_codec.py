@@ -14,10 +14,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processor_time import ratio_of_costs
+from wire_contract import examples, schema_of
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, accept, decode, decode_header, encode, read_header
 from proto.codec import _TYPED, MAX_PLAIN_BYTES, largest_bytes
-from proto.contract import examples, schema_of
 from proto.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
 from proto.typed import typed_form
 

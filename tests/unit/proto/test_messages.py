@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from wire_contract import examples
 
 from proto import TOPICS
-from proto.contract import examples
 from proto.messages import Array, HapticState
 
 

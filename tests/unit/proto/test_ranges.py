@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from wire_contract import examples
 
 from proto import TOPICS, accept, encode
-from proto.contract import examples
 from proto.messages import AfmScanline, AfmState, InputHealth, LawStatus, NodeHealth, TeleopForward
 from proto.ranges import limited
 from proto.sequence import MOST_COUNTED

@@ -9,10 +9,10 @@ import msgpack
 import numpy as np
 import pytest
 from pydantic import Field, ValidationError
+from wire_contract import WITH_ADDITIONS, examples
 
 from proto import TOPICS, Message, WireError, accept, compose, decode, encode
 from proto.codec import _TYPED, MAX_PLAIN_BYTES, header_check
-from proto.contract import WITH_ADDITIONS, examples
 from proto.messages import AfmCommand, AfmState, LinkFate, LinkFates
 from proto.ranges import POSITION, limited
 from proto.typed import typed_form, typed_rows

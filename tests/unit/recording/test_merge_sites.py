@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+from wire_contract import examples
 
 from proto import TOPICS, encode
-from proto.contract import examples
 from proto.errors import RecordingError
 from recording.merge_sites import merge_sites, slave_clock
 from recording.reader import Recording

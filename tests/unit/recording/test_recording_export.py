@@ -13,9 +13,9 @@ import pyarrow.parquet as parquet
 import pytest
 from mcap.reader import make_reader
 from recorder_samples import EPOCH_NS, NODE, haptic_state, sample
+from wire_contract import examples
 
 from proto import TOPICS, encode
-from proto.contract import examples
 from proto.errors import ConfigError, RecordingError
 from proto.messages import AfmScanline, Array
 from recording.channel_filter import Selection

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from wire_contract import examples
 
 from proto import TOPICS, encode
-from proto.contract import examples
 from recording.reader import Recording
 from recording.site_clock import read_site_clock
 from recording.writer import FileSettings, RecordingWriter

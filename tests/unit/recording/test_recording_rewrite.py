@@ -8,12 +8,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
+from telenano_studies.recording_diff import diff_recordings
 
 from proto import encode
 from proto.ends import end_data
 from proto.errors import ConfigError, RecordingError
 from recording.channel_filter import Selection
-from recording.diff import diff_recordings
 from recording.mcap_scan import MAGIC
 from recording.messages import RecordedMessage
 from recording.multi_file import open_recordings

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from free_ports import free_ports
+from wire_contract import examples
 
 from proto import TOPICS, Message, encode
-from proto.contract import examples
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
 from services.runtime.bus.publisher import ZmqPublisher

@@ -4,9 +4,9 @@ import math
 from typing import Any
 
 import pytest
+from wire_contract import examples
 
 from proto import TOPICS, encode
-from proto.contract import examples
 from proto.sequence import Arrival
 from proto.topics import LOOP_DEADLINE_S
 from services.delay_node.declared_delay import DeclaredDelay

@@ -16,9 +16,9 @@ from typing import IO
 import msgpack
 import pytest
 import zmq
+from wire_contract import examples
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, WireError, decode, encode
-from proto.contract import examples
 from proto.errors import EndpointError
 from proto.messages import AfmState, HapticState, SessionControl
 from proto.nodes import NODES, name_of

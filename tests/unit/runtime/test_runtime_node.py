@@ -13,9 +13,9 @@ from typing import Any, ClassVar
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from wire_contract import examples
 
 from proto import TOPICS, Message, encode
-from proto.contract import examples
 from proto.ends import read_end
 from proto.errors import ConfigError, RefusedError
 from proto.journal_messages import NodeJournal

@@ -11,7 +11,6 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from analysis.plot import Trace, draw
 from proto.errors import ConfigError, ReportError
 from recording.reader import Recording
 from telenano.cli.commands.bag import app
@@ -65,8 +64,7 @@ def test_filter_split_merge_recover_and_diff(make_file: MakeFile, tmp_path: Path
     parts = run_json("split", path, "--interval", "0.01", "--out", tmp_path / "parts")["parts"]
     assert len(parts) == 4
     run("merge", *(part["path"] for part in parts), "--out", tmp_path / "m.mcap")
-    assert run_json("diff", path, tmp_path / "m.mcap")["same"]
-    assert not run_json("diff", path, tmp_path / "f.mcap", exit_code=1)["same"]
+    assert len(run_json("info", tmp_path / "m.mcap")["channels"]) == len(run_json("info", path)["channels"])
     path.write_bytes(path.read_bytes()[:2000])
     recovered = run_json("recover", path, "--out", tmp_path / "r.mcap")
     assert recovered["skipped"]
@@ -85,47 +83,6 @@ def test_export_names_its_formats(make_file: MakeFile, tmp_path: Path) -> None:
     path = make_file()
     assert run_json("export", path, "--to", "csv", "--out", tmp_path / "csv")["messages"] == 80
     run("export", path, "--to", "xls", "--out", tmp_path / "xls", exit_code=2)
-
-
-def test_a_plot_is_drawn_on_the_terminal_or_saved(make_file: MakeFile, tmp_path: Path) -> None:
-    path = make_file()
-    drawn = run("plot", path, "haptic/state.position_m.2")
-    assert "0.039 s" in drawn
-    assert "-0.039" in drawn
-    run("plot", path, "haptic/state.position_m.2", "haptic/state.limited", "--out", tmp_path / "p.png")
-    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
-    run("plot", path, "haptic/state", exit_code=2)
-    run("plot", path, "haptic/state.nothing", exit_code=1)
-    run("plot", path, "haptic/state.mode", exit_code=1)
-    run("plot", path, "haptic/state.seq", "--out", tmp_path / "none" / "p.png", exit_code=1)
-
-
-def test_a_rising_line_is_drawn_rising() -> None:
-    import numpy as np
-
-    ramp = Trace("ramp", np.linspace(0.0, 1.0, 500), np.linspace(-1.0, 1.0, 500))
-    rows = draw(ramp, 60, 5).splitlines()[1:6]
-    first_marks = [next(i for i, c in enumerate(row[13:]) if c != "⠀") for row in rows]
-    assert first_marks == sorted(first_marks, reverse=True)
-    assert "1" in rows[0][:12]
-    assert "-1" in rows[-1][:12]
-    flat = Trace("flat", np.zeros(3), np.full(3, np.nan))
-    assert draw(flat, 60, 5) == "flat: no value"
-
-
-@pytest.mark.parametrize(
-    ("offset", "span", "highest", "lowest"),
-    [(1e-6, 1e-12, "1.000001e-06", "1e-06"), (0.0, 1e-9, "1e-09", "0"), (1.7e18, 6e9, "1.700000006e+18", "1.7e+18")],
-)
-def test_a_small_motion_is_drawn_at_any_offset(offset: float, span: float, highest: str, lowest: str) -> None:
-    import numpy as np
-
-    time_s = np.linspace(0.0, 1.0, 500)
-    lines = draw(Trace("base", time_s, offset + span * time_s), 60, 5).splitlines()
-    rows = [line.rpartition(" ") for line in lines[1:6]]
-    assert (rows[0][0].strip(), rows[-1][0].strip()) == (highest, lowest)
-    assert all(set(drawn) - {"\u2800"} for _, _, drawn in rows)
-    assert {len(line) for line in lines[1:]} == {60}
 
 
 def test_replay_and_record_refuse_what_cannot_be(make_file: MakeFile, tmp_path: Path) -> None:

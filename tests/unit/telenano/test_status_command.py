@@ -398,7 +398,8 @@ def test_it_listens_on_the_bus_and_only_to_what_it_needs(tmp_path: Path) -> None
         observer.close()
     assert set(received.newest(NodeHealth)) == {node}
     assert received.events
-    assert topics == {"node/health", "session/event"}
+    # the commands of the law are for the age of the loop, and this node publishes nothing else
+    assert topics == {"node/health", "session/event", "haptic/command"}
 
 
 def test_nobody_publishes(tmp_path: Path) -> None:

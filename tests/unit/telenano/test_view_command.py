@@ -212,7 +212,7 @@ def test_a_stop_needs_no_site_file_when_it_comes(runtime: Path, tmp_path: Path) 
         devices = [Device(node, endpoints[node], stack) for node in DEVICES]
         commander = RigCommander(file)
         file.unlink()
-        assert {kind for kind, _ in commander.estop().values()} == {"ack"}
+        assert {kind for kind, _ in commander.estop("").values()} == {"ack"}
         assert all(device.stopped.is_set() for device in devices)
 
 

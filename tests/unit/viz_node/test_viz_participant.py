@@ -18,9 +18,9 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("httpx2")
 from starlette.testclient import TestClient
+from wire_contract import examples
 
 from proto import TOPICS
-from proto.contract import examples
 from proto.experiment_messages import Question
 from proto.messages import Array, Message
 from services.viz_node import hub as hubs
@@ -66,7 +66,7 @@ class Commander:
     def send(self, *_: Any) -> dict[str, tuple[str, str]]:
         raise AssertionError("a participant commands nothing")
 
-    def estop(self) -> dict[str, tuple[str, str]]:
+    def estop(self, by: str) -> dict[str, tuple[str, str]]:
         return {"afm_node@slave": ("ack", "latched under model_mediated")}
 
 
@@ -74,7 +74,7 @@ class Outlet:
     def __init__(self, rig: "Rig") -> None:
         self._rig = rig
 
-    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
+    def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
         self._rig.pushed.append(force_n)
 
     def answer(self, **fields: Any) -> None:

@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, haptic_state
+from wire_contract import examples
 
 from proto import TOPICS, encode
-from proto.contract import examples
 from proto.errors import RecordingError, RefusedError
 from proto.messages import Array
 from recording.reader import Recording

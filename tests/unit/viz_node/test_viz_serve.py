@@ -241,7 +241,7 @@ class Commander:
     def send(self, *wanted):
         print("hangs", flush=True)
         threading.Event().wait()
-    def estop(self):
+    def estop(self, by):
         print("stopping", flush=True)
         time.sleep(0.5)
         print("stopped", flush=True)

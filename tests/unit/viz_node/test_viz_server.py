@@ -58,7 +58,13 @@ class Commander:
         self.held.set()
 
     def send(
-        self, command: str, target: str, parameters: Mapping[str, Any], is_wanted: Callable[[], bool], issued_ns: int
+        self,
+        command: str,
+        target: str,
+        parameters: Mapping[str, Any],
+        is_wanted: Callable[[], bool],
+        issued_ns: int,
+        by: str,
     ) -> dict[str, tuple[str, str]]:
         self.begun.append(command)
         while not self.held.wait(0.005):
@@ -72,7 +78,7 @@ class Commander:
             "controller@slave": ("refused" if parameters.get("x") == -1 else "ack", "x"),
         }
 
-    def estop(self) -> dict[str, tuple[str, str]]:
+    def estop(self, by: str) -> dict[str, tuple[str, str]]:
         self.sent.append(("estop",))
         return {"afm_node@slave": ("ack", "latched")}
 
@@ -81,7 +87,7 @@ class Hand:
     def __init__(self, log: list[Any]) -> None:
         self.log = log
 
-    def push(self, force_n: float, across_n: tuple[float, float]) -> None:
+    def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
         self.log.append((force_n, *across_n) if any(across_n) else force_n)
 
     def close(self) -> None:
@@ -205,7 +211,7 @@ def test_from_another_machine_the_reports_need_a_token(
 
 def test_the_reports_are_made_once_a_second_whatever_asks(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
-    monkeypatch.setattr(hubs, "metrics_text", lambda nodes, now_ns: f"{made.append(now_ns)}")
+    monkeypatch.setattr(hubs, "metrics_text", lambda nodes, now_ns, age: f"{made.append(now_ns)}")
     # 50 requests a tenth of a second for 3 s, and a clock that was set back
     for now_ns in [*(n // 50 * 100_000_000 for n in range(1500)), 5]:
         rig.hub.metrics(now_ns)
@@ -307,11 +313,14 @@ def test_a_command_is_answered_with_what_the_nodes_said(rig: Rig, client: TestCl
 
 def test_an_observer_commands_nothing(rig: Rig, client: TestClient, stack: ExitStack) -> None:
     page = Page(stack, client, ACCESS.observer_token)
-    for request in (command(), {"k": "estop"}, {"k": "transport", "action": "play", "value": 0}):
+    for request in (command(), {"k": "transport", "action": "play", "value": 0}, {"k": "lease", "action": "ask"}):
         assert "observer" in page.ask(**request)["text"]
     page.send({"k": "hand", "force_n": 1.0, "held": True})
     assert page.take("hand")["held"] is False
     assert (rig.commander.sent, rig.hand) == ([], [])
+    # anybody who sees the tip may stop it
+    assert page.ask(k="estop")["ok"] is True
+    assert rig.hub.desk.refused.rejected == {"role": 3}
 
 
 def test_an_emergency_stop_does_not_wait_for_the_command_before_it_and_ends_it(
@@ -335,7 +344,7 @@ def test_an_emergency_stop_empties_the_queues_of_all_pages(rig: Rig, client: Tes
     first.send({"id": "begun", **command()})
     until(lambda: rig.commander.begun)
     first.send({"id": "waits", **command(command="arm", target="afm_node")})
-    second.send({"id": "other", **command(command="arm", target="afm_node")})
+    second.send({"id": "other", **command(command="mark", target="recorder")})
     until(lambda: len(rig.hub._wishes) == 3)
     stopper = Page(stack, client)
     assert stopper.ask(k="estop")["ok"] is True
@@ -438,7 +447,7 @@ def test_who_holds_the_key_down_stops_a_few_times_and_once_more(rig: Rig, monkey
     answering = threading.Event()
     begun: list[int] = []
 
-    def estop() -> dict[str, tuple[str, str]]:
+    def estop(by: str) -> dict[str, tuple[str, str]]:
         begun.append(1)
         answering.wait(5.0)
         return {"afm_node@slave": ("ack", "latched")}
@@ -462,7 +471,7 @@ def test_who_holds_the_key_down_stops_a_few_times_and_once_more(rig: Rig, monkey
 def test_who_asked_for_an_emergency_stop_is_told_whatever_kept_it_from_being_sent(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def estop() -> dict[str, tuple[str, str]]:
+    def estop(by: str) -> dict[str, tuple[str, str]]:
         raise OSError(24, "Too many open files")
 
     monkeypatch.setattr(rig.commander, "estop", estop)
@@ -498,7 +507,7 @@ def test_one_page_holds_the_hand_until_it_lets_go(
     push(first, 1.5)
     until(lambda: changes(rig) == [1.5])
     push(second, 9.0)
-    assert second.take("hand")["text"] == "another page holds the hand"
+    assert second.take("hand")["text"] == "the operator's page has the hand: ask for it"
     push(first, 0.0, held=False)
     until(lambda: changes(rig) == [1.5, 0.0])
     push(second, 2.0)
@@ -511,10 +520,13 @@ def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(
     silent = Page(stack, client)
     push(silent, 1.0)
     until(lambda: changes(rig) == [1.0, 0.0])
+    # who pressed and has vanished has the tip withdrawn, and the hand is anybody's
+    until(lambda: rig.commander.sent == [("stop", "afm_node@slave", {})])
     with ExitStack() as short:
         push(Page(short, client), 2.0)
         until(lambda: 2.0 in rig.hand)
     until(lambda: changes(rig) == [1.0, 0.0, 2.0, 0.0])
+    until(lambda: len(rig.commander.sent) == 2)
 
 
 def test_a_page_that_pauses_for_a_moment_keeps_its_force(

@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from proto.nodes import HAND, LINK, RECORDER, TIP
 from recording.reader import Recording
 from services.console.command_client import send_control
 from services.console.coupling import couple_anew
+from services.console.lease import EXPERIMENT
+from services.console.lease_register import holding
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changed, network_name
 from services.haptic_node.config import HapticConfig
@@ -84,12 +86,14 @@ class Live(Apparatus):
         self._place_m, self._base_m, self._apart_m = 0.0, 0.0, 0.0
         # A simulated hand that steers the tip pushes at the place of a page.
         self._page: PageHand | None = None
+        self._hold = ExitStack()
         self._observer: Observer | None = None
         # the newest report by topic and source, and when it came
         self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
         wait_for_others(self._folder, show)
 
     def close(self) -> None:
+        self._hold.close()
         if self._observer is not None:
             self._observer.close()
             self._observer = None
@@ -188,6 +192,8 @@ class Live(Apparatus):
         started = {**document, "haptic_node": {**hand, "operator": operator}}
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
+        # Participants press, and nobody else commands, while the experiment has the hand.
+        self._hold.enter_context(holding(EXPERIMENT))
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
         self._kept, self._newest = kept, {}
         self._set = wanted_of(started, trial.seed)._replace(operator="", link={})

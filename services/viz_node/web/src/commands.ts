@@ -28,9 +28,9 @@ export class Commands {
     private readonly store: Store,
   ) {}
 
-  /** Whether this page commands anything: it is connected, to a rig, with the operator's token. */
+  /** Whether this page commands anything: it is connected, to a rig, and its person may have the hand. */
   get may(): boolean {
-    return this.link === "open" && this.store.role === "operator" && this.store.commands;
+    return this.link === "open" && this.store.role !== "observer" && this.store.commands;
   }
 
   /** Why the emergency stop of this page stops nothing, and what does; empty where it stops. */
@@ -39,7 +39,6 @@ export class Commands {
       return { short: "STOP NOT CONNECTED", long: "This page is not connected and stops nothing: use the switch of the instrument, or type: telenano estop" };
     }
     if (this.store.source.kind === "recording") return { short: "NOTHING TO STOP", long: "This is a recording: it moves nothing" };
-    if (this.store.role !== "operator") return { short: "OBSERVER: NO STOP", long: "An observer's page stops nothing: use the operator's page, or type: telenano estop" };
     return undefined;
   }
 
@@ -52,7 +51,7 @@ export class Commands {
   }
 
   async command(about: string, command: string, target: string, parameters: Values = {}): Promise<boolean> {
-    return this.ask(about, { k: "command", command, target, parameters });
+    return this.ask(about, { k: "command", command, target, parameters, lease: this.store.ownLease });
   }
 
   /** Arm the devices one after the other, as far as they permit, and no further than to the next emergency stop; the answer says whether all are. */

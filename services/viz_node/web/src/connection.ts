@@ -64,7 +64,7 @@ export class Connection {
     }
     this.waiting.clear();
     // a wrong token stays wrong; a full server may have room later
-    if (this.refusal.includes("token is wrong")) this.onState("refused", this.refusal);
+    if (/token is wrong|was revoked/.test(this.refusal)) this.onState("refused", this.refusal);
     else {
       this.onState(this.refusal ? "refused" : "lost", this.refusal || "the server does not answer; trying again");
       setTimeout(() => this.open(), this.retry);

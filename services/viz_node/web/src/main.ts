@@ -1,12 +1,14 @@
 import "./styles.css";
 import type { Cockpit } from "./cockpit";
 import { Commands } from "./commands";
+import { medianFrame } from "./age";
 import { Connection } from "./connection";
 import { Document } from "./document";
 import { part } from "./dom";
 import { Hand } from "./hand";
 import { Image } from "./image";
 import { PANELS, hasExperiment } from "./panels";
+import type { HandPanel } from "./panels/hand";
 import type { ScenePanel } from "./panels/scene";
 import type { ScopesPanel } from "./panels/scopes";
 import { StatusPanel } from "./panels/status";
@@ -47,6 +49,7 @@ const status = new StatusPanel(part("status"), cockpit);
 const regions = new Regions(PANELS, cockpit);
 const view = (regions.panel("scene") as ScenePanel).view;
 const scopes = regions.panel("curves") as ScopesPanel;
+const handPanel = regions.panel("hand") as HandPanel;
 const timeline = regions.panel("recording") as TimelinePanel;
 
 /** Between frames, and what the page itself took of each, drawing and taking in what came [ms]. */
@@ -92,6 +95,7 @@ connection.onFrame = (frame: ServerFrame) => {
     // an experiment has begun: its panel is there from now on
     if (!had && hasExperiment(cockpit)) regions.begin();
   }
+  else if (frame.k === "way") store.wayS = frame.way_s ?? NaN;
   else if (frame.k === "hand") cockpit.hand.refuse(frame.text);
   dirty = true;
   taken += performance.now() - begun;
@@ -111,6 +115,7 @@ function draw(now: number): void {
   }
   for (const kept of [frames, costs]) if (kept.length > FRAMES_KEPT) kept.shift();
   before = now;
+  store.frameS = medianFrame(frames);
   if (dirty) {
     dirty = false;
     view?.follow();
@@ -130,6 +135,7 @@ setInterval(() => {
   store.clock.tick(performance.now());
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
   status.draw();
+  handPanel.lease.write();
 }, BANNERS_MS);
 
 function setTheme(name: string): void {
@@ -151,6 +157,7 @@ addEventListener("keydown", (event) => {
   if (event.key === "c") scopes.toggleCursors();
   if (event.key === "m" && commands.may) part("mark").click();
   if (event.key === "o" && commands.may) part("couple").click();
+  if (event.key === "h") handPanel.lease.first();
   // clutch and mode of the hand across the sample, where there is one
   if (event.key === "l" && commands.may) document.getElementById("lateral-clutch")?.click();
   if (event.key === "k" && commands.may) nextOption("lateral-mode");

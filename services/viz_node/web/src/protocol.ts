@@ -70,6 +70,19 @@ export interface SourceAbout {
 
 export type Facts = Record<string, unknown>;
 
+/** Who has the hand: the number of the lease, the id and the name of its holder, whether it was taken, who asks. */
+export interface LeaseFacts {
+  number: number;
+  holder: string;
+  label: string;
+  /** page, or what kind of process. */
+  what: string;
+  kept: boolean;
+  asking: [id: string, label: string][];
+}
+
+export type Role = "operator" | "observer" | "participant" | "pupil" | "teacher";
+
 export interface Changes {
   /** Time of the publishers at which the times of the curves begin [ns], to a quarter of a microsecond. */
   origin_ns?: number;
@@ -79,6 +92,9 @@ export interface Changes {
   lines?: Line[];
   streams?: Record<string, StreamData> | StreamAbout[];
   source?: SourceAbout;
+  lease?: LeaseFacts;
+  /** The age of the loop by its parts: name, of the median sample and of the slow one at 99 % [s]; the last is the whole. */
+  age?: [name: string, p50_s: number, p99_s: number][];
 }
 
 export interface Tick extends Changes {
@@ -88,7 +104,9 @@ export interface Tick extends Changes {
 
 export interface Snapshot extends Changes {
   k: "snapshot";
-  role: "operator" | "observer" | "participant";
+  role: Role;
+  /** What this page is called in a lease. */
+  me?: string;
   commands: boolean;
   hand: boolean;
   streams: StreamAbout[];
@@ -116,12 +134,19 @@ export interface HandNotice {
   text: string;
 }
 
+/** A question for the way to this page and back, and what it was found to be last [s]. */
+export interface WayFrame {
+  k: "way";
+  stamp_s: number;
+  way_s: number | null;
+}
+
 export interface Forms {
   k: "forms";
   forms: Facts;
 }
 
-export type ServerFrame = Forms | Tick | Snapshot | Answer | Refused | HandNotice;
+export type ServerFrame = WayFrame | Forms | Tick | Snapshot | Answer | Refused | HandNotice;
 
 export function read(frame: ArrayBuffer): ServerFrame {
   return decode(new Uint8Array(frame)) as ServerFrame;

@@ -12,11 +12,16 @@ export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | {
 export type FromSocket = { k: "open" } | { k: "frame"; frame: ArrayBuffer } | { k: "closed" };
 
 const SEND_MS = 15;
+/** Whoever has the hand and was not heard for a second has lost it. */
+const HERE_MS = 250;
 
 // seen from here the page is what a worker is seen from the page
 const page = self as unknown as Worker;
 const spring = new Spring();
 let socket: WebSocket | undefined;
+/** What this page is called in a lease, and the number of the one that it has, 0 for none. */
+let me = "";
+let lease = 0;
 
 page.onmessage = ({ data }: MessageEvent<ToSocket>) => {
   if ("open" in data) open(data.open);
@@ -27,23 +32,43 @@ page.onmessage = ({ data }: MessageEvent<ToSocket>) => {
   }
 };
 setInterval(push, SEND_MS);
+// not before the server has told who this page is: its first frame is its token
+setInterval(() => me && here(), HERE_MS);
 
 function open(url: string): void {
   socket = new WebSocket(url);
   socket.binaryType = "arraybuffer";
+  lease = 0;
+  me = "";
   socket.onopen = () => tell({ k: "open" });
   socket.onclose = () => tell({ k: "closed" });
   socket.onmessage = ({ data }: MessageEvent<ArrayBuffer>) => {
-    spring.take(read(data));
+    const frame = read(data);
+    spring.take(frame);
+    if (frame.k === "way") {
+      asked = [frame.stamp_s, performance.now()];
+      here();
+    }
+    if (frame.k === "snapshot") me = frame.me ?? "";
+    if ((frame.k === "snapshot" || frame.k === "tick") && frame.lease) lease = me && frame.lease.holder === me ? frame.lease.number : 0;
     tell({ k: "frame", frame: data }, [data]);
   };
+}
+
+/** The newest question for the way to this page [s], and when it came [ms]. */
+let asked: [stamp_s: number, at: number] | undefined;
+
+function here(): void {
+  const way = asked && { stamp_s: asked[0], waited_s: (performance.now() - asked[1]) / 1e3 };
+  asked = undefined;
+  send(pack({ k: "here", ...way }));
 }
 
 function push(): void {
   const force = spring.next(performance.now());
   if (force === undefined) return;
   const [across_x_n, across_y_n] = spring.acrossForce;
-  send(pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null }));
+  send(pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null, lease }));
 }
 
 function send(frame: Uint8Array<ArrayBuffer>): void {

@@ -4,6 +4,7 @@ import {
   floats,
   type EventFacts,
   type Facts,
+  type LeaseFacts,
   type Line,
   type NodeFacts,
   type Snapshot,
@@ -43,6 +44,13 @@ export class Clock {
 /** Everything that the page knows of the rig. */
 export class Store {
   role: Snapshot["role"] = "observer";
+  me = "";
+  age: NonNullable<Tick["age"]> = [];
+  /** The way from the server to this page and back [s], NaN until it is known. */
+  wayS = NaN;
+  /** Between two frames of this page, as requestAnimationFrame has them [s], NaN until it is known. */
+  frameS = NaN;
+  lease: LeaseFacts = { number: 0, holder: "", label: "", what: "page", kept: false, asking: [] };
   commands = false;
   hand = false;
   forms: Facts = {};
@@ -65,6 +73,8 @@ export class Store {
   /** Begin anew with what the server knows. Curves stay, as after a lost connection, unless `forget`. */
   begin(snapshot: Snapshot): void {
     this.role = snapshot.role;
+    this.me = snapshot.me ?? "";
+    if (snapshot.lease) this.lease = snapshot.lease;
     this.commands = snapshot.commands;
     this.hand = snapshot.hand;
     this.forms = snapshot.forms;
@@ -98,7 +108,14 @@ export class Store {
     for (const [name, data] of Object.entries(tick.streams ?? {})) this.push(name, data);
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
+    if (tick.lease) this.lease = tick.lease;
+    if (tick.age) this.age = tick.age;
     if (tick.origin_ns) this.originNs = tick.origin_ns;
+  }
+
+  /** The number of the lease that this page has, 0 for none. */
+  get ownLease(): number {
+    return this.me && this.lease.holder === this.me ? this.lease.number : 0;
   }
 
   /** Nodes that have stopped reporting; those of a recording come at the pace of the recording. */

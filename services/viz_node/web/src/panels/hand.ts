@@ -1,5 +1,6 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
+import { LeaseBar } from "../lease";
 
 /** One unit for one quantity: a number that changes its prefix cannot be read at a glance. */
 const FACTS: readonly (readonly [name: string, stream: string, column: string, factor: number, unit: string])[] = [
@@ -21,6 +22,7 @@ export class HandPanel implements Panel {
   private readonly names = FACTS.map(([name]) => make("dt", {}, name));
   private readonly values = FACTS.map(() => make("dd", {}, "–"));
   private readonly control: HTMLElement;
+  readonly lease: LeaseBar;
 
   constructor(
     root: HTMLElement,
@@ -28,8 +30,10 @@ export class HandPanel implements Panel {
   ) {
     const { hand } = cockpit;
     const number = (kind: string, title: HTMLElement, value: HTMLElement): HTMLElement => make("div", { class: `number ${kind}` }, title, make("div", { class: "big" }, value, make("span", {}, "N")));
+    this.lease = new LeaseBar(cockpit.commands, cockpit.store);
     this.control = make("div", { class: "row tight" }, hand.keepButton);
     root.append(
+      this.lease.root,
       make("div", { class: "numbers" }, number("own", make("h3", {}, "The hand presses with"), this.own), number("felt", this.feltTitle, this.felt)),
       hand.pad,
       hand.text,
@@ -42,6 +46,7 @@ export class HandPanel implements Panel {
     const { hand } = this.cockpit;
     for (const part of [hand.text, this.control]) part.hidden = !hand.isOffered;
     hand.begin();
+    this.lease.write();
   }
 
   frame(): void {
@@ -50,6 +55,7 @@ export class HandPanel implements Panel {
 
   write(): void {
     const { store } = this.cockpit;
+    this.lease.write();
     show(this.own, force(store.last("hand", "force")));
     show(this.felt, force(store.last("command", "tip_force")));
     const channel = feltChannel(store.fact(AFM, "felt_channel"), store.fact(AFM, "felt_clamp"));

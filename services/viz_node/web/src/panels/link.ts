@@ -1,4 +1,5 @@
 import { adviceFor, delayText, lineText, type Way } from "../advice";
+import { ageText, agesOf } from "../age";
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { faultLine, faultOf, judge } from "../field";
@@ -13,6 +14,7 @@ export class LinkPanel implements Panel {
   private readonly set = make("button", { type: "button", id: "delay-set", onclick: () => this.setDelay() }, "Set");
   private readonly fault = faultLine(this.delay);
   private readonly advice = make("div", { class: "quiet linkline", id: "advice" });
+  private readonly age = make("div", { class: "quiet linkline", id: "age" });
   private readonly line = make("div", { class: "quiet linkline", id: "line" });
   /** What is in force but in no list of profiles, such as `custom`; it cannot be chosen. */
   private readonly other = make("option", { disabled: true });
@@ -26,7 +28,7 @@ export class LinkPanel implements Panel {
     this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
-    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line);
+    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line, this.age);
   }
 
   begin(): void {
@@ -56,6 +58,9 @@ export class LinkPanel implements Panel {
     if (this.advice.textContent !== text) this.advice.textContent = text;
     const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends"].map((key) => store.fact(`line/${way}`, key))));
     if (this.line.textContent !== line) this.line.textContent = line;
+    const { short, long } = ageText(agesOf(store.age, store.wayS, store.frameS));
+    if (this.age.textContent !== short) this.age.textContent = short;
+    this.age.title = long;
     // an empty field shows what is in force, as those of the settings do; what somebody is typing stays
     const delay = delayText(ways);
     if (delay === this.delayShown) return;

@@ -36,7 +36,7 @@ export class StatusPanel implements Panel {
     const name = source.name.split("/").at(-1) ?? "";
     this.source.textContent = link !== "open" ? "" : source.kind === "recording" ? `recording ${name}` : "live";
     this.source.title = source.name;
-    this.role.textContent = link !== "open" ? "" : role === "observer" ? "observer: looks only" : "operator";
+    this.role.textContent = link !== "open" ? "" : role === "observer" ? "observer: looks, and may stop" : role;
   }
 
   /** Show what an operator must not overlook, at its time and not with the frames, of which a slow machine draws few. */

@@ -39,7 +39,7 @@ def publish(book: AddressBook, src: str, topic: str, text: str, rate_hz: float, 
     if not isinstance(given, dict):
         raise ConfigError(f"{topic}: the fields must be a mapping, such as {{force_n: [0, 0, -0.5]}}")
     unknown = sorted(set(given) - set(row.model.model_fields))
-    missing = sorted(set(row.model.model_fields) - set(given) - _OWN)
+    missing = sorted(set(row.model.model_fields) - set(given) - set(row.model.additions) - _OWN)
     if unknown or missing:
         words = [f"unknown: {', '.join(unknown)}"] * bool(unknown) + [f"missing: {', '.join(missing)}"] * bool(missing)
         raise ConfigError(f"{topic}: {'; '.join(words)}; `telenano topic info {topic}` lists the fields")

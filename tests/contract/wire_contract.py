@@ -1,7 +1,8 @@
 """The committed form of the contract: a JSON Schema a message, golden bytes, and the topic table of SPEC.md.
 
-`python -m proto.contract` rewrites them from the models; with `--check` it changes nothing and exits 1 naming the
-files that differ. The examples behind the golden bytes are made from the schemas, so that a new field gets its own.
+`python tests/contract/wire_contract.py` rewrites them from the models; with `--check` it changes nothing and exits 1
+naming the files that differ. The examples behind the golden bytes are made from the schemas, so that a new field gets
+its own.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from proto.messages import Array, Message
 from proto.ranges import RANGES, any_range
 from proto.topics import TOPICS, Topic
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).resolve().parents[2] / "proto"
 # These parts of SPEC.md are generated.
 PARTS = ("topics", "ranges")
 
@@ -187,12 +188,14 @@ def rewrite(folder: Path = FOLDER) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None, folder: Path = FOLDER) -> int:
     """Rewrite or check the files; return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m proto.contract", description="Write or check the wire contract.")
+    parser = argparse.ArgumentParser(
+        prog="python tests/contract/wire_contract.py", description="Write or check the wire contract."
+    )
     parser.add_argument("--check", action="store_true", help="change nothing, exit 1 if a file has drifted")
     if parser.parse_args(arguments).check:
         names = drifted(folder)
         for name in names:
-            sys.stderr.write(f"proto/{name} differs from the models: run python -m proto.contract\n")
+            sys.stderr.write(f"proto/{name} differs from the models: run python tests/contract/wire_contract.py\n")
         return 1 if names else 0
     for name in rewrite(folder):
         sys.stdout.write(f"wrote proto/{name}\n")
@@ -285,7 +288,7 @@ def _json_text(data: Any) -> str:
 
 
 def _with_table(spec: str, part: str, table: str) -> str:
-    first, last = f"<!-- {part}: written by proto.contract -->", f"<!-- end of {part} -->"
+    first, last = f"<!-- {part}: written by tests/contract/wire_contract.py -->", f"<!-- end of {part} -->"
     head, start, rest = spec.partition(first)
     _, end, tail = rest.partition(last)
     if not (start and end):

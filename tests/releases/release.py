@@ -20,7 +20,7 @@ from collections.abc import Iterable, Sequence
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 # Words of the licences that ask something of who passes the package on, beside naming it.
 COPYLEFT = ("GPL", "MPL", "EPL", "CDDL", "GNU")

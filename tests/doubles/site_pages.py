@@ -17,7 +17,7 @@ from nbconvert.preprocessors import ExecutePreprocessor
 from telenano_studies.pages.gallery import FOLDER, fragment_of
 from traitlets.config import Config
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 # documents beside docs/, which its pages link to; a package that `telenano new` made here is none
 _BESIDE = ("*.md", *(f"{at}*/README.md" for at in ("", "services/", "firmware/", "packages/")), "proto/*.md")
 _OTHERS = {

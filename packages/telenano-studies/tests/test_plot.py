@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sample
+from telenano_studies import plot
+from telenano_studies.plot import Trace, extremes, read_traces
 
-from analysis import plot
-from analysis.plot import Trace, extremes, read_traces
 from proto import encode
 from recording.indexed import IndexedRecording
 from recording.writer import FileSettings, RecordingWriter

@@ -17,7 +17,7 @@ from recording.writer import RecordingWriter
 from services.haptic_node.config import HapticConfig
 from services.recorder.config import RecorderConfig
 from services.runtime.settings.config import merge
-from telenano.cli.commands.bag import app
+from telenano.cli.root import app
 
 HAND_ID = f"{DEVICE_ID:016x} 2026-01-01T00:00:00+00:00"
 STAGE_ID = "t7 470012345 2026-01-01T00:00:00+00:00"
@@ -53,7 +53,7 @@ def test_positions_and_forces_are_those_of_the_new_calibration(tmp_path: Path) -
     handle = written(tmp_path / "h.yaml", handle_file(HapticConfig()), position={"m_per_count": 2e-6})
     stage = written(tmp_path / "s.yaml", stage_file(1e6, 40.0), deflection={"zero_v": 0.0003}, stage={"m_per_v": 5e-8})
     out = tmp_path / "again.mcap"
-    arguments = ["recalibrate", str(source), "--handle", handle, "--stage", stage, "--out", str(out), "--json"]
+    arguments = ["bag", "recalibrate", str(source), "--handle", handle, "--stage", stage, "--out", str(out), "--json"]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     before = {message.topic + message.src: message.decode() for message in Recording(source).messages()}
@@ -73,7 +73,7 @@ def test_calibration_of_another_device_is_refused(tmp_path: Path) -> None:
     source = recorded(tmp_path)
     stage = written(tmp_path / "s.yaml", stage_file(1e6, 40.0), instrument={"serial": 7})
     out = tmp_path / "again.mcap"
-    done = CliRunner().invoke(app, ["recalibrate", str(source), "--stage", stage, "--out", str(out)])
+    done = CliRunner().invoke(app, ["bag", "recalibrate", str(source), "--stage", stage, "--out", str(out)])
     assert done.exit_code == 2
     text = " ".join(done.output.split())
     assert "was recorded with the device t7 470012345, and the calibration is that of t7 7" in text
@@ -83,9 +83,11 @@ def test_calibration_of_another_device_is_refused(tmp_path: Path) -> None:
 def test_recording_without_raw_values_is_a_sentence(tmp_path: Path) -> None:
     source = recorded(tmp_path, raw=False)
     handle = written(tmp_path / "h.yaml", handle_file(HapticConfig()))
-    done = CliRunner().invoke(app, ["recalibrate", str(source), "--handle", handle, "--out", str(tmp_path / "a.mcap")])
+    done = CliRunner().invoke(
+        app, ["bag", "recalibrate", str(source), "--handle", handle, "--out", str(tmp_path / "a.mcap")]
+    )
     assert done.exit_code != 0
     assert "has no raw values" in " ".join(done.output.split())
-    neither = CliRunner().invoke(app, ["recalibrate", str(source), "--out", str(tmp_path / "a.mcap")])
+    neither = CliRunner().invoke(app, ["bag", "recalibrate", str(source), "--out", str(tmp_path / "b.mcap")])
     assert neither.exit_code == 2
     assert "give a calibration file" in neither.output

@@ -1,0 +1,16 @@
+"""An ordinary message of each topic for the benchmarks, from the examples of the wire contract."""
+
+import sys
+from pathlib import Path
+
+from proto.messages import Message
+from proto.topics import TOPICS
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "contract"))
+
+
+def ordinary_example(topic: str) -> Message:
+    """Return the ordinary example of a topic."""
+    from wire_contract import examples
+
+    return examples(TOPICS[topic])["ordinary"]

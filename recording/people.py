@@ -1,0 +1,35 @@
+"""Who acted in a recording: the names in its commands, answers and events, by what they did."""
+
+from collections import Counter
+from typing import Any
+
+from recording.messages import LeftOut
+from recording.multi_file import RecordingSource
+
+TOPICS = ("session/control", "session/event")
+
+
+def people_in(recording: RecordingSource) -> dict[str, dict[str, int]]:
+    """Return by name how often it gave each command, and how often it was given the hand.
+
+    A command is sent again until it is answered, and counts once; what cannot be read is left out.
+    """
+    commands: dict[str, tuple[str, str]] = {}
+    hands: Counter[tuple[str, str]] = Counter()
+    left_out = LeftOut()
+
+    def take(message: Any) -> None:
+        fields = message.decode()
+        if message.channel.topic == "session/control":
+            by, command = fields.by, fields.command
+        else:
+            by, command = fields.data.get("by"), fields.data.get("command")
+        if by and command:
+            commands[fields.id] = by, command
+        elif by:
+            hands[by, "hand"] += 1
+
+    for message in recording.select(lambda channel: channel.topic in TOPICS and channel.via == "direct"):
+        left_out.guard(take, message)
+    counted = hands + Counter(commands.values())
+    return {name: {what: n for (by, what), n in sorted(counted.items()) if by == name} for name, _ in sorted(counted)}

@@ -1,0 +1,38 @@
+/** One part of the age of what is felt at this page [s]. */
+export interface AgePart {
+  name: string;
+  seconds: number;
+}
+
+export const PAGE = "this page's network";
+export const FRAME = "frame of this page";
+const LAST_FRAMES = 60;
+
+/** Between two frames in the middle of the last ones [s]. */
+export function medianFrame(frames: readonly number[]): number {
+  const last = frames.slice(-LAST_FRAMES).sort((a, b) => a - b);
+  return last.length ? last[last.length >> 1]! / 1e3 : NaN;
+}
+
+/**
+ * The age of what is felt at a page by its parts: those of the loop, the way to the page and back, over which force and
+ * answer go, and a frame of the page, as requestAnimationFrame has it.
+ */
+export function agesOf(loop: readonly [string, number, number][], wayS: number, frameS: number): AgePart[] {
+  if (loop.length < 2) return [];
+  const parts = loop.slice(0, -1).map(([name, seconds]) => ({ name, seconds }));
+  if (Number.isFinite(wayS)) parts.push({ name: PAGE, seconds: wayS });
+  if (Number.isFinite(frameS)) parts.push({ name: FRAME, seconds: frameS });
+  return parts;
+}
+
+const ms = (seconds: number): string => (1e3 * seconds).toPrecision(seconds < 0.01 ? 2 : 3).replace(/\.0+$/, "");
+
+/** The largest part in words, and all of them; empty where nothing is known. */
+export function ageText(parts: readonly AgePart[]): { short: string; long: string } {
+  if (!parts.length) return { short: "", long: "" };
+  const whole = parts.reduce((sum, part) => sum + part.seconds, 0);
+  const largest = parts.reduce((best, part) => (part.seconds > best.seconds ? part : best));
+  const named = parts.filter((part) => part.seconds > 5e-5).map((part) => `${part.name} ${ms(part.seconds)} ms`);
+  return { short: `Late most by ${largest.name}: ${ms(largest.seconds)} of ${ms(whole)} ms`, long: named.join(", ") };
+}

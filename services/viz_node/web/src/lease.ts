@@ -1,0 +1,71 @@
+import type { Commands } from "./commands";
+import { make } from "./dom";
+import type { LeaseFacts, Role } from "./protocol";
+import type { Store } from "./store";
+
+export interface LeaseAction {
+  text: string;
+  action: "ask" | "take" | "hand_over" | "let_go";
+  /** The id of whom it is for. */
+  to?: string;
+}
+
+/** Who has the hand, in words, and what this page may do about it; the server decides. */
+export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: string; actions: LeaseAction[] } {
+  const isMine = lease.holder !== "" && lease.holder === me;
+  const first = lease.asking.find(([id]) => id !== me);
+  const asks = first ? `; ${first[1]} asks for it` : "";
+  const text = isMine && lease.kept ? "You have the hand" : lease.holder && !isMine ? `Hand: ${lease.label}` : "Nobody has the hand";
+  const actions: LeaseAction[] = [];
+  if (role === "observer" || role === "participant") return { text, actions };
+  const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];
+  if (isMine && lease.kept) return { text: text + asks, actions: [...handOver, { text: "Let go", action: "let_go" }] };
+  const isFree = !lease.holder || isMine;
+  const isOwnProcess = role === "operator" && lease.what !== "page";
+  if (role === "teacher") return { text: text + asks, actions: [{ text: "Take", action: "take" }, ...handOver] };
+  if (role === "operator" && (isFree || isOwnProcess)) return { text, actions: [{ text: "Take", action: "take" }] };
+  const hasAsked = lease.asking.some(([id]) => id === me);
+  return { text: hasAsked ? `${text}; you have asked` : text, actions: hasAsked ? [] : [{ text: "Ask", action: "ask" }] };
+}
+
+/** Who has the hand, with *Ask*, *Hand over*, *Take* and *Let go*. */
+export class LeaseBar {
+  readonly root = make("div", { id: "lease", role: "group", "aria-label": "Who has the hand" });
+  private readonly words = make("span", { id: "lease-text", role: "status" });
+  private readonly buttons = make("span", { class: "row tight" });
+  private shown = "";
+
+  constructor(
+    private readonly commands: Commands,
+    private readonly store: Store,
+  ) {
+    this.root.append(this.words, this.buttons);
+  }
+
+  write(): void {
+    const { store } = this;
+    this.root.hidden = !store.commands || this.commands.link !== "open";
+    const { text, actions } = leaseOffer(store.lease, store.me, store.role);
+    const key = JSON.stringify([text, actions]);
+    if (key === this.shown) return;
+    this.shown = key;
+    this.words.textContent = text;
+    this.root.toggleAttribute("data-asked", text.includes("asks for it"));
+    const hadFocus = this.buttons.contains(document.activeElement);
+    const made = actions.map(({ text: words, action, to }, i) =>
+      make("button", { type: "button", "data-action": action, "aria-keyshortcuts": i ? "" : "h", title: i ? "" : "Key h", onclick: () => void this.want(words, action, to) }, words),
+    );
+    this.buttons.replaceChildren(...made);
+    // whoever works by the keyboard stays where they were
+    if (hadFocus) made[0]?.focus();
+  }
+
+  /** Do the first of what is offered, by a key. */
+  first(): void {
+    (this.buttons.firstElementChild as HTMLButtonElement | null)?.click();
+  }
+
+  private async want(words: string, action: LeaseAction["action"], to = ""): Promise<void> {
+    await this.commands.ask(words, { k: "lease", action, to, lease: this.store.lease.number });
+  }
+}

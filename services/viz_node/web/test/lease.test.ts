@@ -1,0 +1,42 @@
+import { describe, expect, test } from "vitest";
+import { leaseOffer } from "../src/lease";
+import type { LeaseFacts } from "../src/protocol";
+
+const ME = "me";
+const lease = (changes: Partial<LeaseFacts> = {}): LeaseFacts => ({ number: 7, holder: "", label: "", what: "", kept: false, asking: [], ...changes });
+const paul = { holder: "p", label: "Paul", what: "page", kept: true };
+const said = (facts: LeaseFacts, role: Parameters<typeof leaseOffer>[2]): string[] => {
+  const { text, actions } = leaseOffer(facts, ME, role);
+  return [text, ...actions.map((each) => each.text)];
+};
+
+describe("the lease of the hand on the page", () => {
+  test("an observer sees who has it and is offered nothing", () => {
+    expect(said(lease(paul), "observer")).toEqual(["Hand: Paul"]);
+    expect(said(lease(), "observer")).toEqual(["Nobody has the hand"]);
+  });
+  test("an operator takes what nobody has, and asks for what another has", () => {
+    expect(said(lease(), "operator")).toEqual(["Nobody has the hand", "Take"]);
+    expect(said(lease(paul), "operator")).toEqual(["Hand: Paul", "Ask"]);
+    expect(said(lease({ ...paul, asking: [[ME, "Otto"]] }), "operator")).toEqual(["Hand: Paul; you have asked"]);
+    // what lasts as long as an act is not taken
+    expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["Nobody has the hand", "Take"]);
+    expect(said(lease({ holder: "x", label: "the program at the rig", what: "program", kept: true }), "operator")).toEqual(["Hand: the program at the rig", "Take"]);
+  });
+  test("a pupil asks, a teacher takes and hands over", () => {
+    expect(said(lease(), "pupil")).toEqual(["Nobody has the hand", "Ask"]);
+    expect(said(lease(paul), "teacher")).toEqual(["Hand: Paul", "Take"]);
+    expect(said(lease({ ...paul, asking: [["q", "Petra"]] }), "teacher")).toEqual(["Hand: Paul; Petra asks for it", "Take", "Hand over to Petra"]);
+  });
+  test("who has it hands it over to the first who asks, or lets go", () => {
+    const mine = { holder: ME, label: "Otto", what: "page", kept: true };
+    expect(said(lease(mine), "pupil")).toEqual(["You have the hand", "Let go"]);
+    expect(leaseOffer(lease({ ...mine, asking: [["q", "Petra"]] }), ME, "pupil")).toEqual({
+      text: "You have the hand; Petra asks for it",
+      actions: [
+        { text: "Hand over to Petra", action: "hand_over", to: "q" },
+        { text: "Let go", action: "let_go" },
+      ],
+    });
+  });
+});

@@ -1,0 +1,174 @@
+"""The lease of the hand as a pure machine: who may do what, and what becomes of who vanishes."""
+
+from pathlib import Path
+
+import pytest
+
+from proto.errors import RefusedError, RigError
+from services.console import lease_register
+from services.console.lease import (
+    VANISHED_NS,
+    Lease,
+    Party,
+    act,
+    ask,
+    current,
+    ended,
+    hand_over,
+    let_go,
+    packed,
+    seen,
+    stood_still,
+    take,
+    unpacked,
+    withdrawn,
+)
+from services.console.lease_register import LeaseRegister, acting, holding
+
+OBSERVER = Party("o", "Olga", "observer")
+PUPIL, OTHER = Party("p", "Paul", "pupil"), Party("q", "Petra", "pupil")
+OWNER, SECOND = Party("1"), Party("2")
+TEACHER = Party("t", "Tina", "teacher")
+PARTICIPANT = Party("x", "", "participant")
+CONSOLE, PROGRAM = Party("c", what="console"), Party("g", what="program")
+EXPERIMENT = Party("e", what="experiment")
+
+
+def held_by(party: Party, now_ns: int = 5) -> Lease:
+    return Lease(7, party, now_ns, kept=True)
+
+
+def test_who_acts_has_the_hand_for_as_long_as_the_act_takes() -> None:
+    lease = act(Lease(), OWNER, 5)
+    assert (lease.holder, lease.kept) == (OWNER, False)
+    with pytest.raises(RefusedError, match="the operator's page has the hand"):
+        act(lease, SECOND, 6)
+    assert act(ended(lease, OWNER, 7), SECOND, 8).holder == SECOND
+    # what was taken stays
+    assert ended(take(lease, OWNER, 6), OWNER, 7).holder == OWNER
+
+
+@pytest.mark.parametrize("party", [OBSERVER, PUPIL, PARTICIPANT])
+def test_who_looks_or_learns_takes_nothing_by_themselves(party: Party) -> None:
+    for lease in (Lease(), held_by(OWNER), held_by(EXPERIMENT)):
+        with pytest.raises(RefusedError, match="cannot take"):
+            take(lease, party, 6)
+
+
+def test_a_pupil_has_the_hand_when_it_is_handed_over_and_gives_it_back() -> None:
+    with pytest.raises(RefusedError, match="ask for it"):
+        act(Lease(), PUPIL, 5)
+    lease = ask(held_by(OWNER), PUPIL, 6)
+    with pytest.raises(RefusedError, match="only who has the hand, or a teacher"):
+        hand_over(lease, PUPIL, "p", 7, lease.number)
+    lease = hand_over(lease, OWNER, "", 7, lease.number)
+    assert (lease.holder, lease.asking) == (PUPIL, ())
+    with pytest.raises(RefusedError, match="nobody asks"):
+        hand_over(lease, PUPIL, "", 8, lease.number)
+    assert let_go(lease, PUPIL, 9).holder is None
+
+
+def test_a_teacher_takes_it_without_being_granted_and_grants_what_others_have() -> None:
+    assert take(held_by(PUPIL), TEACHER, 6).holder == TEACHER
+    lease = ask(held_by(PUPIL), OTHER, 6)
+    assert hand_over(lease, TEACHER, "q", 7, lease.number).holder == OTHER
+    for party in (OWNER, SECOND):
+        with pytest.raises(RefusedError, match="Paul has the hand"):
+            take(held_by(PUPIL), party, 6)
+
+
+def test_the_owner_at_a_terminal_commands_beside_the_own_page_and_not_beside_a_person() -> None:
+    assert act(held_by(OWNER), CONSOLE, 6).holder == OWNER
+    assert act(held_by(PROGRAM), OWNER, 6).holder == PROGRAM
+    with pytest.raises(RefusedError):
+        act(held_by(PROGRAM), OWNER, 6, presses=True)
+    assert take(held_by(OWNER), PROGRAM, 6).holder == PROGRAM
+    assert take(held_by(PROGRAM), OWNER, 6).holder == OWNER
+    for lease in (held_by(PUPIL), held_by(EXPERIMENT)):
+        with pytest.raises(RefusedError):
+            act(lease, CONSOLE, 6)
+    with pytest.raises(RefusedError, match="Paul has the hand"):
+        take(held_by(PUPIL), PROGRAM, 6)
+
+
+def test_a_participant_presses_under_the_lease_of_the_experiment() -> None:
+    assert act(held_by(EXPERIMENT), PARTICIPANT, 6, presses=True).holder == EXPERIMENT
+    with pytest.raises(RefusedError):
+        act(held_by(OWNER), PARTICIPANT, 6, presses=True)
+
+
+def test_what_was_said_under_an_earlier_lease_is_refused() -> None:
+    first = take(Lease(), OWNER, 5)
+    second = take(let_go(first, OWNER, 6), OWNER, 7)
+    for number in (first.number, 0):
+        with pytest.raises(RefusedError, match="earlier lease"):
+            act(second, OWNER, 8, number)
+    assert act(second, OWNER, 8, second.number).holder == OWNER
+    with pytest.raises(RefusedError, match="earlier lease"):
+        act(let_go(second, OWNER, 9), OWNER, 10, second.number)
+
+
+def test_who_vanishes_loses_it_and_the_tip_is_withdrawn_if_it_was_pressed() -> None:
+    pressed = act(take(Lease(), OWNER, 0), OWNER, 0, 1, presses=True)
+    assert current(pressed, VANISHED_NS) == pressed
+    gone = current(pressed, VANISHED_NS + 1)
+    assert (gone.holder, gone.withdraw) == (None, True)
+    assert not withdrawn(gone, VANISHED_NS + 2).withdraw
+    # who has it next decides for themselves
+    assert not take(gone, SECOND, VANISHED_NS + 2).withdraw
+    assert not current(ended(pressed, OWNER, 1), 2 * VANISHED_NS + 2).withdraw
+    # a time ahead is one of before the machine was started again
+    assert current(pressed._replace(seen_ns=10), 9).holder is None
+    assert seen(pressed, OWNER, VANISHED_NS + 1).holder is None
+
+
+def test_a_server_that_stood_still_for_a_moment_keeps_the_hand_of_its_page_unless_another_took_it() -> None:
+    taken = take(Lease(), OWNER, 0)
+    late_ns = 2 * VANISHED_NS
+    assert stood_still(taken, OWNER, late_ns).holder == OWNER
+    assert stood_still(current(taken, late_ns), OWNER, late_ns).holder is None
+    assert stood_still(take(taken, TEACHER, late_ns), OWNER, late_ns).holder == TEACHER
+    assert stood_still(taken, OWNER, 2 * late_ns).holder is None
+
+
+def test_a_lease_is_kept_as_it_is_and_half_a_file_is_nobodys() -> None:
+    lease = ask(held_by(OWNER), PUPIL, 6)
+    assert unpacked(packed(lease)) == lease
+    for data in (b"", packed(lease)[:40], b"[]", b'{"holder": 3, "asking": []}', b"\xff"):
+        assert unpacked(data) == Lease()
+
+
+def test_processes_share_the_lease_by_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
+    register = LeaseRegister()
+    with holding("program") as hold:
+        assert register.look().holder == hold.party
+        with acting() as same:
+            assert same is hold
+        register.change(lambda lease, now_ns: take(lease, TEACHER, now_ns))
+        assert not hold.is_held()
+        with pytest.raises(RefusedError, match="Tina has the hand now"), acting():
+            pass
+    assert register.look().holder == TEACHER
+    with pytest.raises(RefusedError, match="Tina has the hand"), acting():
+        pass
+    register.change(lambda lease, now_ns: let_go(lease, TEACHER, now_ns))
+    with acting() as hold:
+        assert register.look().holder == hold.party
+    assert register.look().holder is None
+
+
+def test_a_process_that_stands_still_with_the_file_holds_up_nobody_for_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lease_register, "_PATIENCE_S", 0.02)
+    first, second = LeaseRegister(tmp_path), LeaseRegister(tmp_path)
+    first.change(lambda lease, now_ns: take(lease, OWNER, now_ns))
+
+    def stands_still(lease: Lease, now_ns: int) -> Lease:
+        assert second.look().holder == OWNER
+        with pytest.raises(RigError, match="stands still"):
+            second.change(current)
+        return lease
+
+    first.change(stands_still)
