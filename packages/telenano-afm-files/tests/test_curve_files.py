@@ -138,9 +138,11 @@ def test_a_map_gives_any_of_its_curves_and_the_sensitivity_of_each(tmp_path):
     # the last curve of the map never meets the sample
     assert (document["curves"], document["curves_without_hard_contact"]) == (3, 1)
     write_hdf5(tmp_path / "no_sensitivity.h5", far)
-    with pytest.raises(ConfigError, match=r"no_sensitivity\.h5: is no file of curves: its metadata lack sensitivity"):
+    with pytest.raises(
+        ConfigError, match=r"no_sensitivity\.h5: is no file of curves: its metadata lack the sensitivity"
+    ):
         sensitivities_of_file(tmp_path / "no_sensitivity.h5")
-    with pytest.raises(ConfigError, match="it is no map, of which the curve 1 could be chosen"):
+    with pytest.raises(ConfigError, match="it has no curve 1; it has 1, and the first is 0"):
         read_measured(tmp_path / "one.jpk-force", 1)
 
 
@@ -166,7 +168,11 @@ def test_a_curve_without_spring_constant_or_way_back_is_refused_by_file(tmp_path
     data = [number for number, line in enumerate(lines) if line and not line.startswith("#")]
     (tmp_path / "half.tab").write_text("\n".join(lines[: data[19] + 1]) + "\n")
     (tmp_path / "not_a.jpk-force").write_bytes(b"PK no archive")
-    for name, words in (("no_k.tab", "spring constant"), ("half.tab", "retraction"), ("not_a.jpk-force", "no whole")):
+    for name, words in (
+        ("no_k.tab", "stiffness_n_per_m: the file has no such value"),
+        ("half.tab", "retraction"),
+        ("not_a.jpk-force", "no whole"),
+    ):
         with pytest.raises(ConfigError, match=words) as error:
             read_measured(tmp_path / name)
         assert str(tmp_path / name) in str(error.value)
@@ -205,9 +211,9 @@ def test_a_measured_curve_is_marked():
 @pytest.mark.parametrize(
     "reader",
     [
-        "telenano_afm_files.curve_files:load_afmformats",
+        "telenano_afm_files.curve_files:load_one",
         "telenano_afm_files.curve_files:load_deflections",
-        "telenano_afm_files.map_libraries:load_curves",
+        "telenano_afm_files.curve_files:load_curves",
     ],
 )
 def test_a_curve_of_creep_or_relaxation_is_refused_by_name(reader, mode, tmp_path):

@@ -12,7 +12,7 @@ from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import Jitter
 
 from proto.errors import ConfigError
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.haptic_node.operator_config import ARMS
 from studies.loops import lockstep
 

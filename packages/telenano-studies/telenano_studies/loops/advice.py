@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from analysis.statistics import Statistic, share, statistic
 from proto.errors import ConfigError
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.delay_node.profiles import profile_named
 from services.runtime.settings.config import Settings as StrictSettings
 from services.runtime.settings.option import Option
