@@ -9,6 +9,10 @@ COMMANDS = {
         "telenano_networks.fit_command:fit",
         "Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.",
     ),
+    "link picture": (
+        "telenano_networks.picture_command:picture",
+        "Draw what networks do forward: delay, its distribution and autocorrelation, stalls, losses, and age.",
+    ),
     "link report": (
         "telenano_networks.report_command:report",
         "Show what the link did to the messages of a recording: delay, loss, stalls and order, by direction.",

@@ -279,3 +279,18 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     )
     assert "outage" not in twin["link"]["forward"]
     assert "data:image/png" in (tmp_path / "line" / "fit.html").read_text(encoding="utf-8")
+
+
+def test_networks_are_drawn_with_the_age_at_a_reader(tmp_path: Path) -> None:
+    command = ["link", "picture", "starlink_driving", "clean", "--out", str(tmp_path / "p"), "--json"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)["networks"]
+    assert found["clean"]["delay_ms"] == {"p50": 0.0, "p99": 0.0}
+    assert found["clean"]["age_ms"]["p99"] == pytest.approx(5.0, abs=0.2)
+    # a reader of the newest sees the delay and half a period
+    starlink = found["starlink_driving"]
+    assert starlink["delay_ms"]["p50"] < starlink["age_ms"]["p50"] < starlink["delay_ms"]["p50"] + 10.0
+    assert (tmp_path / "p" / "networks.png").read_bytes().startswith(b"\x89PNG")
+    refused = CliRunner().invoke(app, ["link", "picture", "mars", "--out", str(tmp_path / "p")])
+    assert "unknown profile 'mars'" in refused.stderr
