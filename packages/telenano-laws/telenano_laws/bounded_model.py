@@ -65,7 +65,6 @@ from telenano_laws.ports import (
     received_anew,
     sent_on,
     slid_work,
-    stood,
     tank,
 )
 
@@ -75,6 +74,8 @@ _FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_
 _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
 # the model agrees with what came back where their forces at the hand differ by less than this [N]
 _AGREES_N = 0.5
+# A device that follows is behind its reference by less than this [m].
+_LONGEST_LEAD_M = 2e-3
 # a part of `memory_m` over which the slope is the one assumed beforehand
 _UNKNOWN_SHARE = 0.1
 # The tip asks for energy where less than this part of E_0 is left.
@@ -427,14 +428,19 @@ def master_receive(
         y = mass.position_m + offset
         contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j), True
         store = tank(store, -potential(contact, y), params.cap_j)
-    if not hand.following:
-        # A device that is off for a moment stands: the lead of its reference is undone, and booked like a motion.
-        y, back = mass.position_m + offset, hand.position_m - mass.position_m
+    lead = mass.position_m - hand.position_m
+    if not hand.following or abs(lead) > _LONGEST_LEAD_M:
+        # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
+        # and booked like a motion.
+        y, kept = mass.position_m + offset, bounded(lead, _LONGEST_LEAD_M) if hand.following else 0.0
+        mass = Mass(hand.position_m + kept, 0.0, mass.tip_offset_m, True)
+        back = kept - lead
         if rendered:
             force = contact_force(contact, y + back)
             store = tank(store, potential(contact, y) - potential(contact, y + back), params.cap_j)
         store = tank(store, hand.force_n * back, params.cap_j)
-        state = MasterState(stood(mass, hand), seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s)
+    if not hand.following:
+        state = MasterState(mass, seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s)
         return state, MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
         y = mass.position_m + offset

@@ -1,9 +1,10 @@
 """A point of the frontier is the median of what was held, over the networks that it is drawn for."""
 
+import csv
 from pathlib import Path
 
 import pytest
-from telenano_laws.frontier import frontier, points_of
+from telenano_laws.frontier import main, points_of
 
 
 def run(law: str, network: str, verdict: str, tracking: str, stiffness: str, least_mj: str) -> dict[str, str]:
@@ -12,11 +13,12 @@ def run(law: str, network: str, verdict: str, tracking: str, stiffness: str, lea
 
 
 ROWS = [
-    run("soft", "clean", "stable", "0.6", "0.3", "0.0"),
-    run("soft", "clean", "stable", "0.8", "0.5", "0.0"),
-    run("soft", "clean", "stable", "", "", "-0.1"),
+    run("soft", "clean", "stable", "0.1", "1.0", "-5"),
+    run("soft", "transatlantic", "stable", "0.6", "0.3", "0.0"),
+    run("soft", "transatlantic", "stable", "0.8", "0.5", "0.0"),
+    run("soft", "transatlantic", "stable", "", "", "-0.1"),
     run("soft", "satellite", "stable", "0.9", "0.2", "0.0"),
-    run("wild", "clean", "diverged", "0.1", "1.0", "-40"),
+    run("wild", "transatlantic", "diverged", "0.1", "1.0", "-40"),
     run("wild", "satellite", "diverged", "", "", "-90"),
 ]
 
@@ -28,6 +30,12 @@ def test_points_have_the_medians_of_what_was_held_and_the_least_of_all() -> None
     assert points_of(ROWS, over_long=True)[0].tracking == 0.9
 
 
-def test_the_picture_is_drawn_also_where_a_law_held_nothing(tmp_path: Path) -> None:
-    frontier(ROWS).savefig(tmp_path / "frontier.png")
-    assert (tmp_path / "frontier.png").stat().st_size > 10_000
+def test_the_command_draws_the_runs_of_a_benchmark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs, picture = tmp_path / "runs.csv", tmp_path / "frontier.png"
+    with runs.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(ROWS[0]))
+        writer.writeheader()
+        writer.writerows(ROWS)
+    monkeypatch.setattr("sys.argv", ["frontier", str(runs), str(picture)])
+    main()
+    assert picture.read_bytes().startswith(b"\x89PNG")
