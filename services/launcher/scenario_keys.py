@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from presets import scenarios
 from proto.errors import ConfigError, known_names
 from proto.nodes import SERVICES
+from services.controller.config import PACKAGE_LAWS
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.settings.config import merge, read_yaml
 from services.runtime.settings.device_drivers import core_only
@@ -27,10 +28,10 @@ class Key(NamedTuple):
 
 
 def scenario_schema(*, core: bool = False) -> dict[str, Any]:
-    """Return the JSON Schema of a scenario file, the sections of all nodes included; core: no driver of a package."""
+    """Return the JSON Schema of a scenario file, the sections of all nodes included; core: nothing of a package."""
     if core:
         with core_only():
-            return scenario_schema()
+            return _without_package_laws(scenario_schema())
     schema = Scenario.model_json_schema()
     definitions: dict[str, Any] = dict(schema.pop("$defs", {}))
     for name in SERVICES:
@@ -40,6 +41,14 @@ def scenario_schema(*, core: bool = False) -> dict[str, Any]:
         schema["properties"][name] = {**section, "description": about}
     head = {"$schema": _DIALECT, "title": "Scenario of telenano", "description": "An experiment: one section a node"}
     return {**schema, **head, "$defs": dict(sorted(definitions.items()))}
+
+
+def _without_package_laws(schema: dict[str, Any]) -> dict[str, Any]:
+    keys, found = schema["properties"]["controller"]["properties"], PACKAGE_LAWS.found
+    keys["law"]["enum"] = [name for name in keys["law"]["enum"] if name not in found]
+    for name, law in found.items():
+        del keys[name], schema["$defs"][f"controller.{law.config.__name__}"]
+    return schema
 
 
 def site_schema() -> dict[str, Any]:

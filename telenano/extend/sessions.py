@@ -8,4 +8,5 @@ from recording.arrays import columns as columns
 from recording.arrays import last_programme as last_programme
 from recording.site_clock import Timeline as Timeline
 from services.afm_node.config import AfmConfig as AfmConfig
+from services.delay_node.profiles import profile_named as profile_named
 from services.runtime.settings.config import validate as validate

@@ -62,10 +62,8 @@ def carried(name: str, seed: int) -> "LineLog":
 
     from services.delay_node.config import parse_settings
     from services.delay_node.engine import fates_of
-    from services.delay_node.profiles import profile_named
     from telenano_networks.line_log import LineLog, Segment
 
-    profile_named(name)
     times_ns = range(0, _SECONDS * 10**9, _PERIOD_NS)
     settings = parse_settings({"profile": name, "seed": seed})
     fates = [one for one in fates_of(settings, "forward", "udp", times_ns, _SIZE_BYTES) if one.copy == 0]

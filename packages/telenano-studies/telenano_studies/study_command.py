@@ -11,13 +11,13 @@ import typer
 
 from analysis.page import Page, write_images
 from analysis.table_files import table_formats
-from services.delay_node.profiles import profile_named
 from services.viz_node.figure_style import figure_options, styled
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group
 from telenano.cli.output import report_errors, results_folder
 from telenano.cli.sample_options import results_in
+from telenano.extend.sessions import profile_named
 from telenano_studies.gallery_command import gallery_command
 from telenano_studies.loops import advice
 from telenano_studies.loops.advice import Question

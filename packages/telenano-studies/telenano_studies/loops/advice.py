@@ -20,9 +20,9 @@ from pydantic import Field, model_validator
 from analysis.statistics import Statistic, share, statistic
 from proto.errors import ConfigError
 from services.controller.config import OWN_LAWS as LAWS
-from services.delay_node.profiles import profile_named
 from services.runtime.settings.config import Settings as StrictSettings
 from services.runtime.settings.option import Option
+from telenano.extend.sessions import profile_named
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.tuning import Settings, tuned
