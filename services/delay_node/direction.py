@@ -13,6 +13,7 @@ from typing import NamedTuple
 from services.delay_node.config import DirectionSettings, LinkSettings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
 from services.delay_node.models.jitter import JitterSource
+from services.delay_node.models.outages import Outages
 from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
 from services.runtime.loop.node_state import FindInput
@@ -85,8 +86,13 @@ class DirectionEngine:
         self._topic_pipelines: dict[str, TopicPipeline] = {}
         self._queues = self._all_queues()
 
-    def submit(self, now_ns: int, topic: str, payload: bytes, seq: int, src: str = "") -> Sequence[Release]:
-        """Accept a message that arrived at now_ns [ns] and return all that is due now, in order."""
+    def submit(
+        self, now_ns: int, topic: str, payload: bytes, seq: int, src: str = "", *, at_once: bool = False
+    ) -> Sequence[Release]:
+        """Accept a message that arrived at now_ns [ns] and return all that is due now, in order.
+
+        Nothing impairs, holds or delays a message that goes on `at_once`.
+        """
         if now_ns < self._now_ns:
             now_ns = self._now_ns
         self._now_ns = now_ns
@@ -96,9 +102,10 @@ class DirectionEngine:
         self._arrivals += 1
         if self._queues:
             self._advance(now_ns)
-        if pipeline.constant_ns is None:
+        constant_ns = 0 if at_once else pipeline.constant_ns
+        if constant_ns is None:
             self._impair(pipeline, now_ns, payload, seq, src)
-        elif (release := self._delay(pipeline, now_ns, payload, seq, src)) is not None:
+        elif (release := self._delay(pipeline, constant_ns, now_ns, payload, seq, src)) is not None:
             return (release,)
         heap = self._heap
         return self.due(now_ns) if heap and heap[0][0] <= now_ns else ()
@@ -160,18 +167,27 @@ class DirectionEngine:
         self._topic_pipelines = {topic: self._pipeline.of_topic(topic) for topic in self._topic_pipelines}
         self._pipeline.forget_unused()
         self._queues = self._all_queues()
+        same_topics = tuple(old) == tuple(self._pipeline.shared_models)
         for pattern, shared in old.items():
-            if shared.queue is not None and all(shared.queue is not queue for queue in self._queues):
-                self._empty(shared.queue, now_ns)
-                follower = (
-                    self._pipeline.shared_models[pattern].queue if pattern in self._pipeline.shared_models else None
-                )
-                if follower is not None:
-                    follower.wait_until(shared.queue.free_ns)
+            if shared.queue is None:
+                continue
+            follower = self._pipeline.shared_models.get(pattern)
+            _hold_anew(shared.queue, None if follower is None else follower.outages, now_ns)
+            if any(shared.queue is queue for queue in self._queues):
+                continue
+            if shared.queue.is_instant and follower is not None and follower.queue is not None and same_topics:
+                follower.queue.refill(shared.queue.waiting)
+                continue
+            self._empty(shared.queue, now_ns)
+            if follower is not None and follower.queue is not None:
+                follower.queue.wait_until(shared.queue.free_ns)
 
     def begin_session(self, now_ns: int) -> None:
         """Count the schedules that are given in session time from now on [ns]."""
         self._pipeline.begin_session(now_ns)
+        for shared in self._pipeline.shared_models.values():
+            if shared.queue is not None:
+                _hold_anew(shared.queue, shared.outages, now_ns)
 
     def capture(self) -> DirectionState:
         """Return the state; ValueError while a message waits that came under an order or slots no longer in force."""
@@ -249,12 +265,13 @@ class DirectionEngine:
         pipeline = self._topic_pipelines[topic] = self._pipeline.of_topic(topic)
         return pipeline
 
-    def _delay(self, pipeline: TopicPipeline, now_ns: int, payload: bytes, seq: int, src: str) -> Release | None:
+    def _delay(
+        self, pipeline: TopicPipeline, delay_ns: int, now_ns: int, payload: bytes, seq: int, src: str
+    ) -> Release | None:
         """Pass a message through a constant delay; return it if that is zero and nothing is due before it.
 
         The case of a plain bridge, kept short: it has to carry 6000 messages a second.
         """
-        delay_ns = pipeline.constant_ns or 0
         release_ns = now_ns + delay_ns
         latest_release = pipeline.latest_release
         # The delay may have become shorter with messages in flight.
@@ -330,7 +347,8 @@ class DirectionEngine:
         )
         self._figures.corrupted += corrupted
         self._figures.duplicated += duplicated
-        self._enqueue(message, bypass=overtakes)
+        # A line that stands still cannot be overtaken, and what it holds is bounded by its queue.
+        self._enqueue(message, bypass=overtakes and end_ns is None)
         if duplicated:
             self._enqueue(message._replace(copy=1, delay_ns=copy_ns, duplicated=False), bypass=False)
 
@@ -339,9 +357,14 @@ class DirectionEngine:
         pipeline = message.pipeline
         queue = pipeline.shared.queue
         # With order, no message leaves the line, not even one that passes untouched.
-        if queue is None or (bypass and not pipeline.ordered):
+        ready_ns = message.ready_ns
+        if (
+            queue is None
+            or (bypass and not pipeline.ordered)
+            or (ready_ns == message.arrived_ns and queue.is_open(ready_ns))
+        ):
             past_queue = queue is not None and queue.holds_before(pipeline.topic, message.order)
-            self._schedule(message, message.ready_ns, message.arrived_ns, past_queue=past_queue)
+            self._schedule(message, ready_ns, message.arrived_ns, past_queue=past_queue)
             return
         for dropped in queue.push(_waiting(message)):
             self._drop(dropped, "queue")
@@ -399,6 +422,16 @@ class DirectionEngine:
 def _random_delay_ns(fixed_ns: int, jitter: JitterSource | None, now_ns: int) -> int:
     # No network delivers before it has received: a delay that a wide jitter takes below zero stays at zero.
     return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter(now_ns))), _LONGEST_DELAY_NS)
+
+
+def _hold_anew(queue: ServedQueue[InFlight], outages: Outages | None, now_ns: int) -> None:
+    """Let what waits for the end of an outage wait for the end of the one that is in force now, if there is any."""
+    if any(entry.ready_ns > now_ns for entry in queue.waiting):
+        end_ns = (None if outages is None else outages.end_ns(now_ns)) or now_ns
+        queue.refill(
+            entry if entry.ready_ns <= now_ns else _waiting(entry.item._replace(ready_ns=end_ns))
+            for entry in queue.waiting
+        )
 
 
 def _waiting(message: InFlight) -> Waiting[InFlight]:

@@ -155,14 +155,16 @@ class DelayNode(Node):
         if direction is None:
             return
         message = received.message
+        is_stop = type(message) is SessionControl and message.command == "estop"
         if type(message) is SessionControl and message.command == "start" and message.id != self._session_id:
             # The hand's programme begins with the first of the repetitions, at this side of the link.
             self._session_id = message.id
             self.engine.begin_session(received.received_ns)
         for way in self._ways:
             if direction in (way.name, "both"):
+                # An emergency stop is no part of the experiment, and a line that stands still would hold it.
                 due = way.engine.submit(
-                    received.received_ns, received.topic, received.payload, message.seq, message.src
+                    received.received_ns, received.topic, received.payload, message.seq, message.src, at_once=is_stop
                 )
                 self._send(way, due)
         self.steps += 1

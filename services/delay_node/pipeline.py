@@ -5,6 +5,7 @@ belong to a block of settings and are shared by all topics under it. A model liv
 the same, so that a change of one key does not restart the others.
 """
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -330,6 +331,9 @@ class Pipeline:
             server = DeliveryServer(delivery_ns, s.delivery_trace.bytes_per_opportunity, now_ns)
         elif rate_bytes_per_s is not None:
             server = RateServer(rate_bytes_per_s, s.rate.overhead_bytes)
+        elif s.outage.is_on:
+            # What a line without any limit holds while it stands still is bounded as what waits for a slow one.
+            server = RateServer(math.inf, 0)
         else:
             return None
         definition = (s.rate, s.delivery_trace, delivery_ns, s.queue)
@@ -349,7 +353,7 @@ class Pipeline:
         )
 
     def _outages(self, pattern: str, outage: Outage, now_ns: int) -> Outages | None:
-        if not outage.schedule and outage.mean_up_s is None:
+        if not outage.is_on:
             return None
         draw = self._stream("shared", "outage", pattern)
         # Whether an outage drops or holds does not move it.

@@ -35,18 +35,8 @@ STABLE_MARGIN = 4.0
 # A hand is no faster than this [m/s]; what the place changes by beyond it is compared with `jump_m`.
 _FASTEST_M_PER_S = 2.0
 
-GATE_ACTIVE = 0
-GATE_READY = 1
-GATE_RELEASED = 2
-GATE_REST = 3
-GATE_SILENT = 4
-GATE_DEADMAN = 5
-GATE_REFERENCE = 6
-GATE_DEVICE_SILENT = 7
-GATE_NOT_A_NUMBER = 8
-GATE_JUMP = 9
-GATE_FROZEN = 10
-GATE_RUNAWAY = 11
+GATE_ACTIVE, GATE_READY, GATE_RELEASED, GATE_REST, GATE_SILENT, GATE_DEADMAN, GATE_REFERENCE = range(7)
+GATE_DEVICE_SILENT, GATE_NOT_A_NUMBER, GATE_JUMP, GATE_FROZEN, GATE_RUNAWAY = range(7, 12)
 GATES: dict[int, str] = {
     GATE_ACTIVE: "the device follows the law",
     GATE_READY: "the device gives no force until the law engages it",

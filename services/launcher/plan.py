@@ -64,9 +64,6 @@ class UpRequest(Settings):
     round_trip_ms: Annotated[float | None, Option(("--round-trip-ms",), "D")] = Field(
         default=None, ge=0.0, description="Delay of the link, half of it each way [ms]"
     )
-    delay_ms: Annotated[float | None, Option(("--delay-ms",), "D")] = Field(
-        default=None, ge=0.0, description="The same, one way: half of --round-trip-ms [ms]"
-    )
     duration_s: float | None = Field(default=None, description="Length of the session [s] in place of the scenario's")
     out: Annotated[Path | None, Option(("--out",), "DIR")] = Field(
         default=None, description="Folder for the results; default: sessions/NAME-DATE-TIME"
@@ -88,20 +85,11 @@ class UpRequest(Settings):
     )
     page: bool = Field(default=False, description="Serve the operator's page")
 
-    @property
-    def one_way_ms(self) -> float | None:
-        """Delay of the link, one way [ms]; ConfigError where it is given twice."""
-        if self.round_trip_ms is None:
-            return self.delay_ms
-        if self.delay_ms is not None:
-            raise ConfigError("--round-trip-ms, --delay-ms: the same delay, there and back and one way: give one")
-        return 0.5 * self.round_trip_ms
-
     def check(self) -> None:
         """Reject options that would have no effect; ConfigError names them with the reason."""
         changes = {
             "--set": bool(self.settings),
-            "--delay-ms": self.one_way_ms is not None,
+            "--round-trip-ms": self.round_trip_ms is not None,
             "--without": bool(self.without),
             "--allow-replay": self.allow_replay,
             "--attended": self.attended,
@@ -112,7 +100,7 @@ class UpRequest(Settings):
                 {"--site slave": self.site == "slave"}, "the session is conducted at the master: give --attach there"
             )
         elif self.site == "slave":
-            _reject({"--delay-ms": self.one_way_ms is not None}, "the link runs at the master: give it there")
+            _reject({"--round-trip-ms": self.round_trip_ms is not None}, "the link runs at the master: give it there")
             conducts = {"--duration": self.duration_s is not None, "--wait": self.wait_s is not None}
             _reject(conducts, "the session is conducted at the master: give it there")
         elif self.site is None:
@@ -327,10 +315,10 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
     if request.duration_s is not None:
         flags["duration_s"] = request.duration_s
         origin += " + --duration"
-    if (delay_ms := request.one_way_ms) is not None:
-        one_way = {"delay_s": delay_ms / 1000.0}
+    if request.round_trip_ms is not None:
+        one_way = {"delay_s": 0.5e-3 * request.round_trip_ms}
         flags["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
-        origin += " + --delay-ms"
+        origin += " + --round-trip-ms"
     if not request.attach:
         _reject_recording_place(settings)
         flags["recorder"] = {"directory": str(out), "file_name": RECORDING_NAME}

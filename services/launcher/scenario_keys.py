@@ -1,12 +1,13 @@
 """Every key of a scenario with its default, range and unit, and the JSON Schema of scenario and site files."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
+from presets import scenarios
 from proto.errors import ConfigError, known_names
 from proto.nodes import SERVICES
 from services.runtime.bus.address_book import AddressBook
-from services.runtime.settings.config import merge
+from services.runtime.settings.config import merge, read_yaml
 from services.runtime.settings.device_drivers import core_only
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from services.runtime.wiring.main import node_kind
@@ -54,6 +55,19 @@ def all_keys(*, core: bool = False) -> list[Key]:
     """Return every key of a scenario that has a value of its own, in the order of its sections."""
     schema = scenario_schema(core=core)
     return list(_keys(schema, "", schema["$defs"]))
+
+
+def first_keys(keys: Iterable[Key]) -> list[Key]:
+    """Return the keys that people change first: those at the top of a section, and what a packaged scenario changes."""
+    changed = {name for path in scenarios().values() for name in _names(read_yaml(path))}
+    return [key for key in keys if key.name.count(".") < 2 or key.name in changed]
+
+
+def _names(document: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name, value in document.items():
+        yield f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            yield from _names(value, f"{prefix}{name}.")
 
 
 def _keys(schema: Mapping[str, Any], prefix: str, definitions: Mapping[str, Any]) -> Iterator[Key]:

@@ -228,7 +228,6 @@ def simulate_scenario(
     *,
     law: str | None = None,
     round_trip_ms: float | None = None,
-    delay_ms: float | None = None,
     environment: str | None = None,
     operator: Mapping[str, Any] | None = None,
     duration_s: float | None = None,
@@ -238,20 +237,16 @@ def simulate_scenario(
 
     The first call on a machine compiles the models, which takes some ten seconds and is said (docs/api.md).
 
-    Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way, or
-    delay_ms, one way; environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s];
-    settings, by dotted key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}. What is not given
-    is the scenario's.
+    Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way;
+    environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s]; settings, by dotted
+    key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}. What is not given is the scenario's.
     Raises: ConfigError naming the file or key at fault, or what cannot be simulated.
     """
-    if round_trip_ms is not None and delay_ms is not None:
-        raise ConfigError("round_trip_ms and delay_ms are the same delay, there and back and one way: give one of them")
-    trip_ms = round_trip_ms if delay_ms is None else 2.0 * delay_ms
     given: dict[str, Any] = {}
     if law is not None:
         given["controller"] = {"law": law}
-    if trip_ms is not None:
-        one_way = {"delay_s": 0.5e-3 * trip_ms}
+    if round_trip_ms is not None:
+        one_way = {"delay_s": 0.5e-3 * round_trip_ms}
         given["delay_node"] = {"forward": one_way, "backward": dict(one_way)}
     if environment is not None:
         given["afm_node"] = {"environment": environment}

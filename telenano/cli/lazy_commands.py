@@ -72,6 +72,14 @@ GROUPS = {
               "calibrate", "reproduce"),
     "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor"),
 }  # fmt: skip
+# `--help` lists these, which are enough to begin with, and `--help-all` lists every command.
+FIRST_COMMANDS = ("up", "session", "estop", "replay", "status", "view", "link", "bag", "experiment", "study", "scan",
+                  "curve", "scenario", "new", "device", "doctor")  # fmt: skip
+# Where the context of a command line says that all commands are to be listed.
+WHOLE_HELP = "telenano.whole_help"
+# The help of `up` begins with these options.
+FIRST_OPTIONS = ("scenario", "round_trip_ms", "settings", "duration_s", "sweep", "out", "overwrite", "headless",
+                 "no_view", "as_json")  # fmt: skip
 
 
 @cache
@@ -136,8 +144,19 @@ def _made(name: str, found: Any, about: str, path: tuple[str, ...]) -> Any:
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    alone.command(name)(found)
+    alone.command(name, cls=_UpCommand if name == "up" else TyperCommand)(found)
     return _plain(typer.main.get_command(alone), path)
+
+
+class _UpCommand(TyperCommand):
+    """The command with the most options: its help begins with those that people need first."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        rows = {one.name: row for one in self.get_params(ctx) if (row := one.get_help_record(ctx))}
+        first = [rows.pop(name) for name in FIRST_OPTIONS]
+        for heading, listed in (("Options", first), ("More options", list(rows.values()))):
+            with formatter.section(heading):
+                formatter.write_dl(listed)
 
 
 def _plain(command: Any, path: tuple[str, ...]) -> Any:
@@ -253,14 +272,19 @@ class LazyRoot(OpenGroup):
             return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands under the headings of GROUPS, each with its whole line."""
+        """Write the commands under the headings of GROUPS, each with its whole line; all of them for `--help-all`."""
         rows = self.rows()
+        is_whole = ctx.meta.get(WHOLE_HELP, False)
         placed = {name for names in GROUPS.values() for name in names}
         others = tuple(name for name in rows if name not in placed)
         for heading, names in {**GROUPS, "Packages": others}.items():
-            if listed := [(name, rows[name].about) for name in names if name in rows]:
+            shown = [name for name in names if name in rows and (is_whole or name in (*FIRST_COMMANDS, *others))]
+            if shown:
                 with formatter.section(heading):
-                    formatter.write_dl(listed)
+                    formatter.write_dl([(name, rows[name].about) for name in shown])
+        if not is_whole:
+            formatter.write_paragraph()
+            formatter.write_text("`telenano --help-all` lists the other commands as well.")
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli.lazy_commands import LazyRoot
+from telenano.cli.lazy_commands import WHOLE_HELP, LazyRoot
 
 app = typer.Typer(
     cls=LazyRoot,
@@ -18,9 +18,19 @@ app = typer.Typer(
 )
 
 
+def _whole_help(ctx: typer.Context, asked: bool) -> None:
+    if asked:
+        ctx.meta[WHOLE_HELP] = True
+        typer.echo(ctx.get_help())
+        raise typer.Exit
+
+
 @app.callback(invoke_without_command=True)
 def root(
     show_version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+    help_all: Annotated[
+        bool, typer.Option("--help-all", help="List every command and exit.", is_eager=True, callback=_whole_help)
+    ] = False,
 ) -> None:
     """Run a rig, inspect its bus, read its recordings."""
     if show_version:

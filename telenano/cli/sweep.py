@@ -12,9 +12,8 @@ from services.launcher.plan import UpRequest
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 from telenano.cli.model_options import validated
 
-# the delay of the link has no single key in a scenario
-DELAY_OPTIONS = {"round_trip_ms": "--round-trip-ms", "delay_ms": "--delay-ms"}
-_DELAY_FIELDS = {option: field for field, option in DELAY_OPTIONS.items()}
+# The delay of the link has no single key in a scenario, and an option of its own.
+_DELAY, _DELAY_OPTION = "round_trip_ms", "--round-trip-ms"
 # A seed of the session is that of everything in it that is random.
 SEED = "seed"
 _SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
@@ -32,7 +31,8 @@ class Point(NamedTuple):
     def asked_of(self, request: UpRequest, folder: Path) -> UpRequest:
         """Return what a request becomes with these options, in a folder of its own."""
         pairs = list(zip(self.options[::2], self.options[1::2], strict=True))
-        fields = {_DELAY_FIELDS[option]: _number(option, value) for option, value in pairs if option in _DELAY_FIELDS}
+        delays = [_number(option, value) for option, value in pairs if option == _DELAY_OPTION]
+        fields = {_DELAY: delays[-1]} if delays else {}
         settings = (*request.settings, *(value for option, value in pairs if option == "--set"))
         return validated(UpRequest, {**dict(request), **fields, "settings": settings, "out": folder / self.name})
 
@@ -76,7 +76,7 @@ def _short(key: str) -> str:
 def _option(key: str, value: str) -> tuple[str, ...]:
     if key == SEED:
         return tuple(word for seed in _SEEDS for word in ("--set", f"{seed}={value}"))
-    return (DELAY_OPTIONS[key], value) if key in DELAY_OPTIONS else ("--set", f"{key}={value}")
+    return (_DELAY_OPTION, value) if key == _DELAY else ("--set", f"{key}={value}")
 
 
 def _number(option: str, value: str) -> float:

@@ -1,5 +1,6 @@
 """A law of one's own: its two halves as pure steps, and what the laws of this project are built from."""
 
+from services.controller import ranges as ranges
 from services.controller.law import NO_SIGNAL as NO_SIGNAL
 from services.controller.law import EnergyAccount as EnergyAccount
 from services.controller.law import HandSample as HandSample
@@ -8,9 +9,11 @@ from services.controller.law import MasterReference as MasterReference
 from services.controller.law import PortSignal as PortSignal
 from services.controller.law import SlaveReference as SlaveReference
 from services.controller.law import TipMeasurement as TipMeasurement
+from services.controller.law import law_of as law_of
 from services.controller.law import port_signal as port_signal
 from services.controller.law import tip_signal as tip_signal
 from services.controller.laws.shared import pass_through as pass_through
+from services.controller.laws.shared import virtual_mass as virtual_mass
 from services.controller.laws.shared.virtual_mass import Mass as Mass
 from services.controller.laws.shared.virtual_mass import MassConfig as MassConfig
 from services.controller.laws.shared.virtual_mass import MassParams as MassParams

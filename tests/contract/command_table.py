@@ -7,7 +7,7 @@ from typing import Any
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.disturbances import DisturbanceConfig
 from services.afm_node.programs.settings import InstrumentRequest
-from services.controller.config import KNOWN_LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS, ControllerConfig
 from services.controller.half import ControllerHalf
 from services.delay_node.config import LinkSettings, flattened
 from services.delay_node.node import DelayNode
@@ -32,7 +32,7 @@ NODES: dict[str, type[Node]] = {
 NOT_SETTABLE = "period_s"
 # nodes of which every key can be set, and what is to be said of that
 WHOLE_SECTIONS = {
-    "controller": f" but `{NOT_SETTABLE}`; `law` is one of {', '.join(KNOWN_LAWS)}",
+    "controller": f" but `{NOT_SETTABLE}`; `law` is one of {', '.join((*OWN_LAWS, 'tactile'))}",
     "delay_node": "",
 }
 

@@ -170,6 +170,17 @@ def yaml() -> bytes:
     return b"name: mine\ndescription: a text\nduration_s: 1.0\ncontroller: {law: wave, scales: &a [1.0, 2.0]}\nx: *a\n"
 
 
+def of_maker(name: str, *arguments: object) -> Callable[[Path], Any]:
+    """Return what writes a file by the function of a name in the tests of telenano-afm-files."""
+
+    def write(path: Path) -> None:
+        import maker_files
+
+        getattr(maker_files, name)(path, *arguments)
+
+    return write
+
+
 WRITE: dict[str, Callable[[Path], Any]] = {
     "map.ibw": lambda path: path.write_bytes(map_wave()),
     "map.gwy": lambda path: path.write_bytes(gwy()),
@@ -179,6 +190,13 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "curve.h5": write_hdf5,
     "curve.tab": write_table,
     "curve.jpk-force": write_archive,
+    "curve.nid": of_maker("write_nid_map", 2, 2),
+    "curve.nhf": of_maker("write_nhf"),
+    "curve.spm": of_maker("write_nanoscope"),
+    "grid.dat": of_maker(
+        "write_nanonis_dat", {"Z rel (m)": np.arange(9) * 1e-10, "Frequency Shift (Hz)": -np.arange(9.0)}
+    ),
+    "map.h5-jpk": of_maker("write_jpk_hdf5"),
     "grid.npz": write_grid,
     "grid.3ds": lambda path: path.write_bytes(nanonis_grid()),
     "session.mcap": lambda path: path.write_bytes(mcap_whole()),

@@ -15,7 +15,8 @@ from wire_contract import examples, schema_of
 from proto import TOPICS, Topic, encode
 from proto.messages import Array
 from proto.nodes import LINK, NODES, name_of
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
+from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, flattened
 from services.runtime.settings.config import flatten
 

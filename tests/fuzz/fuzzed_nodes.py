@@ -29,7 +29,8 @@ from services.afm_node.config import AfmConfig
 from services.afm_node.node import AfmNode
 from services.afm_node.physics.sim import simulated_afm
 from services.controller.__main__ import half_of_site
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
+from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings
 from services.delay_node.node import DelayNode
 from services.haptic_node.config import HapticConfig

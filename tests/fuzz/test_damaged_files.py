@@ -243,7 +243,7 @@ def test_a_command_does_not_wait_for_a_pipe(
 
 # --- a corpus of damage ---
 
-OF_LIBRARIES = ("map.gwy", "map.ibw")
+OF_LIBRARIES = ("map.gwy", "map.h5-jpk", "map.ibw", "grid.dat")
 
 
 def outcomes_of_damage(tmp_path: Path, name: str, seed: int, count: int) -> list[str]:

@@ -15,7 +15,7 @@ from wire_contract import examples
 
 from proto import TOPICS, accept, encode
 from proto.sequence import MOST_COUNTED
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 
 ROOT = Path(__file__).parents[2]
 COUNT = 150

@@ -30,7 +30,7 @@ from analysis.rerun import rerun
 from presets import find_scenario
 from recording.reader import Recording
 from recording.tolerance import Tolerances
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.numerics.compiled import compiled_form, is_step
 
 FOLDER = Path(__file__).resolve().parent

@@ -41,7 +41,7 @@ from recording.channel_filter import Selection
 from recording.reader import Recording
 from recording.rewrite import filter_recording
 from recording.tolerance import Tolerances
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.controller.laws.virtual_impedance import VirtualImpedanceConfig
 
 # shows all that the instrument does

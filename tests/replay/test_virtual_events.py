@@ -30,7 +30,7 @@ from virtual_rig import EPOCH_OFFSET_NS, LINK_NODE, VirtualBus, constant_timing
 
 from proto import Message
 from proto.messages import TeleopForward
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.loop.freshness import DELAY_STEP_NS
 from studies.loops import link
 from studies.loops.link import Schedule, fresh, last_together, schedule_from

@@ -40,7 +40,8 @@ from proto import Message, encode
 from proto.messages import AfmCommand, SessionControl, TeleopForward
 from services.afm_node import node as afm_node
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
+from services.controller.config import ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
 from studies.loops.link import schedule_of

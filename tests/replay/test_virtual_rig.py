@@ -23,7 +23,7 @@ from recording.messages import RecordedMessage
 from recording.reader import RawMessage, Recording
 from recording.rewrite import filter_recording
 from recording.writer import FileSettings, RecordingWriter
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.loop.journal import DEFERRED
 
 FORWARDED = {

@@ -62,6 +62,9 @@ FAULTS = {
     "UDP is blocked in a session, 20 ms each way": "the loop goes on over TCP, and stands still for at most 100 ms",
     "TCP is cut between the sites, and UDP is not": "no sample counts where no emergency stop could cross: tip holds, "
     "then withdraws, hand let go",
+    "a flood into a link that stands still and holds, `link set` in the middle, an emergency stop, kill -9": "no more "
+    "waits than the queue's limit, what is dropped is counted, the stop is not held, settings hold from then on; "
+    "started again the link holds nothing",
     "the slave's site is killed and started again": "hand let go; the session goes on, the tip waits to be armed",
     "the master's site is killed and started again": "tip holds, then withdraws; a new session begins by itself",
     "the relay is killed and started again": "hand let go, tip holds, then withdraws; joined again without a restart "

@@ -320,7 +320,7 @@ def held_session(tmp_path: Path, scenario: Path, delay_ms: float, declared_ms: f
     for attempt in range(ATTEMPTS):
         folder = tmp_path / f"{delay_ms:.1f}_{attempt}"
         folder.mkdir()
-        devices, rig = Devices(folder, scenario, ("--travel", str(FINE_M_PER_V))), Rig(folder)
+        devices, rig = Devices(folder, scenario, ("--travel", str(1e9 * FINE_M_PER_V))), Rig(folder)
         try:
             rig.start(
                 *devices.options, "--round-trip-ms", f"{delay_ms:.3f}", "--headless", scenario=str(scenario), rate=()

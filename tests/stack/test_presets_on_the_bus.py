@@ -7,7 +7,7 @@ from stack_rig import judged
 
 import studies
 import telenano
-from services.controller.config import KNOWN_LAWS
+from services.controller.config import OWN_LAWS
 
 assert studies  # before the steps are imported: they are compiled from then on
 
@@ -21,7 +21,7 @@ def run(rig: Any, law: str, environment: str, scenario: str, *options: str) -> d
 
 @pytest.mark.endurance
 @pytest.mark.parametrize("environment", ["tip_sample", "spring"])
-@pytest.mark.parametrize("law", tuple(KNOWN_LAWS))
+@pytest.mark.parametrize("law", (*OWN_LAWS, "tactile"))
 def test_the_bus_gives_the_verdict_of_the_lockstep(rig: Any, law: str, environment: str) -> None:
     expected = telenano.simulate("fig12", law=law, environment=environment)
     summary = run(rig, law, environment, "fig12")
@@ -41,7 +41,7 @@ def test_where_no_hand_presses_the_bus_says_so(rig: Any, scenario: str) -> None:
 @pytest.mark.endurance
 def test_a_guard_on_the_bus_comes_first_with_time_and_limit(rig: Any) -> None:
     # the loop of 200 ms diverges on the spring of 20 N/m, whatever this machine adds
-    summary = run(rig, "virtual_impedance", "spring", "fig12", "--delay-ms", "200")
+    summary = run(rig, "virtual_impedance", "spring", "fig12", "--round-trip-ms", "400")
     assert summary["verdict"] in ("diverged", "guarded")
     assert summary["reason"].startswith("the instrument's guard acted at ")
     assert "(force_limit: more than 200 nN on the tip)" in summary["reason"]

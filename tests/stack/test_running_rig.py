@@ -133,10 +133,13 @@ def test_topic_commands_look_at_a_running_rig(rig: Any) -> None:
     assert "haptic/state" in listed.stdout
     echoed = rig.telenano("topic", "echo", "afm/state", "--count", "3")
     assert echoed.stdout.count("tip_force_n") == 3
-    rate = rig.telenano("topic", "hz", "haptic/state", "--duration", "1", "--json")
-    assert rate.returncode == 0, rate.stderr
-    delay = rig.telenano("topic", "delay", "teleop/forward@slave", "--duration", "1", "--json")
-    assert delay.returncode == 0, delay.stderr
+    for topic in ("haptic/state", "teleop/forward@slave"):
+        measured = rig.telenano("topic", "hz", topic, "--duration", "1", "--json")
+        assert measured.returncode == 0, measured.stderr
+        (source,) = json.loads(measured.stdout)["sources"]
+        assert source["age_p50_ms"] <= source["age_p99_ms"] <= source["age_max_ms"]
+        assert 0 < source["mean_bytes"] <= source["most_bytes"]
+        assert source["bytes_per_s"] == pytest.approx(source["rate_hz"] * source["mean_bytes"], rel=0.05)
 
 
 def test_second_rig_of_the_same_name_names_who_has_it(rig: Any, tmp_path: Any) -> None:

@@ -69,7 +69,7 @@ class Session:
         }
         path = folder / "stalls.yaml"
         path.write_text(yaml.safe_dump(scenario))
-        self.rig.start("--delay-ms", str(link_ms), scenario=str(path), rate=())
+        self.rig.start("--round-trip-ms", str(2.0 * link_ms), scenario=str(path), rate=())
         self.rig.wait_until(self.rig.running, "a running session")
         time.sleep(1.0)
 

@@ -1,105 +1,137 @@
-"""Force curves by `afmformats`: called in a child process with limits.
+"""Force curves of instruments, whatever the format: called in a child process with limits."""
 
-A curve is its spring constant [N/m], speed [m/s] and points of the approach by name, and the arrays base and deflection
-[m].
-"""
-
-import logging
-import math
 import tempfile
+from collections.abc import Callable
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from telenano_afm_files.igor_waves import refuse_number
-from telenano_afm_files.map_libraries import blocks_of, refuse_large_archive, require_force_curve, ways_of
+from telenano_afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf
+from telenano_afm_files.recorded import Array, Curves, Recorded, Way, constants_of, factor_to_force
 
-_MOST_UNPACKED_BYTES = 1 << 30
+# Of a segment so many points are kept at most; a finer curve is interpolated to them.
+MOST_POINTS = 4096
+_MOST_CURVES = 1 << 18
+# of a large map so many curves give the sensitivity
+_MOST_OF_HARD = 64
 
-Array = npt.NDArray[np.float64]
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
-
-def load_afmformats(path: str, number: str) -> Found:
-    """Return the first curve of a file that afmformats reads."""
-    refuse_number(number)
-    return load_one_of_map(path, number)
-
-
-def load_one_of_map(path: str, number: str) -> Found:
-    """Return a curve of a map that afmformats reads, by its number; the first is 0."""
-    import afmformats
-    from afmformats.errors import MissingMetaDataError
-
-    _prepare(path)
-    wanted = int(number)
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            for block, _ in blocks_of(path, Path(folder)):
-                curves = afmformats.load_data(block)
-                if wanted < len(curves):
-                    return _columns_of(curves[wanted])
-                wanted -= len(curves)
-    except MissingMetaDataError as error:
-        raise ValueError(f"its metadata lack {', '.join(map(str, error.meta_keys))}") from error
-    raise ValueError(f"it has no curve {number}; it has {int(number) - wanted}, and the first is 0")
+# Others are read by afmformats.
+_READERS: dict[str, Callable[[str], Curves]] = {
+    ".dat": nanonis.curves_of,
+    ".ibw": igor_waves.curves_of,
+    ".nhf": nanosurf.curves_of_nhf,
+    ".nid": nanosurf.curves_of_nid,
+}
 
 
-def _columns_of(found: Any) -> Found:
-    require_force_curve(found.metadata)
-    if "spring constant" not in found.metadata:
-        raise ValueError("its metadata lack the spring constant")
-    height = found["height (measured)"] if "height (measured)" in found else found["height (piezo)"]
-    columns = [np.asarray(column, dtype=np.float64) for column in (found["force"], height, found["segment"])]
-    if len({len(column) for column in columns}) != 1 or not len(columns[0]):
-        raise ValueError(f"its columns have {', '.join(str(len(column)) for column in columns)} points")
-    return _curve(float(found.metadata["spring constant"]), float(found.metadata.get("speed approach", 1)), *columns)
+@contextmanager
+def _open(path: str, given: dict[str, float]) -> Any:
+    suffix = Path(path).suffix.lower()
+    own = igor_waves.curves_of_folder if Path(path).is_dir() else _READERS.get(suffix)
+    if own is None and not suffix.startswith(map_libraries.SUFFIXES):
+        # the names of files of NanoScope end with numbers as well
+        own = bruker.curves_of
+    with tempfile.TemporaryDirectory() as folder:
+        yield own(path) if own else map_libraries.curves_of(path, Path(folder), given)
 
 
-def _curve(k: float, speed: float, force: Array, height: Array, segment: Array) -> Found:
-    """Return the first and the last segment of a curve, whose height rises away from the sample."""
-    if not 0.0 < k < math.inf:
+def _given(stiffness: str | None, sensitivity: str | None) -> dict[str, float]:
+    texts = {"stiffness_n_per_m": stiffness, "sensitivity_m_per_v": sensitivity}
+    return {name: float(text) for name, text in texts.items() if text}
+
+
+def load_curves(path: str, stiffness: str | None, sensitivity: str | None, report: int) -> Found:
+    """Return the curves of a file.
+
+    Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each
+    curve, points of its approach and its retraction, and all heights [m] and forces [N], one after another.
+
+    Args:
+        path: The file.
+        stiffness: The spring constant [N/m] in place of that of the file, as text.
+        sensitivity: The sensitivity [m/V] likewise.
+        report: The descriptor that takes the advance.
+    """
+    given = _given(stiffness, sensitivity)
+    places, counts, columns = [], [], []
+    with _open(path, given) as curves:
+        facts: dict[str, Any] = {"shape": curves.shape, "sides": curves.sides_m}
+        for read, share in curves.each:
+            curve = read()
+            facts.setdefault("stiffness_n_per_m", constants_of(curve, given)[0])
+            factor = factor_to_force(curve, given)
+            ways = [(z, factor * value) for z, value in map(_in_order, curve.ways)]
+            places.append(curve.place)
+            counts.append([len(way[0]) for way in ways])
+            columns += [np.stack(way) for way in ways]
+            map_libraries.tell(report, share)
+    if not 0 < len(places) <= _MOST_CURVES:
+        raise ValueError(f"it has {len(places)} curves; 1 to {_MOST_CURVES} are read")
+    heights, forces = np.concatenate(columns, axis=1)
+    return facts, [np.array(places), np.array(counts), heights, forces]
+
+
+def _in_order(way: Way) -> Way:
+    """Return the points of a way that are numbers, in order of height, and not more than are kept."""
+    sound = np.isfinite(way[0]) & np.isfinite(way[1])
+    order = np.argsort(way[0][sound], kind="stable")
+    z, value = way[0][sound][order], way[1][sound][order]
+    if len(z) > MOST_POINTS:
+        even = np.linspace(z[0], z[-1], MOST_POINTS)
+        z, value = even, np.interp(even, z, value)
+    return z, value
+
+
+def load_one(path: str, number: str, stiffness: str | None = None, sensitivity: str | None = None) -> Found:
+    """Return a curve of a file by its number, the first being 0.
+
+    A curve is its spring constant [N/m], speed [m/s] and points of the approach by name, and the arrays base and
+    deflection [m].
+    """
+    given, wanted, count = _given(stiffness, sensitivity), int(number), 0
+    with _open(path, given) as curves:
+        for count, (read, _) in enumerate(curves.each, start=1):
+            if count - 1 == wanted:
+                return _deflections_of(read(), given)
+    raise ValueError(f"it has no curve {number}; it has {count}, and the first is 0")
+
+
+def _deflections_of(curve: Recorded, given: dict[str, float]) -> Found:
+    k, _ = constants_of(curve, given)
+    if k is not None and not k > 0.0:
         raise ValueError(f"its spring constant is {k:g} N/m; it must be above 0 N/m")
-    if not len(segment) or segment[0] == segment[-1]:
+    factor = factor_to_force(curve, given, as_deflection=True)
+    sound = [(z[kept], value[kept]) for z, value in curve.ways if (kept := np.isfinite(z) & np.isfinite(value)).any()]
+    if len(sound) < 2:
         raise ValueError("it needs an approach and a retraction")
-    first, last = segment == segment[0], segment == segment[-1]
-    kept = first | last
-    facts = {"stiffness_n_per_m": k, "speed_m_per_s": speed, "turn": int(np.count_nonzero(first))}
-    return facts, [-height[kept], force[kept] / k]
+    facts = {"stiffness_n_per_m": k, "speed_m_per_s": curve.speed_m_per_s, "turn": len(sound[0][0])}
+    return facts, [-np.concatenate([z for z, _ in sound]), factor * np.concatenate([value for _, value in sound])]
 
 
 def load_deflections(path: str) -> Found:
-    """Return the approaches of a file of curves, of a large map those of its first block.
+    """Return the approaches of a file of curves, of a large map those of its first part.
 
     Arrays: how many points each has; then, of all one after another, height [m] and deflection as it was read [V].
     """
-    import afmformats
-
-    _prepare(path)
-    # The forces of other formats were computed before, by constants that stand in the file.
-    is_raw = ".jpk-" in path.lower()
-    counts, heights, volts = [], [], []
-    with tempfile.TemporaryDirectory() as folder:
-        block, _ = next(blocks_of(path, Path(folder)))
-        # With constants of 1 the force of a file of JPK is the voltage itself.
-        given = {"spring constant": 1.0, "sensitivity": 1.0} if is_raw else {}
-        for curve in afmformats.load_data(block, meta_override=given):
-            require_force_curve(curve.metadata)
-            if lacks := [key for key in ("spring constant", "sensitivity") if key not in curve.metadata]:
-                raise ValueError(f"its metadata lack {', '.join(lacks)}: the voltage that was read cannot be told")
-            height, force = ways_of(curve)[0]
-            counts.append(len(height))
-            heights.append(height)
-            volts.append(force / (curve.metadata["spring constant"] * curve.metadata["sensitivity"]))
-    return {}, [np.array(counts), np.concatenate(heights), np.concatenate(volts)]
-
-
-def _prepare(path: str) -> None:
-    # afmformats reports with a traceback what it raises as well
-    logging.getLogger("afmformats").setLevel(logging.CRITICAL)
-    if path.lower().endswith(".jpk-force"):
-        refuse_large_archive(path, _MOST_UNPACKED_BYTES)
-    else:
-        refuse_large_archive(path)
+    # With constants of 1 the force that afmformats computes is the voltage itself.
+    raw = map_libraries.is_raw(path)
+    given = {"stiffness_n_per_m": 1.0, "sensitivity_m_per_v": 1.0} if raw else {}
+    ways: list[tuple[Array, Array]] = []
+    with _open(path, given) as curves:
+        for read, _ in curves.each:
+            curve = read()
+            k, sensitivity = (1.0, 1.0) if raw else (curve.stiffness_n_per_m, curve.sensitivity_m_per_v)
+            parts = {"V": (1.0,), "m": (sensitivity,), "N": (k, sensitivity)}[curve.unit]
+            if None in parts:
+                raise ValueError("its metadata lack the sensitivity: the voltage that was read cannot be told")
+            z, value = _in_order(curve.ways[0])
+            ways.append((z, value / float(np.prod([part for part in parts if part is not None]))))
+            if len(ways) == _MOST_OF_HARD:
+                break
+    counts = np.array([len(z) for z, _ in ways])
+    return {}, [counts, *(np.concatenate([way[side] for way in ways]) for side in (0, 1))]

@@ -1,6 +1,17 @@
-"""Maps in Gwyddion's own files (.gwy), by `gwyfile`: called in a child process with limits."""
+"""Maps by Gwyddion, called in a child process with limits: its own files (.gwy) by `gwyfile`, others by its converter.
 
+The converter (`gwyconvert` of gwyddionpy-converter, GPL version 2 or later) is a program of its own that the user
+installs: it is started with the path of an image and that of the .gwy to write, and nothing of it is imported. What it
+writes is read here and not by `gwyddionpy`, which leaves out the masks: where nothing was measured Gwyddion fills in
+heights, and a mask tells them from the measured ones.
+"""
+
+import os
 import re
+import shutil
+import subprocess
+import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +22,72 @@ Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
 _MAGIC, _NAME = b"GWYP", b"GwyContainer\0"
 _START = len(_MAGIC) + len(_NAME) + 4
+_PROGRAM, _DISTRIBUTION = "gwyconvert", "gwyddionpy-converter"
+# Most files take it less than a second; the child that waits for it may take longer than this by itself.
+_LONGEST_S = 60.0
+_TEXTS = (".asc", ".csv", ".txt", ".xyz")
+_WAYS_OUT = "or open it in Gwyddion and save it as .gwy"
+
+
+def load_image(path: str) -> Found:
+    """Return the maps of an image that Gwyddion knows, y rising with the row; heights that were not measured are NaN.
+
+    Raises:
+        ValueError: The converter is not installed, or it cannot read the file; the message says what to do.
+    """
+    program = converter()
+    if program is None:
+        raise ValueError(
+            f"images of this kind are read by Gwyddion's converter: pip install {_DISTRIBUTION} (a program under the "
+            f"GPL), {_WAYS_OUT}"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        out, source = Path(folder, "converted.gwy"), path
+        content = Path(path).read_bytes() if Path(path).suffix.lower() in _TEXTS else b"\n"
+        if not content.endswith(b"\n"):
+            # Gwyddion leaves out a last line that has no end.
+            source = os.fspath(Path(folder, Path(path).name))
+            Path(source).write_bytes(content + b"\n")
+        # A comma as decimal mark would change numbers, and Gwyddion makes a folder of settings in the user's home.
+        kept = {key: value for key, value in os.environ.items() if key not in ("LC_ALL", "DISPLAY")}
+        try:
+            ended = subprocess.run(
+                [program, source, os.fspath(out)], stdin=subprocess.DEVNULL, capture_output=True, check=False,
+                timeout=_LONGEST_S, env=kept | {"LC_NUMERIC": "C", "GTK_MODULES": "", "HOME": folder},
+            )  # fmt: skip
+        except subprocess.TimeoutExpired as error:
+            raise ValueError(f"Gwyddion's converter did not read it within {_LONGEST_S:g} s") from error
+        if ended.returncode != 0 or not out.is_file():
+            if b"No module can load" in ended.stderr:
+                raise ValueError("is of no format that Gwyddion knows; export it as .gsf, or as .npy (with --size)")
+            said = ended.stderr.decode("utf-8", "replace").strip().rpartition(source)[2].strip("': \n")
+            raise ValueError(f"Gwyddion's converter cannot read it: {said or f'it ended with code {ended.returncode}'}")
+        facts, maps = _maps_of(out, "it holds curves, and no image")
+    return facts, maps
+
+
+def converter() -> str | None:
+    """Return the path of Gwyddion's converter: on PATH, or as gwyddionpy-converter installed it; None without it."""
+    if found := shutil.which(_PROGRAM):
+        return found
+    place = find_spec("gwyddionpy_converter")
+    if place is None or place.origin is None:
+        return None
+    return shutil.which(_PROGRAM, path=os.fspath(Path(place.origin).parent / "bin"))
 
 
 def load_maps(path: str) -> Found:
-    """Return the maps of a file in the order of their keys, y rising with the row.
+    """Return the maps of a .gwy file in the order of their numbers, y rising with the row; its masks are the user's.
 
     Values: `channels`, for each map its title, its width and depth, and the units of both and of the values.
     """
+    return _maps_of(Path(path), "it has no map", is_converted=False)
+
+
+def _maps_of(path: Path, without: str, *, is_converted: bool = True) -> Found:
     from gwyfile.objects import GwyDataField, GwyObject
 
-    content = Path(path).read_bytes()
+    content = path.read_bytes()
     if not content.startswith(_MAGIC):
         raise ValueError("is no Gwyddion file: it does not begin with GWYP")
     # gwyfile takes a file that was cut for a smaller one
@@ -31,16 +98,20 @@ def load_maps(path: str) -> Found:
     # it fails in whatever way the damage leads it to
     try:
         whole = GwyObject.frombuffer(content[len(_MAGIC) :])
-        for key in sorted(key for key in whole if re.fullmatch(r"/\d+/data", key)):
+        for key in sorted((key for key in whole if re.fullmatch(r"/\d+/data", key)), key=lambda key: int(key[1:-5])):
             field = whole[key]
             if not isinstance(field, GwyDataField):
                 continue
             units = {"unit": _unit(field.si_unit_xy), "z": _unit(field.si_unit_z)}
             title = str(whole.get(f"{key}/title", key))
             facts.append({"name": title, "sides": [float(field.xreal), float(field.yreal)], **units})
-            maps.append(np.asarray(field.data, dtype=np.float64)[::-1])
+            values = np.asarray(field.data, dtype=np.float64)[::-1]
+            mask = whole.get(f"{key[:-5]}/mask") if is_converted else None
+            maps.append(values if mask is None else np.where(np.asarray(mask.data)[::-1] > 0.5, np.nan, values))
     except Exception as error:
         raise ValueError(f"is no whole Gwyddion file: {type(error).__name__}: {error}") from error
+    if not maps:
+        raise ValueError(without)
     return {"channels": facts}, maps
 
 

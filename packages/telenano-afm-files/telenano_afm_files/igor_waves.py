@@ -4,7 +4,9 @@ Format: WaveMetrics, Technical Note 003. `igor2` takes the memory that the heade
 """
 
 import math
+import re
 import struct
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.readers import open_regular
+from telenano_afm_files.map_libraries import refusal_of_pause
+from telenano_afm_files.recorded import Curves, Recorded
 
 _VERSION = 5
 _DATA_START = 384
@@ -101,12 +105,8 @@ def _unit(name: str, unit: str) -> str:
     return next((found for part, found in other.items() if part in name.lower()), unit)
 
 
-def load_curve(path: str, number: str) -> Found:
-    """Return a force curve of Asylum's (Defl, and ZSnsr or Raw).
-
-    Values: k [N/m], speed of the approach [m/s] and points of the approach. Arrays: base and deflection [m].
-    """
-    refuse_number(number)
+def curves_of(path: str) -> Curves:
+    """Return the force curve of Asylum's in a wave (Defl, and ZSnsr or Raw)."""
     wave, (values,) = load_wave(path)
     if values.ndim != 2:
         raise ValueError(f"it has the shape {values.shape}; a curve has rows and columns")
@@ -117,25 +117,48 @@ def load_curve(path: str, number: str) -> Found:
     for names in (("Defl",), ("ZSnsr", "Raw")):
         if not any(name in columns for name in names):
             raise ValueError(f"it has no column {' or '.join(names)}")
-    if missing := [name for name in ("SpringConstant", "Indexes") if name not in notes]:
-        raise ValueError(f"its note lacks {', '.join(missing)}")
+    if "Indexes" not in notes:
+        raise ValueError("its note lacks Indexes")
+    # a part of a curve that dwells goes neither to the sample (1) nor away (-1)
+    if "0" in (way.strip() for way in notes.get("Direction", "").split(",")):
+        raise ValueError(refusal_of_pause("a dwell at the sample"))
     # towards the sample is where the deflection rises: Asylum's sensor does too
-    height = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
-    turn = int(float(notes["Indexes"].split(",")[1])) + 1
-    speed = abs(float(height[turn - 1] - height[0])) / (float(wave["steps"][0]) * turn)
-    facts = {"stiffness_n_per_m": float(notes["SpringConstant"]), "speed_m_per_s": speed, "turn": turn}
-    return facts, [height, columns["Defl"]]
+    base = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
+    # where segments end: a curve that dwells has more than two
+    ends = [int(float(end)) + 1 for end in notes["Indexes"].split(",") if end]
+    turn, back = ends[1], ends[-2]
+    speed = abs(float(base[turn - 1] - base[0])) / (float(wave["steps"][0]) * turn)
+    ways = tuple((-base[way], columns["Defl"][way]) for way in (slice(None, turn), slice(back, None)))
+    k, sensitivity = (float(notes[name]) if name in notes else None for name in ("SpringConstant", "InvOLS"))
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), ways, "m", k, sensitivity, speed), 1.0)]))
+
+
+def curves_of_folder(path: str) -> Curves:
+    """Return the curves of a map of Asylum's that was saved as a folder of waves, `Line0003Point0012.ibw` each."""
+    found = {}
+    for file in sorted(Path(path).glob("*.ibw")):
+        if place := re.search(r"Line(\d+)Point(\d+)", file.stem, re.IGNORECASE):
+            found[int(place[2]), int(place[1])] = file
+    if not found:
+        raise ValueError("is a folder without the waves of a map, which are named as Line0003Point0012.ibw")
+    notes = notes_of(load_wave(str(next(iter(found.values()))))[0])
+    sides = [float(notes.get(f"{axis}ScanSize", notes.get("ScanSize", 0.0))) for axis in ("Fast", "Slow")]
+    shape = tuple(max(1 + place[axis] for place in found) for axis in (0, 1))
+
+    def curve(place: tuple[int, int], file: Path) -> Recorded:
+        try:
+            (read, _), *_ = curves_of(str(file)).each
+            return read()._replace(place=place)
+        except ValueError as error:
+            raise ValueError(f"{file.name}: {error}") from error
+
+    shares = ((partial(curve, *each), (number + 1) / len(found)) for number, each in enumerate(found.items()))
+    return Curves((shape[0], shape[1]), (sides[0], sides[1]), shares)
 
 
 def notes_of(wave: dict[str, Any]) -> dict[str, str]:
     """Return the lines of the note of a wave by their keys."""
     return dict(line.partition(":")[::2] for line in wave["note"].split("\r"))
-
-
-def refuse_number(number: str) -> None:
-    """Raise ValueError where a curve of a map is asked for, of a file that has one."""
-    if number != "0":
-        raise ValueError(f"it is no map, of which the curve {number} could be chosen")
 
 
 def _text(parts: Any) -> str:

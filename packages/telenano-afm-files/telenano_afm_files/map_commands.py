@@ -20,7 +20,7 @@ from telenano_afm_files.map_files import import_map as read_map_of
 from telenano_afm_files.sader_jarvis import ASKED
 
 FileArgument = Annotated[
-    Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, or force curves that afmformats reads.")
+    Path, typer.Argument(metavar="FILE", help=".npz, .h5, .3ds, .dat of Nanonis, or force curves of an instrument.")
 ]
 MembersOption = Annotated[
     list[str] | None,

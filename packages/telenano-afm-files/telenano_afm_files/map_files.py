@@ -3,8 +3,8 @@
 | file | what | read by |
 |---|---|---|
 | `.npz`, `.h5` with a dataset `value` | a plain grid with the members of a map | numpy, h5py |
-| `.jpk-force`, `.jpk-force-map`, `.jpk-qi-data`, `.jpk-qi-series`, `.h5`, `.tab` | curves | afmformats |
-| `.3ds` | a grid of Nanonis whose sweep is z | here |
+| those of `curve_files`, and a folder of `.ibw` of a map | curves | there |
+| `.3ds`, `.dat` | a grid or a spectroscopy of Nanonis whose sweep is z | here |
 
 Curves have heights of their own. They are cut to what all of them have in common: with `level: each` the height of a
 curve counts from its own lowest point, so that no curve loses its contact, and the topography is left out; with
@@ -23,14 +23,18 @@ import numpy.typing as npt
 from telenano.extend.commands import ConfigError
 from telenano.extend.maps import UNITS, Array, ForceMap, MapError, checked_map, read_members
 from telenano.extend.readers import open_regular, read_in_child
+from telenano_afm_files.bruker import is_nanoscope
+from telenano_afm_files.nanonis import backward_of, sweep_of, unit_of
 from telenano_afm_files.readers import limits_of_curves
 from telenano_afm_files.sader_jarvis import ASKED, as_force
 
 _LONGEST_3DS_HEADER = 1 << 18
 _MOST_SIDE, _LEAST_POINTS = 4096, 8
-_CURVE_SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".h5", ".tab")
-MAP_SUFFIXES = (".npz", ".3ds", *_CURVE_SUFFIXES)
-_LIBRARIES = "telenano_afm_files.map_libraries"
+_CURVE_SUFFIXES = (
+    ".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".nid", ".nhf", ".zip", ".csv", ".txt",
+    ".h5", ".tab",
+)  # fmt: skip
+MAP_SUFFIXES = (".npz", ".3ds", ".dat", *_CURVE_SUFFIXES)
 Watch = Callable[[float], None]
 
 
@@ -81,7 +85,8 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
         ConfigError: The file cannot be used; the message names it, the key and what would be right.
     """
     try:
-        open_regular(path).close()
+        if not path.is_dir():
+            open_regular(path).close()
         members = {name: value for name, value in wanted.given.items() if name not in ASKED}
         found = _import(path, wanted._replace(given=members), watch)
         if not wanted.converted:
@@ -104,13 +109,14 @@ def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
         found, values = read_members(path)
         assert values is not None
         return Imported(checked_map({**source, **found, **wanted.given}, values), ())
-    if suffix == ".3ds":
-        return _on_one_grid(_read_3ds(path, wanted.channel), wanted, source)
-    if suffix not in _CURVE_SUFFIXES:
+    if suffix in (".3ds", ".dat"):
+        read = _read_3ds if suffix == ".3ds" else _read_dat
+        return _on_one_grid(read(path, wanted.channel), wanted, source)
+    if suffix not in _CURVE_SUFFIXES and not path.is_dir() and not _is_bruker(path):
         raise MapError(f"is no recorded map that can be read; these are {', '.join(MAP_SUFFIXES)}")
     if suffix == ".h5":
         try:
-            facts, (values, *axes) = read_in_child(f"{_LIBRARIES}:load_grid", path)
+            facts, (values, *axes) = read_in_child("telenano_afm_files.map_libraries:load_grid", path)
         except ValueError as error:
             # a file of afmformats has numbered groups of columns
             if not str(error).startswith("value: is missing"):
@@ -125,9 +131,9 @@ def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
 def _read_curves(path: Path, wanted: Wanted, watch: Watch) -> _Curves:
     given = [wanted.given.get(name) for name in ("stiffness_n_per_m", "sensitivity_m_per_v")]
     texts = [None if value is None else repr(float(value)) for value in given]
-    limits = limits_of_curves(path.stat().st_size)
+    limits = limits_of_curves(sum(file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())))
     facts, (places, counts, heights, forces) = read_in_child(
-        f"{_LIBRARIES}:load_curves", path, *texts, limits=limits, watch=watch
+        "telenano_afm_files.curve_files:load_curves", path, *texts, limits=limits, watch=watch
     )
     # A part of a grid, or a grid that was stopped, is a map where its places are even and each has a curve.
     lines = [np.unique(places[:, axis]) for axis in (0, 1)]
@@ -146,7 +152,7 @@ def _read_curves(path: Path, wanted: Wanted, watch: Watch) -> _Curves:
     pitch = [side / max(count, 1) for side, count in zip(facts["sides"], whole, strict=True)]
     strides = [int(line[1] - line[0]) if len(line) > 1 else 1 for line in lines]
     sides = (pitch[0] * strides[0] * nx, pitch[1] * strides[1] * ny)
-    # afmformats: the force is positive when the tip is pushed away, the height is that of the piezo
+    # the force is positive when the tip is pushed away, the height is that of the piezo
     stated = {"unit": "N", "sign": 1, "axis": "base", "stiffness_n_per_m": facts["stiffness_n_per_m"]}
     return _Curves(ways, sides, stated, notes)
 
@@ -188,7 +194,7 @@ def _read_3ds(path: Path, channel: str | None) -> _Curves:
     data = np.frombuffer(content, ">f4", lines * nx * record // 4).reshape(lines, nx, -1).astype(np.float64)
     curves = data[:, :, parameters:].reshape(lines, nx, len(names), points)
     chosen = _chosen(names, channel)
-    unit = _unit(names[chosen])
+    unit = unit_of(names[chosen])
     back = _backward(names, chosen)
     heights = _sweep(data, curves, names, fixed, points)
     if back is not None and float(np.nansum(np.diff(heights, axis=2))) > 0.0:
@@ -202,6 +208,26 @@ def _read_3ds(path: Path, channel: str | None) -> _Curves:
         notes.append(f"{lost} values are no number, where curves were cut short; the others are taken")
     facts = {"unit": unit, "axis": "base"}
     return _Curves(ways, (width, depth * lines / ny), facts, tuple(notes))
+
+
+def _is_bruker(path: Path) -> bool:
+    with open_regular(path) as file:
+        return is_nanoscope(file.read(64))
+
+
+def _read_dat(path: Path, channel: str | None) -> _Curves:
+    facts, (table,) = read_in_child("telenano_afm_files.nanonis:load_table", path)
+    height, columns = sweep_of(facts, table)
+    names = list(columns)
+    chosen = _chosen(names, channel)
+    back = _backward(names, chosen)
+    branches = [chosen] if back is None else [chosen, back]
+    if back is not None and height[-1] > height[0]:
+        branches = branches[::-1]
+    ways = [_way(height, columns[names[place]]) for place in branches]
+    lost = sum(len(height) - len(z) for z, _ in ways)
+    notes = (f"{lost} values are no number, where curves were cut short; the others are taken",) if lost else ()
+    return _Curves([[ways]], (0.0, 0.0), {"unit": unit_of(names[chosen]), "axis": "base"}, notes)
 
 
 def _way(height: Array, value: Array) -> Way:
@@ -232,16 +258,11 @@ def _sides(header: Mapping[str, str]) -> tuple[float, float]:
     return width, depth
 
 
-def _unit(name: str) -> str:
-    found = re.search(r"\(([^()]*)\)$", name)
-    return found[1] if found else ""
-
-
 def _chosen(names: list[str], wanted: str | None) -> int:
     """Return the channel that is meant: of those with a unit that can be felt, frequency shift before others."""
     forward = [i for i, name in enumerate(names) if "[bwd]" not in name]
     if wanted is None:
-        found = [i for i in forward if _unit(names[i]) in ("N", "Hz")]
+        found = [i for i in forward if unit_of(names[i]) in ("N", "Hz")]
     else:
         found = [i for i in forward if wanted.lower() in names[i].lower()]
     if not found:
@@ -251,7 +272,7 @@ def _chosen(names: list[str], wanted: str | None) -> int:
 
 
 def _backward(names: list[str], chosen: int) -> int | None:
-    other = re.sub(r" \(", " [bwd] (", names[chosen])
+    other = backward_of(names[chosen])
     return names.index(other) if other in names else None
 
 

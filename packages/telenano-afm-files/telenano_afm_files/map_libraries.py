@@ -2,26 +2,29 @@
 
 import logging
 import os
-import tempfile
+import re
 import zipfile
-from collections.abc import Iterator
-from itertools import pairwise
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-# Of a segment so many points are kept at most; a finer curve is interpolated to them.
-MOST_POINTS = 4096
-_MOST_CURVES = 1 << 18
+from telenano_afm_files.recorded import Curves, Recorded, lacks
+
 # curves that are read at once
 _BLOCK = 64
-_MOST_UNPACKED_BYTES = 8 << 30
+_MOST_UNPACKED_BYTES, _MOST_OF_ONE_BYTES = 8 << 30, 1 << 30
 # Curves pack to a third or a half, and an archive may be so large unpacked besides.
 _GREATEST_RATIO, _ORDINARY_BYTES = 32, 64 << 20
 # An entry of an archive has a head of so many bytes at least; what all curves share is copied for each block of them.
 _LEAST_HEAD, _MOST_SHARED_BYTES = 30, 4 << 20
+
+# the names of constants, and those of afmformats
+_NAMES = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
@@ -47,50 +50,78 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value if isinstance(value, str) else str(value)
 
 
-def load_curves(path: str, stiffness: str | None, sensitivity: str | None, report: int) -> Found:
+def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
     """Return the curves of a file that afmformats reads.
-
-    Facts: shape of the grid, its sides [m] and spring constant [N/m]. Arrays: column and row of each
-    curve, points of its approach and its retraction, and all heights [m] and forces [N], one after another.
 
     Args:
         path: The file.
-        stiffness: The spring constant [N/m] in place of that of the file, as text.
-        sensitivity: The sensitivity [m/V] likewise.
-        report: The descriptor that takes the advance.
+        folder: Where parts of a large archive are written.
+        given: Constants in place of those of the file, of a file that has deflections as they were read.
     """
     import afmformats
-    from afmformats.errors import MissingMetaDataError
+    from afmformats.errors import FileFormatNotSupportedError, MissingMetaDataError
 
     # it reports with a traceback what it raises as well
     logging.getLogger("afmformats").setLevel(logging.CRITICAL)
-    refuse_large_archive(path)
-    names = {"stiffness_n_per_m": "spring constant", "sensitivity_m_per_v": "sensitivity"}
-    given = {"spring constant": stiffness, "sensitivity": sensitivity}
-    # other formats have forces that were computed before
-    is_raw = ".jpk-" in path.lower()
-    override = {key: float(value) for key, value in given.items() if value is not None and is_raw}
-    facts: dict[str, Any] = {}
-    places, counts, columns = [], [], []
-    with tempfile.TemporaryDirectory() as folder:
-        for block, share in blocks_of(path, Path(folder)):
+    refuse_large_archive(path, _MOST_OF_ONE_BYTES if path.lower().endswith(".jpk-force") else _MOST_UNPACKED_BYTES)
+    override = {_NAMES[name]: value for name, value in given.items() if is_raw(path)}
+
+    def parts() -> Iterator[tuple[Any, float]]:
+        for block, share in blocks_of(path, folder):
             try:
-                curves = afmformats.load_data(block, meta_override=override)
+                yield afmformats.load_data(block, meta_override=override), share
             except MissingMetaDataError as error:
-                missing = [ours for ours, theirs in names.items() if theirs in error.meta_keys]
-                text = f"is missing; give it to `telenano sample import` by --set {missing[0]}=…"
-                raise ValueError(f"{', '.join(missing)}: {text}") from error
+                names = [ours for ours, theirs in _NAMES.items() if theirs in error.meta_keys]
+                raise ValueError(lacks(names)) from error
+            except FileFormatNotSupportedError as error:
+                # The library knows two kinds of pause of JPK's; a file with another is of no format to it.
+                if (count := _segments_of(path)) > 2:
+                    raise ValueError(refusal_of_pause(f"{count} segments")) from error
+                raise
+            # an archive of something else, or one line of a grid
+            except (ArithmeticError, AttributeError, LookupError, UnicodeDecodeError) as error:
+                raise ValueError(f"afmformats cannot read force curves in it ({error})") from error
+
+    blocks = parts()
+    first, share = next(blocks)
+    if not len(first):
+        raise ValueError("it has no curve")
+
+    def each() -> Iterator[tuple[Callable[[], Recorded], float]]:
+        for curves, done in chain([(first, share)], blocks):
             for curve in curves:
-                facts = facts or _facts(curve.metadata)
-                places.append([int(curve.metadata.get(f"grid index {axis}", 0)) for axis in "xy"])
-                ways = ways_of(curve)
-                counts.append([len(way[0]) for way in ways])
-                columns += [np.stack(way) for way in ways]
-            _tell(report, share)
-    if not 0 < len(places) <= _MOST_CURVES:
-        raise ValueError(f"it has {len(places)} curves; 1 to {_MOST_CURVES} are read")
-    heights, forces = np.concatenate(columns, axis=1)
-    return facts, [np.array(places), np.array(counts), heights, forces]
+                yield partial(_recorded, curve), done
+
+    shape, sides = ([first[0].metadata.get(f"grid {key} {axis}", none) for axis in "xy"] for key, none in
+                    (("shape", 1), ("size", 0.0)))  # fmt: skip
+    return Curves((int(shape[0]), int(shape[1])), (float(sides[0]), float(sides[1])), each())
+
+
+# the ends of the names of files that afmformats reads; those of raw deflections first
+_RAW_SUFFIXES = (".jpk-", ".csv", ".txt", ".zip")
+SUFFIXES = (*_RAW_SUFFIXES, ".h5", ".tab")
+
+
+def is_raw(path: str) -> bool:
+    """Whether afmformats computes the forces of a file from constants, which may be others than those in the file."""
+    return Path(path).suffix.lower().startswith(_RAW_SUFFIXES)
+
+
+def _recorded(curve: Any) -> Recorded:
+    found = curve.metadata
+    require_force_curve(found)
+    height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
+    force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
+    if not len(force) or {len(height), len(segment)} != {len(force)}:
+        raise ValueError(f"its columns have {len(force)}, {len(height)} and {len(segment)} points")
+    if len(kinds := np.unique(segment)) > 2:
+        raise ValueError(refusal_of_pause(f"{len(kinds)} segments"))
+    if segment[0] == segment[-1]:
+        raise ValueError("it needs an approach and a retraction")
+    ways = tuple((height[part], force[part]) for part in (segment == segment[0], segment == segment[-1]))
+    place = (int(found.get("grid index x", 0)), int(found.get("grid index y", 0)))
+    stiffness, sensitivity = (float(found[key]) if key in found else None for key in _NAMES.values())
+    return Recorded(place, ways, "N", stiffness, sensitivity, float(found.get("speed approach", 1.0)))
 
 
 def refuse_large_archive(path: str, most_bytes: int = _MOST_UNPACKED_BYTES) -> None:
@@ -145,46 +176,30 @@ def _curve_of(name: str) -> int | None:
     return int(number) if head == "index" and number.isdecimal() else None
 
 
-def _facts(metadata: Any) -> dict[str, Any]:
-    return {
-        "shape": [int(metadata.get(f"grid shape {axis}", 1)) for axis in "xy"],
-        "sides": [float(metadata.get(f"grid size {axis}", 0.0)) for axis in "xy"],
-        "stiffness_n_per_m": float(metadata["spring constant"]) if "spring constant" in metadata else None,
-    }
-
-
 def require_force_curve(metadata: Any) -> None:
     """Raise ValueError for a curve of another kind, which is no force against distance however its columns look."""
     mode = str(metadata.get("imaging mode", "")) or "force-distance"
     if mode != "force-distance":
-        raise ValueError(
-            f"it holds curves of {mode.replace('-', ' ')}, taken over time at a constant force or place, and no force "
-            "against distance: give a curve of an approach and a retraction without a pause"
-        )
+        raise ValueError(refusal_of_pause(mode))
 
 
-def ways_of(curve: Any) -> list[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]:
-    """Return heights [m] and forces [N] of the approach and of the retraction, with the points in order of height.
-
-    Raises:
-        ValueError: The curve is one of creep or relaxation.
-    """
-    require_force_curve(curve.metadata)
-    height = np.asarray(curve["height (measured)" if "height (measured)" in curve else "height (piezo)"], np.float64)
-    force, segment = np.asarray(curve["force"], np.float64), np.asarray(curve["segment"]).astype(int)
-    found = []
-    for part in (segment == segment[0], segment == segment[-1]):
-        z, f = height[part], force[part]
-        sound = np.isfinite(z) & np.isfinite(f)
-        z, f = z[sound], f[sound]
-        order = np.argsort(z, kind="stable")
-        z, f = z[order], f[order]
-        if len(z) > MOST_POINTS:
-            even = np.linspace(z[0], z[-1], MOST_POINTS)
-            z, f = even, np.interp(even, z, f)
-        found.append((z, f))
-    return found
+def refusal_of_pause(kind: str) -> str:
+    """Return why curves of a kind that hold the tip for a while cannot be used."""
+    return (
+        f"it holds curves of {kind.replace('-', ' ')}, taken over time at a constant force or place, and no force "
+        "against distance: give a curve of an approach and a retraction without a pause"
+    )
 
 
-def _tell(report: int, share: float) -> None:
+def _segments_of(path: str) -> int:
+    """Return how many segments the longest curve of an archive of JPK's has; 0 for another file."""
+    if not zipfile.is_zipfile(path):
+        return 0
+    with zipfile.ZipFile(path) as archive:
+        found = [re.search(r"(?:^|/)segments/(\d{1,6})/", name) for name in archive.namelist()]
+    return max((int(each[1]) + 1 for each in found if each), default=0)
+
+
+def tell(report: int, share: float) -> None:
+    """Report the share that is done."""
     os.write(report, bytes([min(int(100.0 * share), 100)]))

@@ -6,7 +6,7 @@ _LIBRARIES_BYTES = 2 << 30
 
 
 def limits_of_libraries(size_bytes: int) -> Limits:
-    """Return what SurfaceTopography and nanonispy2 may take: what they import takes address space and time too."""
+    """Return what nanonispy2 may take: what they import takes address space and time too."""
     limits = limits_for(size_bytes)
     return limits._replace(memory_bytes=limits.memory_bytes + _LIBRARIES_BYTES, cpu_s=2 * limits.cpu_s)
 
@@ -17,15 +17,16 @@ def limits_of_curves(size_bytes: int) -> Limits:
     return Limits(limits.memory_bytes + (1 << 30), limits.cpu_s + 10 + size_bytes // 50_000, limits.wall_s + 60.0)
 
 
-_CURVE, _DEFLECTIONS = (f"telenano_afm_files.curve_files:{name}" for name in ("load_afmformats", "load_deflections"))
-GWYDDION = FileReader(heights="telenano_afm_files.gwyddion:load_maps")
-IGOR = FileReader(
-    heights="telenano_afm_files.igor_waves:load_maps", curve="telenano_afm_files.igor_waves:load_curve",
-    deflections=_DEFLECTIONS, limits=limits_of_curves,
-)  # fmt: skip
-NANONIS = FileReader(heights="telenano_afm_files.images:load_nanonis", limits=limits_of_libraries)
-OTHER = FileReader(heights="telenano_afm_files.images:load_image", limits=limits_of_libraries)
+_CURVE, _DEFLECTIONS = (f"telenano_afm_files.curve_files:{name}" for name in ("load_one", "load_deflections"))
+_HDF5 = "telenano_afm_files.hdf5_images:load_maps"
 CURVES = FileReader(curve=_CURVE, deflections=_DEFLECTIONS, limits=limits_of_curves)
-CURVE_MAPS = FileReader(
-    curve="telenano_afm_files.curve_files:load_one_of_map", deflections=_DEFLECTIONS, limits=limits_of_curves
+HDF5 = FileReader(heights=_HDF5, curve=_CURVE, deflections=_DEFLECTIONS, limits=limits_of_curves)
+IGOR = CURVES._replace(heights="telenano_afm_files.igor_waves:load_maps")
+JPK_THERMAL = FileReader(spectrum="telenano_afm_files.jpk_thermal:load_spectrum")
+GWYDDION = FileReader(heights="telenano_afm_files.gwyddion:load_maps")
+NANONIS = FileReader(heights="telenano_afm_files.nanonis:load_nanonis", limits=limits_of_libraries)
+NANOSURF = CURVES._replace(
+    heights="telenano_afm_files.nanosurf:load_maps", spectrum="telenano_afm_files.nanosurf:load_spectrum"
 )
+NANOSURF_HDF5 = CURVES._replace(heights="telenano_afm_files.nanosurf:load_nhf_maps")
+OTHER = CURVES._replace(heights="telenano_afm_files.gwyddion:load_image")

@@ -2,10 +2,11 @@
 
     F(D) = 2 k / f0 int_D^inf [(1 + sqrt(A) / (8 sqrt(pi (z - D)))) df(z) - A^(3/2) / sqrt(2 (z - D)) df'(z)] dz
 
-(Sader and Jarvis, Appl. Phys. Lett. 84, 1801, 2004), within a few percent for any amplitude A. D is the place of the
-closest approach. A curve has to reach out to where its shift stands, which is taken as 0. Where the force turns sharply
-within an amplitude, no inversion is sure (Sader, Hughes, Huber and Giessibl, Nat. Nanotechnol. 13, 1088, 2018). Between
-its points a shift is taken as linear, whose integrals are those of roots.
+(Sader and Jarvis, Appl. Phys. Lett. 84, 1801, 2004), within a few percent of the greatest attraction for any amplitude
+A from there outwards, and 5 to 35 % on the repulsive flank. D is the place of the closest approach. A curve has to
+reach out to where its shift stands, which is taken as 0. Where the force turns sharply within an amplitude, no
+inversion is sure (Sader, Hughes, Huber and Giessibl, Nat. Nanotechnol. 13, 1088, 2018). Between its points a shift is
+taken as linear, whose integrals are those of roots.
 """
 
 import math

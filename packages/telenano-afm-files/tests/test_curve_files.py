@@ -1,7 +1,6 @@
 """Force curves of other instruments are read as they were written, and what cannot be used is refused by name."""
 
 import dataclasses
-import importlib
 import json
 import zipfile
 from pathlib import Path
@@ -10,6 +9,8 @@ import afmformats
 import h5py
 import numpy as np
 import pytest
+from damaged_files import wave
+from telenano_afm_files.map_files import MAP_SUFFIXES
 from telenano_calibration.own_calibration import sensitivities_of_file
 from telenano_microscopy.force_curve import Curve, Half, force_curve, marks_of, read_measured, write_hdf5
 from typer.testing import CliRunner
@@ -138,9 +139,11 @@ def test_a_map_gives_any_of_its_curves_and_the_sensitivity_of_each(tmp_path):
     # the last curve of the map never meets the sample
     assert (document["curves"], document["curves_without_hard_contact"]) == (3, 1)
     write_hdf5(tmp_path / "no_sensitivity.h5", far)
-    with pytest.raises(ConfigError, match=r"no_sensitivity\.h5: is no file of curves: its metadata lack sensitivity"):
+    with pytest.raises(
+        ConfigError, match=r"no_sensitivity\.h5: is no file of curves: its metadata lack the sensitivity"
+    ):
         sensitivities_of_file(tmp_path / "no_sensitivity.h5")
-    with pytest.raises(ConfigError, match="it is no map, of which the curve 1 could be chosen"):
+    with pytest.raises(ConfigError, match="it has no curve 1; it has 1, and the first is 0"):
         read_measured(tmp_path / "one.jpk-force", 1)
 
 
@@ -166,7 +169,11 @@ def test_a_curve_without_spring_constant_or_way_back_is_refused_by_file(tmp_path
     data = [number for number, line in enumerate(lines) if line and not line.startswith("#")]
     (tmp_path / "half.tab").write_text("\n".join(lines[: data[19] + 1]) + "\n")
     (tmp_path / "not_a.jpk-force").write_bytes(b"PK no archive")
-    for name, words in (("no_k.tab", "spring constant"), ("half.tab", "retraction"), ("not_a.jpk-force", "no whole")):
+    for name, words in (
+        ("no_k.tab", "stiffness_n_per_m: the file has no such value"),
+        ("half.tab", "retraction"),
+        ("not_a.jpk-force", "no whole"),
+    ):
         with pytest.raises(ConfigError, match=words) as error:
             read_measured(tmp_path / name)
         assert str(tmp_path / name) in str(error.value)
@@ -201,22 +208,87 @@ def test_a_measured_curve_is_marked():
     assert marks.hysteresis_j > 0.0
 
 
-@pytest.mark.parametrize("mode", ["creep-compliance", "stress-relaxation"])
-@pytest.mark.parametrize(
-    "reader",
-    [
-        "telenano_afm_files.curve_files:load_afmformats",
-        "telenano_afm_files.curve_files:load_deflections",
-        "telenano_afm_files.map_libraries:load_curves",
-    ],
-)
-def test_a_curve_of_creep_or_relaxation_is_refused_by_name(reader, mode, tmp_path):
-    path = tmp_path / "curve.h5"
-    write_hdf5(path, force_curve(AfmConfig(), 10e-9, 10e-9, 200))
+def write_jpk_with_pause(path, curve, kind):
+    """Write a curve whose tip waits between approach and retraction, with a settling segment before for relaxation."""
+    write_jpk(path, curve)
+    with zipfile.ZipFile(path) as file:
+        entries = {name: file.read(name) for name in file.namelist()}
+    numbers = {"0": "0", "1": "2"} if kind != "constant-height-pause" else {"0": "0", "1": "3"}
+    moved = {}
+    for name, content in entries.items():
+        parts = name.split("segments/")
+        if len(parts) == 2 and parts[1]:
+            number, rest = parts[1].split("/", 1)
+            name = f"{parts[0]}segments/{numbers[number]}/{rest}"
+        moved[name] = content
+    # a wait looks as the approach does but for its kind, which is what a reader can tell it by
+    for number in range(1, int(numbers["1"])):
+        for name, content in entries.items():
+            if "segments/0/" in name:
+                if name.endswith("segment-header.properties"):
+                    content = content.replace(b"settings.style=extend", b"settings.style=pause")
+                    content += f"\nforce-segment-header.settings.segment-settings.type={kind}\n".encode()
+                moved[name.replace("segments/0/", f"segments/{number}/")] = content
+    with zipfile.ZipFile(path, "w") as file:
+        for name, content in moved.items():
+            file.writestr(name, content)
+
+
+def write_ibw_with_dwell(path):
+    base = np.concatenate([np.linspace(0, 1e-7, 20), np.full(10, 1e-7), np.linspace(1e-7, 0, 20)])
+    labels = ((1, "Raw"), (1, "Defl"), (1, "ZSnsr"))
+    note = "SpringConstant:1.5\rIndexes:0,19,29,49\rDirection:NaN,1,0,-1"
+    path.write_bytes(wave(np.stack([base, 0.1 * base, base], axis=1), labels=labels, note=note))
+
+
+def write_of_mode(path, curve, mode, segments=2):
+    write_hdf5(path, curve)
     with h5py.File(path, "r+") as file:
         file["0"].attrs["imaging mode"] = mode
-    module, _, name = reader.partition(":")
-    with (tmp_path / "report").open("wb") as report:
-        more = {"load_curves": (None, None, report.fileno()), "load_deflections": ()}.get(name, ("0",))
-        with pytest.raises(ValueError, match=f"curves of {mode.replace('-', ' ')}, taken over time"):
-            getattr(importlib.import_module(module), name)(str(path), *more)
+        count = len(file["0"]["segment"])
+        file["0"]["segment"][:] = np.arange(count) * segments // count
+
+
+def write_tab_of_mode(path, curve, mode):
+    write_hdf5(path.with_suffix(".h5"), curve)
+    afmformats.load_data(path.with_suffix(".h5"))[0].export_data(path, fmt="tab")
+    path.write_text(path.read_text().replace('"force-distance"', f'"{mode}"'))
+
+
+# how a curve that waits is written in a file of each ending, and what it is called
+WAITING = {
+    "h5": [
+        (lambda path, curve: write_of_mode(path, curve, "creep-compliance"), "creep compliance"),
+        (lambda path, curve: write_of_mode(path, curve, "stress-relaxation"), "stress relaxation"),
+        (lambda path, curve: write_of_mode(path, curve, "force-distance", 3), "3 segments"),
+    ],
+    "tab": [(lambda path, curve: write_tab_of_mode(path, curve, "creep-compliance"), "creep compliance")],
+    "ibw": [(lambda path, curve: write_ibw_with_dwell(path), "a dwell at the sample")],
+    **{
+        name: [
+            (lambda path, curve: write_jpk_with_pause(path, curve, "constant-force-pause"), "creep compliance"),
+            (lambda path, curve: write_jpk_with_pause(path, curve, "constant-height-pause"), "stress relaxation"),
+            (lambda path, curve: write_jpk_with_pause(path, curve, "modulation-pause"), "3 segments"),
+        ]
+        for name in ("jpk_force", "jpk_force_map", "jpk_qi_data", "jpk_qi_series")
+    },
+}
+
+
+@pytest.mark.parametrize(
+    ("ending", "write", "kind"), [(ending, *row) for ending, rows in WAITING.items() for row in rows]
+)
+def test_a_curve_that_waits_is_refused_by_name_wherever_it_is_read(ending, write, kind, tmp_path):
+    path = tmp_path / f"curve.{ending.replace('_', '-')}"
+    write(path, force_curve(AfmConfig(), 10e-9, 10e-9, 200))
+    commands = [
+        ["curve", "--overlay", str(path), "--out", str(tmp_path / "out")],
+        ["calibrate", "sensitivity", "--curve", str(path)],
+        *([["sample", "import", str(path), "--out", str(tmp_path / "map.npz")]] if path.suffix in MAP_SUFFIXES else []),
+    ]
+    for command in commands:
+        said = CliRunner().invoke(app, command)
+        assert said.exit_code == 2, said.output
+        text = " ".join(said.output.split())
+        assert f"{path.name}: " in text
+        assert f"it holds curves of {kind}, taken over time at a constant force or place" in text

@@ -34,9 +34,9 @@ _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
 @with_options(PushSettings, leave_out=_ENDS)
 def push(
     begin: Annotated[
-        str, typer.Option("--from", metavar="X,Y", help="Where the particle is believed to be on the sample [m].")
+        str, typer.Option("--from", metavar="X,Y", help="Where the particle is believed to be on the sample [nm].")
     ],
-    goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Where it is to go on the sample [m].")],
+    goal: Annotated[str, typer.Option("--to", metavar="X,Y", help="Where it is to go on the sample [nm].")],
     given: dict[str, Any],
     afm: AfmOption = None,
     live: LiveOption = False,
@@ -61,11 +61,12 @@ def push(
 def _place(option: str, text: str) -> tuple[float, float]:
     """Return the place that an option names [m]."""
     try:
-        x, y = (float(word) for word in text.split(","))
+        x, y = (1e-9 * float(word) for word in text.split(","))
     except ValueError as error:
-        raise ConfigError(f"{option} {text}: must be two numbers in m with a comma between, such as 1e-6,0") from error
+        raise ConfigError(f"{option} {text}: must be two numbers in nm with a comma between, such as 1000,0") from error
     if not max(abs(x), abs(y)) <= _REACH_M:
-        raise ConfigError(f"{option} {text}: must lie within {_REACH_M:g} m of the middle of the sample, both ways")
+        reach = f"{1e9 * _REACH_M:g} nm"
+        raise ConfigError(f"{option} {text}: must lie within {reach} of the middle of the sample, both ways, in nm")
     return x, y
 
 

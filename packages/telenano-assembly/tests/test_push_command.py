@@ -17,7 +17,7 @@ def run(*words: str) -> Any:
 
 
 def test_a_push_says_where_the_particle_is_believed_to_be_and_where_it_is() -> None:
-    done = run("--from", "0,0", "--to", "3e-7,1e-7", "--json", *FAST)
+    done = run("--from", "0,0", "--to", "300,100", "--json", *FAST)
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert (document["why"], document["at_goal"]) == ("the particle is at its goal", True)
@@ -28,7 +28,7 @@ def test_a_push_says_where_the_particle_is_believed_to_be_and_where_it_is() -> N
 
 
 def test_where_no_particle_is_it_says_so() -> None:
-    done = run("--from", "0,0", "--to", "3e-7,0", "--json", *FAST, "--afm", "sample.particles.places=[[0.0,7e-7]]")
+    done = run("--from", "0,0", "--to", "300,0", "--json", *FAST, "--afm", "sample.particles.places=[[0.0,7e-7]]")
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert (document["why"], document["at_goal"], document["in_contact"]) == ("no particle was met", False, False)
@@ -37,12 +37,12 @@ def test_where_no_particle_is_it_says_so() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--from", "0", "--to", "1e-7,0"), "--from 0: must be two numbers in m with a comma between"),
-        (("--from", "0,0", "--to", "nan,0"), "--to nan,0: must lie within 0.001 m of the middle of the sample"),
-        (("--from", "0,0", "--to", "1,0"), "--to 1,0: must lie within 0.001 m"),
+        (("--from", "0", "--to", "100,0"), "--from 0: must be two numbers in nm with a comma between"),
+        (("--from", "0,0", "--to", "nan,0"), "--to nan,0: must lie within 1e+06 nm of the middle of the sample"),
+        (("--from", "0,0", "--to", "1e9,0"), "--to 1e9,0: must lie within 1e+06 nm"),
         (("--from", "0,0", "--to", "0,0"), "within push.tolerance_m = 5e-09 m of its goal already"),
-        (("--from", "0,0", "--to", "1e-7,0", "--radius", "0"), "--radius"),
-        (("--from", "0,0", "--to", "1e-7,0", "--live", "--afm", "model=dynamic"), "--afm: not with --live"),
+        (("--from", "0,0", "--to", "100,0", "--radius", "0"), "--radius"),
+        (("--from", "0,0", "--to", "100,0", "--live", "--afm", "model=dynamic"), "--afm: not with --live"),
     ],
 )
 def test_what_cannot_be_pushed_is_one_sentence(words: tuple[str, ...], sentence: str) -> None:

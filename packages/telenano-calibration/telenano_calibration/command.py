@@ -59,17 +59,20 @@ def stiffness(
         float | None, typer.Option("--rate", min=1e-3, metavar="HZ", help="Rate of the samples [Hz].")
     ] = None,
     averages: Annotated[
-        float, typer.Option("--averages", min=1.0, metavar="N", help="Periodograms in a line of the spectrum.")
-    ] = 1.0,
+        float | None,
+        typer.Option(
+            "--averages", min=1.0, metavar="N", help="Periodograms in a line; default: as the file says, or 1."
+        ),
+    ] = None,
     factor: Annotated[
         float | None, typer.Option("--factor", min=0.1, max=2.0, metavar="C", help="Factor of the mode and read-out.")
     ] = None,
     size: Annotated[
         tuple[float, float] | None,
-        typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [um]: Sader's method as well."),
+        typer.Option("--size", metavar="WIDTH LENGTH", help="Of a rectangular lever [nm]: Sader's method as well."),
     ] = None,
     size_error: Annotated[
-        float, typer.Option("--size-error", min=0.0, metavar="UM", help="Standard error of each of them [um].")
+        float, typer.Option("--size-error", min=0.0, metavar="NM", help="Standard error of each of them [nm].")
     ] = 0.0,
     as_json: JsonOption = False,
 ) -> None:
@@ -88,15 +91,17 @@ def stiffness(
             raise ConfigError("--spectrum, --record: give one of them")
         is_of_metres = False
         if spectrum is not None:
-            frequency_hz, density, is_of_metres = spectrum_of(spectrum, unit)
+            found_spectrum = spectrum_of(spectrum, unit)
+            is_of_metres = found_spectrum.is_of_metres
+            averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
             raise ConfigError("--sensitivity: what was measured in volts needs the way for a volt [nm/V]")
-        width, length = (1e-6 * value for value in size) if size else (None, None)
+        width, length = (1e-9 * value for value in size) if size else (None, None)
         way_m, way_error_m = (1.0, 0.0) if is_of_metres else (1e-9 * (sensitivity_nm or 0.0), 1e-9 * sensitivity_error)
         mode = BY_ANGLE if factor is None else factor
-        known = Thermal(way_m, temperature, mode, width, length, rate, averages, way_error_m, 1e-6 * size_error)
+        known = Thermal(way_m, temperature, mode, width, length, rate, averages or 1.0, way_error_m, 1e-9 * size_error)
         if spectrum is not None:
-            found = stiffness_of_spectrum(frequency_hz, density, known)
+            found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, known)
         else:
             found = stiffness_of_record(columns_of(record or Path(), 1)[0], known)
     print_document(found._asdict(), str(spectrum or record), as_json=as_json)

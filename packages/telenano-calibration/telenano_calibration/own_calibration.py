@@ -148,19 +148,39 @@ def columns_of(path: Path, count: int) -> Array:
     return np.array(rows).T
 
 
-def spectrum_of(path: Path, unit: str = "") -> tuple[Array, Array, bool]:
-    """Return the lines of a thermal spectrum [Hz], its density per Hz, and whether that is of metres and not of volts.
+class Spectrum(NamedTuple):
+    """A thermal spectrum: lines [Hz], their density, whether that is of metres and not of volts, and its averages."""
+
+    frequency_hz: Array
+    density_per_hz: Array
+    is_of_metres: bool
+    averages: float = 1.0
+
+
+def spectrum_of(path: Path, unit: str = "") -> Spectrum:
+    """Return a thermal spectrum, as density of a power.
 
     Args:
-        path: A text file of two columns, whose head may name the unit of the density, such as V/sqrt(Hz).
-        unit: The unit of the density, of any power of ten; empty takes that of the head.
+        path: A text file of two columns, whose head may name the unit of the density, such as V/sqrt(Hz), or a file of
+            an instrument that an installed package reads.
+        unit: The unit of the density, of any power of ten; empty takes that of the file.
 
     Raises:
         ConfigError: The file cannot be read, or its unit is not known; the message says how to give it.
     """
-    frequency_hz, density = columns_of(path, 2)
-    text = read_regular(path, _LARGEST_BYTES).decode("utf-8", errors="replace")
-    head = "\n".join(line for line in text.splitlines()[:200] if not line[:1].isdigit())
+    averages = 1.0
+    if path.suffix.lower() in TEXTS:
+        frequency_hz, density = columns_of(path, 2)
+        text = read_regular(path, _LARGEST_BYTES).decode("utf-8", errors="replace")
+        head = "\n".join(line for line in text.splitlines()[:200] if not line[:1].isdigit())
+    else:
+        try:
+            facts, (frequency_hz, density) = read_by_package(path, "spectrum")
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except ValueError as error:
+            raise ConfigError(f"{path}: {error}") from error
+        head, averages = facts["unit"], float(facts["averages"])
     found = [match for match in _DENSITY.finditer(unit or head) if bool(match[3]) is not bool(match[4] or match[5])]
     if len({match[0] for match in found}) != 1:
         known = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
@@ -169,8 +189,8 @@ def spectrum_of(path: Path, unit: str = "") -> tuple[Array, Array, bool]:
         several = f"names several units ({', '.join(match[0] for match in found)})" if found else "names no unit"
         raise ConfigError(f"{path}: its head {several} for the density: give --unit, {known}")
     prefix, base, is_power, *_ = found[0].groups()
-    root = density * _PREFIXES[prefix] ** 2 if is_power else (density * _PREFIXES[prefix]) ** 2
-    return frequency_hz, root, base == "m"
+    power = density * _PREFIXES[prefix] ** 2 if is_power else (density * _PREFIXES[prefix]) ** 2
+    return Spectrum(frequency_hz, power, base == "m", averages)
 
 
 def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: Thermal) -> Stiffness:

@@ -42,9 +42,9 @@ def calibrate_stage(
         float, typer.Option("--slew", min=1e-3, metavar="V/S", help="Fastest change of the output [V/s].")
     ] = 25.0,
     step: Annotated[float, typer.Option("--step", min=1e-6, metavar="V", help="Step while pressing [V].")] = 0.01,
-    press_m: Annotated[
-        float, typer.Option("--press", min=1e-12, max=1e-4, metavar="M", help="How far to press after touch [m].")
-    ] = 1e-8,
+    press_nm: Annotated[
+        float, typer.Option("--press", min=1e-3, max=1e5, metavar="NM", help="How far to press after touch [nm].")
+    ] = 10.0,
 ) -> None:
     """Measure a stage with a gauge, press on a hard sample, and write the calibration file; the tip ends retracted.
 
@@ -76,7 +76,7 @@ def calibrate_stage(
             "cantilever": {"stiffness_n_per_m": stiffness, "standard_error_n_per_m": stiffness_error},
         }
         _measure_travel(document, outputs)
-        _measure_deflection(document, step, press_m)
+        _measure_deflection(document, step, 1e-9 * press_nm)
         write_document(out, document)
 
 
@@ -95,7 +95,7 @@ def _measure_travel(document: dict[str, Any], outputs: list[float]) -> None:
         _ask(mover, document["stage"]["retract_v"], "lift the tip off the sample and set up the gauge, then Enter", "")
         for output_v in outputs:
             mover.settle(output_v)
-            text = f"{mover.output_v:.4f} V: what does the gauge read, towards the sample [m]"
+            text = f"{mover.output_v:.4f} V: what does the gauge read, towards the sample [nm]"
             gauges_m.append(_metres(_ask(mover, output_v, text, None)))
             found_v.append(mover.output_v)
     finally:
@@ -124,9 +124,9 @@ def _measure_deflection(document: dict[str, Any], step_v: float, press_m: float)
 
 def _metres(text: str) -> float:
     try:
-        return float(text)
+        return 1e-9 * float(text)
     except ValueError as error:
-        raise ConfigError(f"{text!r} is no reading of a gauge: give metres, such as 1.6e-7") from error
+        raise ConfigError(f"{text!r} is no reading of a gauge: give nanometres, such as 160") from error
 
 
 def _opened(document: dict[str, Any]) -> tuple[Any, Any, Any]:

@@ -93,6 +93,52 @@ def test_both_methods_agree_within_their_errors_and_a_wrong_sensitivity_is_told(
     assert unsure.standard_error_n_per_m > 0.3 * unsure.stiffness_n_per_m
 
 
+def segment_lines(window: np.ndarray, q: float, floor: float) -> tuple[Any, Any, Any]:
+    """Return the lines of segments with a window, and their mean density, summed over the covariance of its samples."""
+    count = len(window)
+    omega, dt = 2.0 * math.pi * F0, 1.0 / RATE
+    gamma = omega / (2.0 * q)
+    swing = math.sqrt(omega**2 - gamma**2)
+    t = dt * np.arange(count)
+    covariance = np.exp(-gamma * t) * (np.cos(swing * t) + gamma / swing * np.sin(swing * t))
+    own = np.array([float(np.sum(window[: count - n] * window[n:])) for n in range(count)])
+    frequency = RATE / count * np.arange(1, count // 2 + 1)
+    turns = np.cos(2.0 * math.pi * np.outer(frequency, t))
+    weighted = own / own[0] * covariance
+    mean_square = BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K
+    return frequency, 2.0 * dt * mean_square * (2.0 * turns @ weighted - 1.0) + floor, mean_square
+
+
+@pytest.mark.parametrize("lines", [1.6, 0.7, 0.35])
+@pytest.mark.parametrize(
+    "window", [np.ones, lambda count: 0.5 - 0.5 * np.cos(2.0 * math.pi * np.arange(count) / count)]
+)
+def test_a_peak_of_few_lines_gives_the_stiffness_of_its_window(window: Any, lines: float) -> None:
+    count = 1024
+    quality = F0 * count / RATE / lines
+    frequency, mean, mean_square = segment_lines(window(count), quality, 1e-30)
+    # over all lines the window leaves the area as it is
+    assert RATE / count * float(mean[:-1].sum()) == pytest.approx(mean_square, rel=1e-2)
+    found = stiffness_of_spectrum(frequency, mean / M_PER_V**2, KNOWN)
+    assert found.stiffness_n_per_m == pytest.approx(K, rel=2e-3)
+    assert found.quality == pytest.approx(quality, rel=1e-2)
+    # the stiffness of noisy ones is right on average
+    ks = []
+    for seed in range(12):
+        noise = np.random.default_rng(seed).gamma(50, 1.0 / 50, len(mean))
+        ks.append(
+            stiffness_of_spectrum(frequency, mean * noise / M_PER_V**2, KNOWN._replace(averages=50)).stiffness_n_per_m
+        )
+    assert float(np.mean(ks)) == pytest.approx(K, rel=0.12)
+
+
+def test_a_tone_is_no_resonance() -> None:
+    frequency = RATE / 256 * np.arange(1, 129)
+    mean = np.where(np.arange(128) == 17, 1e-23, 1e-27)
+    with pytest.raises(ConfigError, match=r"no resonance has the area of the peak|ends at the bound of its Q"):
+        stiffness_of_spectrum(frequency, mean / M_PER_V**2, KNOWN)
+
+
 @pytest.mark.endurance
 def test_of_1000_spectra_93_to_97_in_a_hundred_cover_the_stiffness() -> None:
     share, mean = covered(1000, 50)
@@ -179,7 +225,7 @@ def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
     sensitivity = json.loads(found.stdout)
     assert sensitivity["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=2e-3)
     own = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "thermal.txt"), "--temperature", "295", "--json"]
-    found = run(app, [*own, "--sensitivity", "60", "--averages", "50", "--size", "30", "225"])
+    found = run(app, [*own, "--sensitivity", "60", "--averages", "50", "--size", "30e3", "225e3"])
     assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(K, rel=0.06)
     refused = run(app, own)
     assert refused.exit_code == 2

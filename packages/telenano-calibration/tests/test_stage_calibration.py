@@ -119,7 +119,7 @@ def test_command_asks_measures_and_writes_a_file_that_the_driver_takes(tmp_path:
         arguments = ["device", "calibrate", "stage", "--host", "127.0.0.1", "--port", str(port), "--out", str(out)]
         arguments += ["--output", "1", "--output", "3", "--output", "5", "--range", "0.1", "--stiffness", "40"]
         arguments += ["--stiffness-error", "1.5", "--step", "0.02"]
-        readings = "\n" + "".join(f"{M_PER_V * volts:.6g}\n" for volts in (1, 3, 5)) + "\n"
+        readings = "\n" + "".join(f"{1e9 * M_PER_V * volts:.6g}\n" for volts in (1, 3, 5)) + "\n"
         other = CliRunner().invoke(app, [*arguments, "--serial", "7"], input=readings)
         assert other.exit_code == 2
         assert "serial 470012345 is not that of the calibration, 7" in " ".join(other.output.split())

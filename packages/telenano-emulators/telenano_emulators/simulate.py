@@ -120,8 +120,8 @@ def simulate_t7(
         float, typer.Option("--noise", min=0.0, max=1.0, metavar="V", help="Noise of the input [V], one sigma.")
     ] = 1e-6,
     travel: Annotated[
-        float, typer.Option("--travel", min=1e-12, max=1e-3, metavar="M", help="Travel of the stage for a volt [m].")
-    ] = 8.0e-8,
+        float, typer.Option("--travel", min=1e-3, max=1e6, metavar="NM/V", help="Travel of the stage [nm/V].")
+    ] = 80.0,
     calibration: WriteOption = None,
 ) -> None:
     """Serve the model of a LabJack T7 with stage and cantilever behind it, over Modbus TCP. Ctrl-C ends it."""
@@ -133,13 +133,15 @@ def simulate_t7(
         config = section_of(scenario, "afm_node", AfmConfig)
         if calibration is not None:
             plant = config.to_params().plant
-            write_document(calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, travel))
+            write_document(
+                calibration, calibration_of(plant.volts_per_m, plant.stiffness_n_per_m, host, port, 1e-9 * travel)
+            )
         run_ahead()
         # pymodbus shows the last bytes of every connection that ends as an error.
         logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
         asyncio.run(
             serve_t7(
-                T7Model(instrument_of(config), noise_v=noise, m_per_v=travel),
+                T7Model(instrument_of(config), noise_v=noise, m_per_v=1e-9 * travel),
                 host,
                 port,
                 latency,

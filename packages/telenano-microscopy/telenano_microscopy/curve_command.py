@@ -53,6 +53,10 @@ def curve(
     number: Annotated[
         int, typer.Option("--number", min=0, metavar="N", help="Which curve of a map to overlay; the first is 0.")
     ] = 0,
+    lacking: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="What its file lacks: stiffness_n_per_m, sensitivity_m_per_v."),
+    ] = None,
     reduced_modulus: Annotated[
         float | None,
         typer.Option("--reduced-modulus", metavar="PA", help="Of the measured contact [Pa]; default: of --afm."),
@@ -70,7 +74,7 @@ def curve(
         from telenano_microscopy.force_curve_figure import curve_figure
 
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
-        measured = None if overlay is None else curves.read_measured(overlay, number)
+        measured = None if overlay is None else curves.read_measured(overlay, number, flag_overrides(lacking or ()))
         if live:
             refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
         # A curve of a real tip is not lost by a signal that comes while its files are written.

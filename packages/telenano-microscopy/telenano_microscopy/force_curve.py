@@ -7,7 +7,7 @@ the pull-off, which is the strongest pull on the way back, and where the force p
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ Array = npt.NDArray[np.float64]
 
 # Steps of the force on the way back below this share of the greatest are not the break.
 _JUMP_SHARE = 0.5
+# what a file of a curve may lack
+CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
 _SPEED_M_PER_S = CurveSettings.in_simulated_time().speed_m_per_s
 
 
@@ -252,13 +254,26 @@ def write_hdf5(path: Path, curve: Curve) -> None:
         group.attrs.update(metadata)
 
 
-def read_measured(path: Path, number: int = 0) -> Curve:
-    """Return a measured curve in a file that an installed package reads; of a map that of a number, the first being 0.
+def read_measured(path: Path, number: int = 0, given: Mapping[str, Any] | None = None) -> Curve:
+    """Return a measured curve in a file that an installed package reads.
 
-    Raises: ConfigError naming the file and what is wrong with it.
+    Args:
+        path: The file.
+        number: Which curve of a map, the first being 0.
+        given: `stiffness_n_per_m` and `sensitivity_m_per_v` in place of those of the file.
+
+    Raises:
+        ConfigError: The message names the file and what is wrong with it.
     """
+    given = given or {}
+    if unknown := [name for name in given if name not in CONSTANTS]:
+        raise ConfigError(f"--set {unknown[0]}: is no constant of a curve; these are {', '.join(CONSTANTS)}")
+    for name, value in given.items():
+        if not (isinstance(value, int | float) and 0.0 < value < math.inf):
+            raise ConfigError(f"--set {name}: is {value!r}; it must be a number above 0")
+    texts = [repr(float(given[name])) if name in given else "" for name in CONSTANTS]
     try:
-        facts, (base, deflection) = read_by_package(path, "curve", str(number))
+        facts, (base, deflection) = read_by_package(path, "curve", str(number), *texts)
         curve = _measured(base, deflection, facts["stiffness_n_per_m"], facts["turn"], facts["speed_m_per_s"])
     except ConfigError:
         raise

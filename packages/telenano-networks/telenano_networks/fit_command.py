@@ -2,12 +2,14 @@
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 import yaml
 
+from proto.errors import ConfigError
 from telenano.cli.output import print_rows
 from telenano.cli.sample_options import results_in
 from telenano.extend.commands import JsonOption, print_json, report_errors
@@ -15,10 +17,9 @@ from telenano.extend.commands import JsonOption, print_json, report_errors
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from telenano_networks.line_fit import Agreement, LineModel
+    from telenano_networks.line_fit import Agreement
     from telenano_networks.line_log import LineLog
 
-_MOST_DRAWN = 20_000
 # A quantile that rests on fewer messages is a guess.
 _FEWEST_BEYOND = 10
 
@@ -28,7 +29,8 @@ def fit(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="What `ping -D` printed, or tables with columns such as sent_ms and received_ms (or delay_ms).",
+            help="What `ping -D` printed, tables with columns such as sent_ms and received_ms (or delay_ms), "
+            "recordings of a rig, or traces of when a line could deliver [ms].",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for settings, profile and page.")] = Path(
@@ -47,6 +49,17 @@ def fit(
     ] = False,
     about: Annotated[str, typer.Option("--about", metavar="TEXT", help="What the line is, in one line.")] = "",
     cite: Annotated[str, typer.Option("--cite", metavar="TEXT", help="Where the log is from.")] = "",
+    taken: Annotated[str, typer.Option("--taken", metavar="TEXT", help="What of it was given, and how.")] = (
+        "all messages of the log, by telenano link fit"
+    ),
+    histogram: Annotated[
+        bool,
+        typer.Option("--histogram", help="The log is rows of a bin's lower edge and its count."),
+    ] = False,
+    direction: Annotated[
+        Literal["forward", "backward"],
+        typer.Option("--direction", help="Which way of a recording counts."),
+    ] = "forward",
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of what is generated.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,18 +69,22 @@ def fit(
     disagree in a statistic.
     """
     with report_errors(as_json):
-        from telenano_networks.line_fit import accept, intervals, parameters
+        if histogram:
+            _show(_of_histogram(logs, unit, out, seed, about, (cite, taken)), out, as_json)
+            return
+        from telenano_networks.line_fit import accept, generated, intervals, parameters
         from telenano_networks.line_fit import fit as fitted
         from telenano_networks.line_log import read_log
+        from telenano_networks.line_page import line_figure
 
-        log = read_log(logs, unit, round_trip=round_trip)
+        log = read_log(logs, unit, round_trip=round_trip, direction=direction)
         model, table = fitted(log), accept(log, seed)
         bounds = intervals(log, seed)
         way = (model.one_way() if log.round_trip else model).settings()
         remarks = _remarks(log, table)
         if without_memory:
             way = _without_memory(way, seed)
-            remarks.append("Each message is drawn by itself: the distribution is that of the line, its memory is not.")
+            remarks.append("Each message drawn by itself: the distribution is that of the line, its memory is not.")
         document: dict[str, Any] = {
             "parameters": {
                 what: {"value": _known(value), "interval": [_known(edge) for edge in bounds[what]]}
@@ -81,29 +98,57 @@ def fit(
             "files": str(out),
         }
         with results_in(out) as folder:
-            (folder / "way.json").write_text(json.dumps(way) + "\n", encoding="utf-8")
-            profile = yaml.safe_dump(
-                _profile(way, seed, about, cite, remarks),
-                sort_keys=False,
-                allow_unicode=True,
-                default_flow_style=None,
-                width=110,
-            )
-            (folder / "profile.yaml").write_text(profile, encoding="utf-8")
-            (folder / "fit.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-            figure = line_figure(log, model, seed)
+            _write(folder, document, _profile(way, seed, about or "a line that was measured", (cite, taken), remarks))
+            figure = line_figure(log, generated(model, log, seed))
             figure.savefig(folder / "fit.png", dpi=130)
             _page(figure, document).write(folder / "fit.html")
-    if as_json:
-        print_json(document)
-    else:
-        print_rows(_parameter_rows(document))
-        print_rows(_agreement_rows(document))
-        for remark in remarks:
-            typer.echo(remark)
-        typer.echo(f"{out}: way.json has the settings of one way, profile.yaml the network, fit.html the page")
+    _show(document, out, as_json)
     if not document["agrees"]:
         raise typer.Exit(3)
+
+
+def _of_histogram(
+    logs: list[Path], unit: str | None, out: Path, seed: int, about: str, source: tuple[str, str]
+) -> dict[str, Any]:
+    """Write settings and profile of a histogram, of which no memory is known."""
+    from telenano_networks.line_fit import SHARES, quantiles_text
+    from telenano_networks.line_log import UNITS_S
+    from telenano_networks.line_sources import read_histogram
+
+    if len(logs) != 1:
+        raise ConfigError(f"{len(logs)} histograms cannot be one; give each by itself")
+    found = read_histogram(logs[0], None if unit is None else UNITS_S[unit])
+    quantiles = quantiles_text(zip(SHARES, found.quantiles_s(SHARES), strict=True))
+    way = {"jitter": {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles}}
+    remarks = [
+        "No memory known: a histogram does not say which messages came one after the other. Each message drawn by "
+        "itself; stalls, runs of loss and order are not in it."
+    ]
+    document = {"parameters": {}, "agreement": [], "agrees": None, "remarks": remarks, "way": way, "files": str(out)}
+    with results_in(out) as folder:
+        _write(
+            folder, document, _profile(way, seed, f"{about or 'a measured line'} (no memory known)", source, remarks)
+        )
+    return document
+
+
+def _write(folder: Path, document: dict[str, Any], profile: dict[str, Any]) -> None:
+    (folder / "way.json").write_text(json.dumps(document["way"]) + "\n", encoding="utf-8")
+    text = yaml.safe_dump(profile, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
+    (folder / "profile.yaml").write_text(text, encoding="utf-8")
+    (folder / "fit.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _show(document: dict[str, Any], out: Path, as_json: bool) -> None:
+    if as_json:
+        print_json(document)
+        return
+    for rows in (_parameter_rows(document), _agreement_rows(document)):
+        if rows:
+            print_rows(rows)
+    for remark in document["remarks"]:
+        typer.echo(remark)
+    typer.echo(f"{out}: way.json has the settings of one way, profile.yaml the network")
 
 
 def _known(value: Any) -> Any:
@@ -112,7 +157,7 @@ def _known(value: Any) -> Any:
 
 def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
     messages = sum(len(part.sent_s) for part in log.segments)
-    found = list(log.cuts)
+    found = _grouped(log.cuts)
     if log.round_trip:
         found.append(
             "The log has round trips. One way gets half of each usual delay, and half as many stalls and losses, each "
@@ -122,43 +167,60 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
         f"The log has a message each {1e3 * log.period_s:.3g} ms. Between them the model goes on as at them; what "
         "lasts less is not in the log."
     )
+    if any(row.what == "stalls per minute" and row.measured > 0.0 for row in table):
+        found.append(
+            "The log does not say how much the line holds while it stands still; 20 000 messages or 4 MiB are assumed."
+        )
     stalls = sum(row.measured > 0.0 for row in table if row.what == "stalls per minute")
     if not stalls:
         found.append("The second half of the log has no stall that could be seen: how long one lasts is not tested.")
     if messages * 1e-3 < _FEWEST_BEYOND:
         found.append(f"{messages} messages say little of the slowest in a thousand.")
-    apart = [row.what for row in table if not (row.low <= row.other_half <= row.high or math.isnan(row.other_half))]
+    apart = [row.what for row in table if row.halves_differ]
     if apart:
         found.append(f"The halves of the log differ by more than chance in {', '.join(apart)}: it is not stationary.")
     return found
 
 
-def _sent(way: dict[str, Any], seed: int) -> list[Any]:
-    """Return the fates of messages at 200 Hz for ten minutes."""
+def _grouped(cuts: Iterable[str]) -> list[str]:
+    """Return sentences about logs, with the number of logs in the place of the same sentence about each."""
+    about: dict[str, list[str]] = {}
+    for cut in cuts:
+        name, text = cut.split(": ", 1)
+        about.setdefault(text, []).append(name)
+    return [
+        f"{names[0]}{f' and {len(names) - 1} others' if len(names) > 1 else ''}: {text}"
+        for text, names in about.items()
+    ]
+
+
+def _sent(way: dict[str, Any], seed: int, minutes: int = 10) -> list[Any]:
+    """Return the fates of 120 000 messages at even distances in these minutes."""
     from services.delay_node.config import parse_settings
     from services.delay_node.engine import fates_of
 
     settings = parse_settings({"seed": seed, "forward": way})
-    return fates_of(settings, "forward", "teleop/forward", range(0, 600 * 10**9, 5 * 10**6), 300)
+    return fates_of(settings, "forward", "teleop/forward", range(0, minutes * 60 * 10**9, minutes * 500_000), 300)
 
 
 def _without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
     """Return settings whose messages have the delays and the losses of a line, each by itself."""
     import numpy as np
 
-    from telenano_networks.line_fit import quantiles_text
+    from telenano_networks.line_fit import quantiles_of, quantiles_text
 
     fates = _sent(way, seed)
     delays_s = np.array([1e-9 * fate.delay_ns for fate in fates if not fate.dropped])
-    jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(delays_s)}
+    jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(quantiles_of(delays_s))}
     return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(fates)}}
 
 
-def _profile(way: dict[str, Any], seed: int, about: str, cite: str, remarks: list[str]) -> dict[str, Any]:
+def _profile(way: dict[str, Any], seed: int, about: str, source: tuple[str, str], remarks: list[str]) -> dict[str, Any]:
     """Return a network of presets/networks, with the statistics that its messages have."""
     import numpy as np
 
-    fates = _sent(way, seed)
+    # Stalls are seldom, and most of the mean may be theirs.
+    fates = _sent(way, seed, minutes=200)
     delays_ms = np.array([1e-6 * fate.delay_ns for fate in fates if not fate.dropped])
     middle = np.quantile(delays_ms, (0.25, 0.5, 0.75)).round(2).tolist()
     statistics = {
@@ -168,8 +230,8 @@ def _profile(way: dict[str, Any], seed: int, about: str, cite: str, remarks: lis
         "overtakes": any(fate.reordered for fate in fates),
     }
     return {
-        "about": about or "a line that was measured",
-        "source": [{"cite": cite, "taken": "all messages of the log, by telenano link fit"}] if cite else [],
+        "about": about,
+        "source": [{"cite": source[0], "taken": source[1]}] if source[0] else [],
         "assumed": remarks,
         "statistics": {direction: statistics for direction in ("forward", "backward")},
         "link": {direction: way for direction in ("forward", "backward")},
@@ -198,7 +260,7 @@ def _agreement_rows(document: dict[str, Any]) -> list[dict[str, str]]:
             "measured": _text(row["measured"]),
             "95 %": f"{_text(row['low'])} to {_text(row['high'])}",
             "generated": _text(row["generated"]),
-            "first half": _text(row["other_half"]),
+            "first half": _text(row["other_half"]) + (", differs" if row["halves_differ"] else ""),
             "agrees": "yes" if row["agrees"] else "no",
         }
         for row in document["agreement"]
@@ -209,47 +271,10 @@ def _page(figure: "Figure", document: dict[str, Any]) -> Any:
     from analysis.page import Page, png_of
 
     page = Page("A line, measured and generated")
-    page.image(png_of(figure), "measured beside generated: delay, its tail, its autocorrelation, length of stalls")
+    page.image(png_of(figure), "measured beside generated: delay, distributions, autocorrelation, stalls, losses, age")
     for heading, rows in (("The model", _parameter_rows(document)), ("Agreement", _agreement_rows(document))):
         page.heading(heading)
         page.table(list(rows[0]), [list(row.values()) for row in rows])
     for remark in document["remarks"]:
         page.paragraph(remark)
     return page
-
-
-def line_figure(log: "LineLog", model: "LineModel", seed: int) -> "Figure":
-    """Draw measured beside generated: delay over time, tail of its distribution, autocorrelation, length of stalls."""
-    import numpy as np
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import NullFormatter, ScalarFormatter
-
-    from telenano_networks.line_fit import autocorrelation, generated, scale_of, stalls_of
-
-    scale, made = scale_of(log), generated(model, log, seed)
-    figure = Figure(figsize=(9.5, 6.5), layout="constrained")
-    (course, tail), (memory, lengths) = figure.subplots(2, 2)
-    longest = max(range(len(log.segments)), key=lambda n: len(log.segments[n].sent_s))
-    for name, one, colour in (("measured", log, "C0"), ("generated", made, "C1")):
-        part = one.segments[longest]
-        some = slice(None, _MOST_DRAWN)
-        course.plot(part.sent_s[some], 1e3 * part.delay_s[some], ".", ms=2, color=colour, label=name, alpha=0.6)
-        delays_ms = np.sort(1e3 * np.concatenate([p.delay_s[~np.isnan(p.delay_s)] for p in one.segments]))
-        tail.plot(delays_ms, 1.0 - np.arange(len(delays_ms)) / len(delays_ms), color=colour, label=name)
-        lags_s, values = autocorrelation(one)
-        memory.plot(lags_s, values, ".-", color=colour, label=name)
-        late_ms = np.sort([1e3 * stall.late_s for p in one.segments for stall in stalls_of(p, scale)])
-        if len(late_ms):
-            share = 1.0 - np.arange(len(late_ms)) / len(late_ms)
-            lengths.step(late_ms, share, color=colour, label=f"{name}, {len(late_ms)}")
-    course.set(xlabel="time [s]", ylabel="delay [ms]", yscale="log")
-    tail.set(xlabel="delay [ms]", ylabel="share that takes longer", xscale="log", yscale="log")
-    memory.set(xlabel="lag [s]", ylabel="autocorrelation", xscale="log")
-    lengths.set(xlabel="the first message of a stall is late by [ms]", ylabel="share that is longer")
-    for axis in (course.yaxis, tail.xaxis, memory.xaxis):
-        axis.set_major_formatter(ScalarFormatter())
-        axis.set_minor_formatter(NullFormatter())
-    for axes in (course, tail, memory, lengths):
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize="small")
-    return figure

@@ -2,12 +2,12 @@
 
 The model consists of settings that the link has: quantiles of the delay whose normal scores lose their correlation
 over time, stalls that come at random, last for log-normal times and hold what arrives (so that it comes in one go),
-and losses in runs. A stall is seen in a log as two messages or more that arrive together although they were sent one
-after the other, the first of them much later than usual.
+and losses in runs. A stall is seen in a log as a message that is much later than usual, with those that are late after
+it because they waited for it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,7 +17,8 @@ from scipy import special
 
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
-from telenano_networks.line_log import Column, LineLog, Segment
+from telenano_networks.line_log import LineLog, Segment
+from telenano_networks.line_sources import Column
 
 # Between two shares the quantiles are linear, and the tail needs them close.
 _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
@@ -26,14 +27,16 @@ SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
 _TOGETHER = 0.2
 # A stall is longer than so many periods, and than so many times the distance from the median to the third quartile.
 _PERIODS, _SPREADS = 2.0, 8.0
-# A correlation of neighbours below this is none.
-_LEAST_CORRELATION = 0.05
+# A correlation of neighbours below this is none, and none is higher; with how many pairs and halvings it is sought.
+_LEAST_CORRELATION, _MOST_CORRELATION, _PAIRS, _HALVINGS = 0.05, 0.9999, 20_000, 14
 # With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
 _FEWEST_STALLS = 5
 _LEAST_SPREAD, _ASSUMED_SPREAD = 0.02, 0.1
 # Overtaking by less than this share is that of the clock.
 _MOST_OVERTAKEN = 1e-3
-_BLOCK_S, _RESAMPLES, _DRAWS = 20.0, 400, 25
+# What a line holds while it stands still, in messages and bytes; no log of a few messages a second says it.
+MOST_HELD, MOST_HELD_BYTES = 20_000, 4 << 20
+_BLOCK_S, _RESAMPLES, _DRAWS = 20.0, 200, 25
 _SIZE_BYTES = 200
 
 
@@ -68,12 +71,13 @@ class LineModel:
         jitter: dict[str, Any] = {
             "distribution": "table",
             "scale_s": 1.0,
-            "quantiles": _text(self.quantiles),
+            "quantiles": quantiles_text(self.quantiles),
         }
         if self.correlation_time_s > 0.0:
             jitter["correlation_time_s"] = self.correlation_time_s
         found: dict[str, Any] = {"jitter": jitter, "order": "link" if self.ordered else "any"}
         if self.stalls_per_s > 0.0:
+            found["queue"] = {"limit_messages": MOST_HELD, "limit_bytes": MOST_HELD_BYTES}
             found["outage"] = {
                 "mean_up_s": _rounded(1.0 / self.stalls_per_s),
                 "mean_down_s": _rounded(self.stall_s),
@@ -95,7 +99,10 @@ class LineModel:
 
 
 class Agreement(NamedTuple):
-    """A statistic of the half that the fit has not seen: measured with its interval, generated, of the other half."""
+    """A statistic of the half that the fit has not seen: measured with its interval, generated, of the other half.
+
+    halves_differ: the other half is not within the interval itself, and the model is held to the interval of that half.
+    """
 
     what: str
     measured: float
@@ -103,21 +110,19 @@ class Agreement(NamedTuple):
     high: float
     generated: float
     other_half: float
+    halves_differ: bool
     agrees: bool
 
 
-def quantiles_text(delays_s: Column) -> str:
-    """Return the quantiles of delays [s] as jitter.quantiles of the link takes them."""
-    return _text(_quantiles(delays_s))
-
-
-def _quantiles(delays_s: Column) -> tuple[tuple[float, float], ...]:
+def quantiles_of(delays_s: Column) -> tuple[tuple[float, float], ...]:
+    """Return the quantiles of delays that a model keeps, (share, delay [s])."""
     values = np.quantile(delays_s, SHARES).tolist()
     return tuple((share, _rounded(value)) for share, value in zip(SHARES, values, strict=True))
 
 
-def _text(quantiles: Sequence[tuple[float, float]]) -> str:
-    return ",".join(f"{share}:{value}" for share, value in quantiles)
+def quantiles_text(quantiles: Iterable[tuple[float, float]]) -> str:
+    """Return quantiles, (share, delay [s]), as jitter.quantiles of the link takes them."""
+    return ",".join(f"{share}:{_rounded(value)}" for share, value in quantiles)
 
 
 def scale_of(log: LineLog) -> Scale:
@@ -128,7 +133,7 @@ def scale_of(log: LineLog) -> Scale:
 
 
 class Stall(NamedTuple):
-    """The places of its messages in a segment (the last one is not of it), and how much later the first came [s]."""
+    """The places of its messages in a segment (the last one is not of it), and by how much the latest came late [s]."""
 
     first: int
     end: int
@@ -136,18 +141,29 @@ class Stall(NamedTuple):
 
 
 def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
-    """Return the stalls of a segment, in order."""
+    """Return the stalls of a segment, in order.
+
+    A stall is a run of messages that are late by half of the least length of a stall, or arrive together with the one
+    before, of which one is late by the whole of it.
+    """
     here = np.flatnonzero(~np.isnan(part.delay_s))
     if len(here) < 2:
         return []
-    arrived_s = part.sent_s[here] + part.delay_s[here]
-    together = np.concatenate([[False], np.diff(arrived_s) < _TOGETHER * scale.period_s, [False]])
-    edges = np.flatnonzero(np.diff(together.astype(np.int8)))
+    late_s = part.delay_s[here] - scale.median_s
+    gaps_s = np.diff(part.sent_s[here] + part.delay_s[here], prepend=-np.inf)
+    held = (late_s > 0.5 * scale.stall_s).tolist()
+    together = (gaps_s < _TOGETHER * scale.period_s).tolist()
     found = []
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        late_s = float(part.delay_s[here[begin]]) - scale.median_s
-        if late_s > scale.stall_s:
-            found.append(Stall(int(here[begin]), int(here[end]) + 1, late_s))
+    begin = None
+    for place in range(len(here) + 1):
+        goes_on = place < len(here) and (held[place] or (begin is not None and together[place]))
+        if goes_on and begin is None:
+            begin = place
+        elif not goes_on and begin is not None:
+            most_s = float(late_s[begin:place].max())
+            if most_s > scale.stall_s:
+                found.append(Stall(int(here[begin]), int(here[place - 1]) + 1, most_s))
+            begin = None
     return found
 
 
@@ -160,8 +176,9 @@ def fit(log: LineLog, scale: Scale | None = None) -> LineModel:
         is_usual = ~np.isnan(part.delay_s)
         for stall in stalls_of(part, scale):
             is_usual[stall.first : stall.end] = False
-            late_s.append(stall.late_s)
-            stalled_s += stall.late_s
+            # Of a message that comes late alone, because others overtook it, the line did not stand still so long.
+            late_s.append(min(stall.late_s, (stall.end - stall.first) * scale.period_s))
+            stalled_s += late_s[-1]
         usual.append(part.delay_s[is_usual])
         both = is_usual[:-1] & is_usual[1:]
         pairs.append((part.delay_s[:-1][both], part.delay_s[1:][both]))
@@ -169,13 +186,9 @@ def fit(log: LineLog, scale: Scale | None = None) -> LineModel:
     seconds = sum(float(part.sent_s[-1]) for part in log.segments)
     stall_s, spread = _lengths(np.array(late_s), scale.period_s)
     lost = np.concatenate([np.isnan(part.delay_s) for part in log.segments])
-    runs = sum(
-        int(np.isnan(p.delay_s[0])) + int((np.diff(np.isnan(p.delay_s).astype(int)) == 1).sum()) for p in log.segments
-    )
+    runs = sum(_runs(np.isnan(part.delay_s)) for part in log.segments)
     return LineModel(
-        tuple(
-            (share, _rounded(float(value))) for share, value in zip(SHARES, np.quantile(delays, SHARES), strict=True)
-        ),
+        quantiles_of(delays),
         _correlation_time(pairs, delays, scale.period_s),
         len(late_s) / max(seconds - stalled_s, scale.period_s) if late_s else 0.0,
         stall_s,
@@ -210,18 +223,30 @@ def _lengths(late_s: Column, period_s: float) -> tuple[float, float]:
 
 
 def _correlation_time(pairs: Sequence[tuple[Column, Column]], delays: Column, period_s: float) -> float:
-    """Return the time in which the correlation of normal scores falls to 1/e [s], from that of neighbours; 0: none."""
+    """Return the time in which the correlation of normal scores falls to 1/e [s], from that of neighbours; 0: none.
 
-    def score(values: Column) -> Column:
-        # Many delays of a coarse clock are equal: each has the middle of its ranks.
-        rank = 0.5 * (np.searchsorted(delays, values, "left") + np.searchsorted(delays, values, "right"))
-        return np.asarray(special.ndtri(np.clip(rank / len(delays), 0.5 / len(delays), 1.0 - 0.5 / len(delays))))
-
-    before, after = (score(np.concatenate([pair[n] for pair in pairs])) for n in range(2))
+    The scores are given the correlation with which the delays, as their quantiles make them of scores, have that of the
+    log.
+    """
+    before, after = (np.concatenate([pair[n] for pair in pairs]) for n in range(2))
     if len(before) < 3 or before.std() == 0.0 or after.std() == 0.0:
         return 0.0
-    correlation = float(np.corrcoef(before, after)[0, 1])
-    return _rounded(-period_s / math.log(min(correlation, 0.9999))) if correlation > _LEAST_CORRELATION else 0.0
+    wanted = float(np.corrcoef(before, after)[0, 1])
+    if wanted < _LEAST_CORRELATION:
+        return 0.0
+    first, fresh = np.random.default_rng(0).standard_normal((2, _PAIRS))
+    quantiles = np.quantile(delays, SHARES)
+
+    def correlation(rho: float) -> float:
+        second = rho * first + math.sqrt(1.0 - rho * rho) * fresh
+        made = [np.interp(special.ndtr(scores), SHARES, quantiles) for scores in (first, second)]
+        return float(np.corrcoef(*made)[0, 1])
+
+    low, high = 0.0, _MOST_CORRELATION
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if correlation(middle) < wanted else (low, middle)
+    return _rounded(-period_s / math.log(high))
 
 
 def _overtaken(log: LineLog) -> float:
@@ -281,23 +306,31 @@ def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
 def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
     """Fit the first half of each segment and compare what the model generates with the second.
 
-    The interval is that of a bootstrap of blocks of the second half, 95 %. A statistic agrees inside of it, or where
-    the model is no further from the second half than the first half is.
+    The interval is that of a bootstrap of blocks of the second half, 95 %, and a statistic agrees inside of it. Where
+    the first half is not inside of it either, no model of the first half can be: it agrees between the two halves, or
+    inside the interval of the first.
     """
     scale = scale_of(log)
     first, second = log.halves()
     model = fit(first, scale)
     measured, other = statistics(second, scale), statistics(first, scale)
     draws = [statistics(generated(model, second, seed + n), scale) for n in range(_DRAWS)]
-    samples = [statistics(one, scale) for one in _draws_of(second, seed, _RESAMPLES)]
+    samples, of_first = (
+        [statistics(one, scale) for one in _draws_of(half, seed, _RESAMPLES)] for half in (second, first)
+    )
     found = []
     for what, value in measured.items():
-        made = _mean([draw[what] for draw in draws])
+        # The median, because a single long stall in one of the draws is most of the mean of a late quantile.
+        made = _middle([draw[what] for draw in draws])
         low, high = _interval([sample[what] for sample in samples])
+        differ = not (math.isnan(other[what]) or math.isnan(low) or low <= other[what] <= high)
+        near = low <= made <= high
+        if differ and not near:
+            low_of_first, high_of_first = _interval([sample[what] for sample in of_first])
+            near = min(value, low_of_first) <= made <= max(value, high_of_first)
         # A half without a stall says nothing of their length.
         unknown = math.isnan(made) or math.isnan(value)
-        near = low <= made <= high or abs(made - value) <= abs(value - other[what])
-        found.append(Agreement(what, value, low, high, made, other[what], unknown or near))
+        found.append(Agreement(what, value, low, high, made, other[what], differ, unknown or near))
     return found
 
 
@@ -358,14 +391,38 @@ def _at_lag(parts: Sequence[Segment], lag: int, mean_s: float) -> float:
     return product / pairs / (square / singles) if pairs and square > 0.0 else math.nan
 
 
+def ages_s(log: LineLog, count: int = 20_000) -> Column:
+    """Return how old the newest message that a reader has is, at times that are drawn from all of a log [s]."""
+    found = []
+    for part in log.segments:
+        here = ~np.isnan(part.delay_s)
+        if here.sum() < 2:
+            continue
+        sent_s, arrived_s = part.sent_s[here], part.sent_s[here] + part.delay_s[here]
+        order = np.argsort(arrived_s, kind="stable")
+        newest_s = np.maximum.accumulate(sent_s[order])
+        at_s = np.linspace(arrived_s.min(), part.sent_s[-1], max(2, count // len(log.segments)))
+        found.append(at_s - newest_s[np.searchsorted(arrived_s[order], at_s, side="right") - 1])
+    return np.concatenate(found)
+
+
+def lost_runs(log: LineLog) -> list[int]:
+    """Return how many messages each run of losses has."""
+    found = []
+    for part in log.segments:
+        edges = np.diff(np.isnan(part.delay_s).astype(np.int8), prepend=0, append=0)
+        found += (np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)).tolist()
+    return found
+
+
 def _interval(values: Sequence[float]) -> tuple[float, float]:
     known = [value for value in values if not math.isnan(value)]
     return (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))) if known else (math.nan, math.nan)
 
 
-def _mean(values: Sequence[float]) -> float:
+def _middle(values: Sequence[float]) -> float:
     known = [value for value in values if not math.isnan(value)]
-    return float(np.mean(known)) if known else math.nan
+    return float(np.median(known)) if known else math.nan
 
 
 def _rounded(value: float) -> float:

@@ -1,8 +1,9 @@
 """What was measured on a line: when each message was sent, and how long it took or that it was lost.
 
-Three kinds of log are read: what `ping` printed, a table of times of sending and of receiving (or of delays) under a
-line of headings, and a recording of a rig with `link/network`. A log is cut where its clock steps back or where nothing
-was sent for a time; a log whose units are not said, or whose clocks disagree, is refused.
+Four kinds of log are read: what `ping` printed, a table of times of sending and of receiving (or of delays) under a
+line of headings, a recording with what a network or the link did to each message, and a trace of when a line could
+deliver. A log is cut where its clock steps back or where nothing was sent for a time; a log whose units are not said,
+whose clocks disagree, or whose delay is another one at its end than at its begin, is refused.
 """
 
 import csv
@@ -13,13 +14,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from proto.errors import ConfigError
 from services.delay_node.models.traces import read_text
 from telenano_networks import ping_log
+from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
 
-Column = npt.NDArray[np.float64]
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Fewer messages, or a shorter time, say nothing of what happens now and then.
 FEWEST, SHORTEST_S = 300, 30.0
@@ -70,11 +70,13 @@ class LineLog:
         )
 
 
-def read_log(paths: Sequence[Path], unit: str | None = None, *, round_trip: bool = False) -> LineLog:
+def read_log(
+    paths: Sequence[Path], unit: str | None = None, *, round_trip: bool = False, direction: Direction = "forward"
+) -> LineLog:
     """Read logs of one line, each file as a segment of its own at least.
 
     `unit` is that of the columns of a table whose headings name none; `round_trip` says that the delays of a table are
-    round trips, as those of `ping` are.
+    round trips, as those of `ping` are; `direction` is that of a recording which counts.
 
     Raises:
         ConfigError: A log cannot be used; the message names file, line or column, and what would be right.
@@ -83,10 +85,24 @@ def read_log(paths: Sequence[Path], unit: str | None = None, *, round_trip: bool
     cuts: list[str] = []
     pinged = []
     for path in paths:
-        text = read_text(path) if not ping_log.is_ping_file(path) else path.read_text(encoding="utf-8")
-        pinged.append(ping_log.is_ping_log(text))
-        sent_s, delay_s = _of_ping(text, path.name) if pinged[-1] else _of_table(text, path.name, unit)
-        segments += _cut(sent_s, delay_s, path.name, cuts)
+        if path.suffix == ".mcap":
+            pinged.append(False)
+            sent_s, delay_s = of_recording(path, direction, cuts)
+        else:
+            text = read_text(path) if not ping_log.is_ping_file(path) else path.read_text(encoding="utf-8")
+            pinged.append(ping_log.is_ping_log(text))
+            if pinged[-1]:
+                sent_s, delay_s = _of_ping(text, path.name)
+            elif is_delivery_trace(text):
+                sent_s, delay_s = through_delivery_trace(text, path.name, cuts)
+            else:
+                sent_s, delay_s = _of_table(text, path.name, unit)
+        if pinged[-1] and not len(sent_s):
+            cuts.append(f"{path.name}: no packet was answered; it is left out, and the line was gone meanwhile")
+        else:
+            segments += _cut(sent_s, delay_s, path.name, cuts)
+    if not segments:
+        raise ConfigError(f"{', '.join(path.name for path in paths)}: is a log of ping without an answer")
     if any(pinged) and not all(pinged) and not round_trip:
         raise ConfigError("logs of ping are of round trips; give tables beside them with --round-trip if they are too")
     log = LineLog(tuple(segments), round_trip or any(pinged), _resolution(segments), tuple(cuts))
@@ -219,3 +235,20 @@ def _check(log: LineLog) -> None:
     median_s = float(np.nanmedian(delays))
     if not _SHORTEST_DELAY_S <= median_s <= _LONGEST_DELAY_S:
         raise ConfigError(f"the median delay would be {median_s:.3g} s; is the unit of the column right?")
+    for part in log.segments:
+        _check_level(part)
+
+
+def _check_level(part: Segment) -> None:
+    """Refuse a part whose usual delays of the first and of the second half have nothing in common."""
+    middle = int(np.searchsorted(part.sent_s, 0.5 * part.sent_s[-1]))
+    halves = [half[~np.isnan(half)] for half in (part.delay_s[:middle], part.delay_s[middle:])]
+    if min(len(half) for half in halves) < FEWEST:
+        return
+    (low, below, high), (other_low, other, other_high) = (np.quantile(half, (0.1, 0.5, 0.9)) for half in halves)
+    if low > other_high or other_low > high:
+        raise ConfigError(
+            f"the log is not stationary: its median delay is {1e3 * below:.4g} ms in the first half and"
+            f" {1e3 * other:.4g} ms in the second, and hardly a delay of the one occurs in the other. The line changed"
+            " (give the parts as logs of their own), or one of two clocks stepped"
+        )

@@ -7,16 +7,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from telenano_networks.line_fit import accept, fit, generated, intervals, parameters, scale_of, statistics
+from telenano_networks.line_fit import (
+    accept,
+    ages_s,
+    fit,
+    generated,
+    intervals,
+    lost_runs,
+    parameters,
+    scale_of,
+    statistics,
+)
 from telenano_networks.line_log import LineLog, Segment, read_log
 from typer.testing import CliRunner
 
+from proto import encode
 from proto.errors import ConfigError
+from proto.messages import LinkFate, LinkFates
+from recording.writer import FileSettings, RecordingWriter
 from services.delay_node.config import parse_settings
+from services.delay_node.engine import fates_of
+from services.delay_node.fate import Direction
 from services.delay_node.profiles import Profile
 from services.runtime.settings.config import validate
 from telenano.cli.root import app
 
+WAYS: tuple[Direction, ...] = ("forward", "backward")
 PERIOD_S, TIME_S, PER_S, STALL_S, SPREAD = 0.02, 0.08, 0.1, 0.3, 0.2
 TRUTH = {
     "usual delay, q50 [ms]": 20.0 * math.exp(0.0),
@@ -147,6 +163,102 @@ def test_a_clock_that_steps_back_and_a_pause_cut_the_log(tmp_path: Path) -> None
     assert [len(part.sent_s) for part in log.segments] == [1000, 1250, 1500]
     assert [word in " ".join(log.cuts) for word in ("stepped back 1 times", "after message 1000", "nothing was sent")]
     assert log.resolution_s == 0.01
+
+
+def test_a_log_whose_level_changes_or_that_no_packet_answered_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("sent_ms,delay_ms\n" + "".join(f"{20 * n},{20 + n % 5 + 30 * (n > 1500)}\n" for n in range(3000)))
+    with pytest.raises(ConfigError, match=r"not stationary: its median delay is 22 ms .* 52 ms in the second"):
+        read_log([path])
+    silent = tmp_path / "ping.txt"
+    silent.write_text("PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.\n")
+    with pytest.raises(ConfigError, match=r"ping.txt: is a log of ping without an answer"):
+        read_log([silent])
+
+
+@pytest.mark.parametrize("direction", ["forward", "backward"])
+def test_a_recording_of_a_link_is_read_with_what_its_link_did(tmp_path: Path, direction: str, recorded) -> None:  # type: ignore[no-untyped-def]
+    path = recorded(tmp_path / "line.mcap")
+    log = read_log([path], direction=direction)
+    (part,) = log.segments
+    assert len(part.sent_s) == 4000
+    assert np.nanmedian(part.delay_s) == pytest.approx({"forward": 0.02, "backward": 0.005}[direction], abs=1e-3)
+    assert np.isnan(part.delay_s).mean() == pytest.approx(0.1, abs=0.03)
+    assert "what the link did to udp" in log.cuts[0]
+
+
+@pytest.fixture
+def recorded():  # type: ignore[no-untyped-def]
+    """Return what writes a recording with the fates of a link at 100 Hz, as the link reports them."""
+
+    def write(path: Path) -> Path:
+        ways = {
+            name: {"delay_s": delay_s, "jitter": {"scale_s": 1e-4}, "loss": {"probability": 0.1}}
+            for name, delay_s in (("forward", 0.02), ("backward", 0.005))
+        }
+        settings = parse_settings(ways)
+        writer = RecordingWriter.create("recorder@master", FileSettings(directory=path.parent, file_name=path.name))
+        channel = writer.channel("link/fates", "delay_node@master", "master")
+        for way in WAYS:
+            rows = [
+                LinkFate(
+                    topic="udp", seq=fate.seq, is_duplicate=False, arrived_ns=fate.arrived_ns, delay_ns=fate.delay_ns,
+                    queue_ns=0, held_ns=0, dropped=fate.dropped, duplicated=False, reordered=False, corrupted=False,
+                )
+                for fate in fates_of(settings, way, "udp", range(10**9, 41 * 10**9, 10**7), 100)
+            ]  # fmt: skip
+            for first in range(0, len(rows), 1000):
+                number = WAYS.index(way) * 10 + first // 1000
+                part = {"direction": way, "fates": tuple(rows[first : first + 1000])}
+                message = LinkFates(seq=number, t_ns=10**9 + number, src="delay_node@master", v=1, **part)
+                writer.write(channel, 10**9 + number, 10**9 + number, number, encode(message))
+        writer.finish()
+        return path
+
+    return write
+
+
+def test_a_delivery_trace_is_what_small_messages_would_have_met(tmp_path: Path) -> None:
+    path = tmp_path / "lte.down"
+    # an opportunity each 4 ms, and none between 20 and 22 s
+    path.write_text("".join(f"{n}\n" for n in range(4, 60_000, 4) if not 20_000 < n < 22_000))
+    log = read_log([path])
+    (part,) = log.segments
+    assert (len(part.sent_s), log.period_s) == (5999, pytest.approx(0.01))
+    assert float(np.nanmax(part.delay_s)) == pytest.approx(1.99, abs=0.02)
+    assert float(np.median(part.delay_s)) <= 0.004
+    model = fit(log)
+    assert model.stalls_per_s == pytest.approx(1.0 / 60.0, rel=0.1)
+    assert "Messages of 200 bytes each 10 ms were sent through it" in log.cuts[0]
+
+
+def test_a_histogram_becomes_a_profile_that_says_that_no_memory_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "bins.csv"
+    path.write_text("3.0,5\n4.0,90\n5.0,5\n6.0,0\n")
+    done = CliRunner().invoke(app, ["link", "fit", str(path), "--histogram", "--out", str(tmp_path / "line")])
+    assert done.exit_code != 0
+    assert "does not say the unit of its bins; give --unit ms" in done.stderr
+    command = ["link", "fit", str(path), "--histogram", "--unit", "ms", "--out", str(tmp_path / "line")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    assert "No memory known" in done.output
+    profile = yaml.safe_load((tmp_path / "line" / "profile.yaml").read_text(encoding="utf-8"))
+    assert profile["about"] == "a measured line (no memory known)"
+    assert profile["statistics"]["forward"]["percentiles_ms"][50] == pytest.approx(4.5, abs=0.02)
+    path.write_text("bin_ms,count\n3.0,5\n2.0,5\n")
+    done = CliRunner().invoke(app, ["link", "fit", str(path), "--histogram", "--out", str(tmp_path / "line")])
+    assert "bins.csv, line 3: the bins have to rise" in done.stderr
+
+
+def test_the_age_at_a_reader_is_that_of_the_newest_message_and_grows_through_a_stall() -> None:
+    sent_s = 0.1 * np.arange(100)
+    delay_s = np.full(100, 0.02)
+    # the messages of 5.0 to 5.9 s come together at 6.0 s
+    delay_s[50:60] = 6.0 - sent_s[50:60]
+    delay_s[70] = np.nan
+    ages = ages_s(LineLog((Segment(sent_s, delay_s),), round_trip=False), count=9000)
+    assert (ages.min(), ages.max()) == (pytest.approx(0.02, abs=2e-3), pytest.approx(1.1, abs=2e-3))
+    assert lost_runs(LineLog((Segment(sent_s, delay_s),), round_trip=False)) == [1]
 
 
 def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:

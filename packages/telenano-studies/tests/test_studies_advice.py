@@ -11,7 +11,8 @@ from telenano_studies.loops.theory import critical_delay_s, loop_model
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import Jitter
 
-from services.controller.config import LAWS
+from proto.errors import ConfigError
+from services.controller.config import OWN_LAWS as LAWS
 from services.haptic_node.operator_config import ARMS
 from studies.loops import lockstep
 
@@ -125,3 +126,28 @@ def test_without_chance_one_seed_is_enough(tmp_path: Any) -> None:
     sweep = Told({}, tmp_path)
     advise(Question(round_trip_ms=50.0, stiffness_n_per_m=20.0), sweep)
     assert len(sweep.cells) == len(CANDIDATES) * 4
+
+
+def test_a_network_stands_in_the_place_of_delay_jitter_and_loss(tmp_path: Any) -> None:
+    sweep = Told({"model_mediated": ("stable", 0.97, 1.1)}, tmp_path)
+    question = Question(network="Starlink_driving", stiffness_n_per_m=20.0)
+    words = in_words(question, advise(question, sweep))
+    assert words[0].startswith("starlink_driving, wall of 20 N/m: take model_mediated")
+    assert {(one.network, one.round_trip_ms) for one in sweep.cells} == {("starlink_driving", question.round_trip_ms)}
+    assert len({one.seed for one in sweep.cells}) == 3
+    assert 40.0 < question.round_trip_ms < 60.0
+    with pytest.raises(ConfigError, match="--delay or --network is needed"):
+        Question(stiffness_n_per_m=20.0)
+    with pytest.raises(ConfigError, match="leave --delay, --jitter and --loss"):
+        Question(network="lan", round_trip_ms=3.0)
+    with pytest.raises(ConfigError, match="unknown profile 'mars'"):
+        Question(network="mars")
+
+
+@pytest.mark.usefixtures("plain")
+def test_a_cell_over_a_network_meets_what_its_link_does() -> None:
+    shorter = run_cell(cell("force", network="lan", round_trip_ms=0.4, session_s=2.0))
+    longer = run_cell(cell("force", network="transatlantic", round_trip_ms=78.0, session_s=2.0))
+    assert shorter.verdict == "stable"
+    assert longer.verdict not in ("stable", "no_data")
+    assert cell("force", network="lan").has_random_link

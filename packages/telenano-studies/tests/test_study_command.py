@@ -17,7 +17,7 @@ from telenano_studies.study_command import app
 from typer.testing import CliRunner
 
 from proto.errors import ConfigError
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from telenano.cli.root import app as root
 
 RUN = CliRunner()

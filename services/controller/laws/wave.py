@@ -104,7 +104,6 @@ class WaveConfig(MassConfig):
         " with filter_s by themselves, and a line that is taken up anew has lost what was on its way",
     )
     filter_s: TimeOrNoneS = Field(default=0.02, description="Time constant of the wave filter tau_f [s]; 0 = none")
-
     fade_s: TimeS = Field(default=1.0, description="Time in which a force that the line begins under fades tau_0 [s]")
 
     def to_params(self, period_s: float) -> WaveParams:
@@ -267,12 +266,10 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
     """Return the counters of wave and wave energy sent; while the hand is let go, that is the tip's reference."""
     p, mass = params.mass, state.mass
     position = tip_reference(p, mass) + p.position_scale * state.impulse_m
-    velocity = p.position_scale * mass.velocity_m_per_s
-    force = hand.force_n / p.force_scale
     return state, port_signal(
         position_m=position,
-        velocity_m_per_s=velocity,
-        force_n=force,
+        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
+        force_n=hand.force_n / p.force_scale,
         wave_sqrt_w=state.wave_sqrt_w,
         energy_j=state.sent_j,
         active=state.up,

@@ -21,8 +21,9 @@ class Passage(NamedTuple):
 
 
 class Server(Protocol):
-    """Sends one message after the other."""
+    """Sends one message after the other, `is_instant` where that takes no time."""
 
+    is_instant: bool
     state: Any
 
     def passage(self, ready_ns: int, size_bytes: int) -> Passage:
@@ -38,11 +39,12 @@ class Server(Protocol):
 class RateServer:
     """Sends at a constant rate: start = max(ready, free), finish = start + size/rate."""
 
-    __slots__ = ("_ns_per_byte", "_overhead_bytes", "state")
+    __slots__ = ("_ns_per_byte", "_overhead_bytes", "is_instant", "state")
 
     def __init__(self, rate_bytes_per_s: float, overhead_bytes: int) -> None:
         self._ns_per_byte = 1e9 / rate_bytes_per_s
         self._overhead_bytes = overhead_bytes
+        self.is_instant = self._ns_per_byte == 0.0
         # It has sent everything at this time [ns].
         self.state = 0
 
@@ -74,6 +76,7 @@ class DeliveryServer:
     """
 
     __slots__ = ("_bytes", "_times_ns", "state")
+    is_instant = False
 
     def __init__(self, times_ns: tuple[int, ...], bytes_per_opportunity: int | None, origin_ns: int) -> None:
         self._times_ns = times_ns
@@ -144,6 +147,7 @@ class ServedQueue(Generic[Item]):
     def __init__(self, limits: Queue, server: Server, draw: Draw) -> None:
         self._limits = limits
         self._server = server
+        self.is_instant = server.is_instant  # it holds what waits for the end of an outage, and nothing else
         self._draw = draw
         self._waiting: deque[Waiting[Item]] = deque()
         self._bytes = 0
@@ -171,6 +175,10 @@ class ServedQueue(Generic[Item]):
         self._waiting = deque(waiting)
         self._bytes = sum(entry.size_bytes for entry in self._waiting)
         self._update_leave_time()
+
+    def is_open(self, ready_ns: int) -> bool:
+        """Return whether a message that is ready at this time [ns] goes through at once and changes nothing here."""
+        return self.is_instant and not self._waiting and self.free_ns <= ready_ns
 
     def holds_before(self, topic: str, order: int) -> bool:
         """Return whether a message of the topic waits that arrived before the one of this order."""
@@ -221,14 +229,14 @@ class ServedQueue(Generic[Item]):
         most_bytes = self._limits.limit_bytes
         if self._limits.drop == "tail" or (most_bytes is not None and arriving.size_bytes > most_bytes):
             return None
-        places = [place for place, entry in enumerate(self._waiting) if not entry.reliable]
-        if self._limits.drop == "same_topic":
-            places = [place for place in places if self._waiting[place].topic == arriving.topic]
+        topic = arriving.topic if self._limits.drop == "same_topic" else None
+        at_risk = ((n, entry) for n, entry in enumerate(self._waiting) if not entry.reliable)
+        places = (n for n, entry in at_risk if topic is None or entry.topic == topic)
         if self._limits.drop == "random":
             # the arriving message is one of those at risk
-            chosen = int(self._draw() * (len(places) + 1))
-            return places[chosen] if chosen < len(places) else None
-        return places[0] if places else None
+            all_places = [*places, None]
+            return all_places[int(self._draw() * len(all_places))]
+        return next(places, None)
 
     def _remove(self, place: int) -> Item:
         entry = self._waiting[place]

@@ -23,16 +23,19 @@ class FileReader(NamedTuple):
     Each is called with a path in a child process, and returns plain values by name and a list of arrays.
 
     heights: `channels` has for each array its `name`, `sides` (width and depth), `unit` (of the sides) and `z` (of the
-    values); the arrays are of shape (rows, columns) with y rising. curve: called with the number of the curve as text
-    too; `stiffness_n_per_m`, `speed_m_per_s`, and `turn`, the points of the approach; the arrays are the base, rising
-    towards the sample, and the deflection [m]. deflections: of approaches; the arrays are the points of each one, and
-    of all after each other the height, rising away from the sample [m], and the deflection [V]. limits: of the child,
-    by the size of the file [bytes].
+    values); the arrays are of shape (rows, columns) with y rising, NaN where nothing was measured. curve: called with
+    the number of the curve, a spring constant [N/m] and a sensitivity [m/V] as texts too, which are empty where the
+    file's own hold; `stiffness_n_per_m`, `speed_m_per_s`, and `turn`, the points of the approach; the arrays are the
+    base, rising towards the sample, and the deflection [m]. deflections: of approaches; the arrays are the points of
+    each one, and of all after each other the height, rising away from the sample [m], and the deflection [V]. spectrum:
+    thermal; the `unit` of the density and its `averages`; the arrays are the lines [Hz] and the density. limits: of the
+    child, by the size of the file [bytes].
     """
 
     heights: str = ""
     curve: str = ""
     deflections: str = ""
+    spectrum: str = ""
     limits: Callable[[int], Limits] = limits_for
 
 
@@ -47,7 +50,7 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
 
     Args:
         path: The file.
-        what: Which function: `heights`, `curve` or `deflections`.
+        what: Which function: `heights`, `curve`, `deflections` or `spectrum`.
         *arguments: What it is called with besides.
 
     Raises:
@@ -55,7 +58,7 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
         OSError, ValueError: As `read_in_child`.
     """
     open_regular(path).close()
-    for name in (_name_of(path), _OTHER):
+    for name in (path.suffix.lower().removeprefix(".").replace("-", "_"), _OTHER):
         loaded = plugins.load("readers", _checked, only=name)
         plugins.refuse(loaded, name)
         reader = loaded.found.get(name, FileReader())
@@ -74,7 +77,3 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
     if known:
         raise ConfigError(f"{path}: is of no format that is known here; for this they are {', '.join(known)}")
     raise ConfigError(f"{path}: files of other makers are read by the package {package}: {how_to_add_package(package)}")
-
-
-def _name_of(path: Path) -> str:
-    return path.suffix.lower().removeprefix(".").replace("-", "_")

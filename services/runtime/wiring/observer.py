@@ -150,66 +150,42 @@ class _Samples:
     sizes: list[int] = field(default_factory=list)
 
 
-def _sampled(
-    observer: Observer, name: str, duration_s: float | None, count: int | None, least: int
-) -> dict[str, _Samples]:
+def measure(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
+    """Return for each source of a topic its rate, gaps, the age of its messages on arrival and their size.
+
+    Listens for a time [s] or a number of messages, None for no end, until it is interrupted.
+
+    Raises:
+        RigError: No source sent two messages.
+    """
     samples: dict[str, _Samples] = {}
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         for received in messages_of(observer, name, duration_s, count):
             of_source = samples.setdefault(received.message.src, _Samples())
             of_source.arrivals_ns.append(received.received_ns)
             of_source.ages_ns.append(received.received_ns - received.message.t_ns)
             of_source.sizes.append(len(received.payload))
-    except KeyboardInterrupt:
-        # Ctrl-C is how a person ends a measurement without a set length
-        pass
-    if max((len(s.arrivals_ns) for s in samples.values()), default=0) < least:
-        raise RigError(f"fewer than {least} messages were received on {name}: is the rig running with this site file?")
-    return samples
+    if max((len(s.arrivals_ns) for s in samples.values()), default=0) < 2:
+        raise RigError(f"fewer than 2 messages were received on {name}: is the rig running with this site file?")
+    return [_measured(src, one, observer.tracker(name, src)) for src, one in sorted(samples.items())]
 
 
-def measure_rate(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Return for each source of a topic: rate, standard deviation of the interval, gaps; RigError when it is silent."""
-    samples = _sampled(observer, name, duration_s, count, least=2)
-    rows = []
-    for src, of_source in sorted(samples.items()):
-        intervals_s = np.diff(of_source.arrivals_ns) * 1e-9
-        tracker = observer.tracker(name, src)
-        rows.append(
-            {
-                "src": src,
-                "messages": len(of_source.arrivals_ns),
-                "rate_hz": float(1.0 / intervals_s.mean()) if intervals_s.size and intervals_s.mean() > 0.0 else None,
-                "interval_std_ms": float(intervals_s.std() * 1e3) if intervals_s.size else None,
-                "gaps": tracker.gaps,
-                "lost": tracker.lost,
-            }
-        )
-    return rows
-
-
-def measure_delay(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
-    """Return for each source of a topic the age of its messages on arrival [ms]; RigError when it is silent."""
-    samples = _sampled(observer, name, duration_s, count, least=1)
-    rows = []
-    for src, of_source in sorted(samples.items()):
-        p50, p99 = np.percentile(np.array(of_source.ages_ns) * 1e-6, [50.0, 99.0])
-        row = {"p50_ms": float(p50), "p99_ms": float(p99), "max_ms": max(of_source.ages_ns) * 1e-6}
-        rows.append({"src": src, "messages": len(of_source.ages_ns), **row})
-    return rows
-
-
-def measure_bandwidth(
-    observer: Observer, name: str, duration_s: float | None, count: int | None
-) -> list[dict[str, Any]]:
-    """Return for each source of a topic the bytes of its messages, and a second; RigError when it is silent."""
-    samples = _sampled(observer, name, duration_s, count, least=2)
-    rows = []
-    for src, of_source in sorted(samples.items()):
-        span_s = (of_source.arrivals_ns[-1] - of_source.arrivals_ns[0]) * 1e-9
-        # the first message is where the time begins
-        rate = sum(of_source.sizes[1:]) / span_s if span_s > 0.0 else None
-        sizes = of_source.sizes
-        row = {"mean_bytes": sum(sizes) / len(sizes), "least_bytes": min(sizes), "most_bytes": max(sizes)}
-        rows.append({"src": src, "messages": len(sizes), **row, "bytes_per_s": rate})
-    return rows
+def _measured(src: str, samples: _Samples, tracker: SequenceTracker) -> dict[str, Any]:
+    intervals_s, sizes = np.diff(samples.arrivals_ns) * 1e-9, samples.sizes
+    span_s = float(intervals_s.sum())
+    p50, p99 = np.percentile(np.array(samples.ages_ns) * 1e-6, [50.0, 99.0])
+    return {
+        "src": src,
+        "messages": len(sizes),
+        "rate_hz": len(intervals_s) / span_s if span_s > 0.0 else None,
+        "interval_std_ms": float(intervals_s.std() * 1e3) if len(intervals_s) else None,
+        "gaps": tracker.gaps,
+        "lost": tracker.lost,
+        "age_p50_ms": float(p50),
+        "age_p99_ms": float(p99),
+        "age_max_ms": max(samples.ages_ns) * 1e-6,
+        "mean_bytes": sum(sizes) / len(sizes),
+        "most_bytes": max(sizes),
+        # The time begins with the first message.
+        "bytes_per_s": sum(sizes[1:]) / span_s if span_s > 0.0 else None,
+    }

@@ -8,7 +8,7 @@ import yaml
 from presets import find_scenario
 from proto.errors import ConfigError, probably_meant
 from telenano.cli.completion import scenario_names, scenario_sections
-from telenano.cli.options import CoreOption, JsonOption, SettingsOption, command_group
+from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
 
 app = command_group()
@@ -29,18 +29,24 @@ def list_all(
             metavar="PREFIX", help="Only keys that begin so, such as delay_node.", autocompletion=scenario_sections
         ),
     ] = "",
-    core: CoreOption = False,
+    every: Annotated[bool, typer.Option("--all", help="List every key, not only those that people change first.")] = (
+        False
+    ),
     as_json: JsonOption = False,
 ) -> None:
-    """List the keys of a scenario with default, range and unit: whatever `--set` can change."""
-    with report_errors(as_json):
-        from services.launcher.scenario_keys import all_keys
+    """List the keys of a scenario with default, range and unit, which `--set` can change.
 
-        keys = [key for key in all_keys(core=core) if key.name.startswith(prefix)]
+    Without PREFIX and --all these are the keys at the top of each section, and those that a packaged scenario changes.
+    """
+    with report_errors(as_json):
+        from services.launcher.scenario_keys import all_keys, first_keys
+
+        known = all_keys()
+        keys = [key for key in known if key.name.startswith(prefix)] if prefix or every else first_keys(known)
         if not keys:
-            parts = {".".join(key.name.split(".")[: prefix.count(".") + 1]) for key in all_keys()}
+            parts = {".".join(key.name.split(".")[: prefix.count(".") + 1]) for key in known}
             near = probably_meant(prefix, parts)
-            raise ConfigError(f"{prefix}: no key begins so; `telenano param list` has them all{near}")
+            raise ConfigError(f"{prefix}: no key begins so; `telenano param list --all` has them all{near}")
     rows: list[dict[str, Any]] = [
         {
             "key": key.name,
@@ -54,27 +60,26 @@ def list_all(
     ]
     shown = [{key: value for key, value in row.items() if key != "type"} for row in rows]
     print_answer({"keys": rows}, shown, as_json=as_json)
+    if not as_json and len(keys) < len(known) and not prefix:
+        typer.echo(f"{len(known) - len(keys)} more: `telenano param list --all`, or `telenano param list afm_node`")
 
 
 @app.command()
 def get(
-    key: Annotated[str, typer.Argument(metavar="KEY", help="Dotted key, or a section, such as controller.wave.")],
+    key: Annotated[
+        str | None, typer.Argument(metavar="KEY", help="Dotted key, or a section, such as controller.wave.")
+    ] = None,
     scenario: ScenarioOption = "fig12",
     settings: SettingsOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the value of a key in a scenario, its default where the scenario does not name it."""
+    """Print the value of a key in a scenario, its default where the scenario does not name it.
+
+    Without KEY it prints the scenario with every default in it, as a YAML file that can be run.
+    """
     with report_errors(as_json):
         value = _value(scenario, settings, key)
-    print_answer({"key": key, "value": value}, _yaml(value), as_json=as_json)
-
-
-@app.command()
-def dump(scenario: ScenarioOption = "fig12", settings: SettingsOption = None, as_json: JsonOption = False) -> None:
-    """Print a scenario with every default in it, as a YAML file that can be run."""
-    with report_errors(as_json):
-        document = _value(scenario, settings, None)
-    print_answer(document, _yaml(document), as_json=as_json)
+    print_answer(value if key is None else {"key": key, "value": value}, _yaml(value), as_json=as_json)
 
 
 def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:

@@ -37,7 +37,7 @@ def list_all(as_json: JsonOption = False) -> None:
 
 @app.command()
 def show(name: NameArgument, as_json: JsonOption = False) -> None:
-    """Print a scenario as its file has it; `param dump` has every default in it."""
+    """Print a scenario as its file has it; `param get` has every default in it."""
     with report_errors(as_json):
         path = find_scenario(name)
         document = read_yaml(path)

@@ -3,7 +3,7 @@
 import contextlib
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,9 +21,7 @@ from services.runtime.wiring.observer import (
     Observer,
     known_name,
     list_topics,
-    measure_bandwidth,
-    measure_delay,
-    measure_rate,
+    measure,
     messages_of,
     require_rig,
 )
@@ -124,39 +122,18 @@ def info(topic: TopicArgument, as_json: JsonOption = False) -> None:
         print_rows(fields)
 
 
-def _measuring(
-    measure: Callable[[Observer, str, float | None, int | None], list[dict[str, Any]]],
-) -> Callable[..., None]:
-    """Return a command that prints a row for each source of a topic."""
-
-    def command(
-        topic: TopicArgument,
-        site_file: SiteFileOption = DEFAULT_SITE_FILE,
-        count: CountOption = None,
-        duration: DurationOption = None,
-        as_json: JsonOption = False,
-    ) -> None:
-        with report_errors(as_json), open_observer(site_file, topic) as observer:
-            rows = measure(observer, topic, duration, count)
-        print_answer({"topic": topic, "sources": rows}, rows, as_json=as_json)
-
-    return command
-
-
-for _name, _measure, _about in (
-    ("bw", measure_bandwidth, "Measure the bandwidth of a topic: bytes of a message, bytes a second, by source."),
-    (
-        "hz",
-        measure_rate,
-        "Measure the rate of a topic: mean, standard deviation of the interval, gaps in the sequence.",
-    ),
-    (
-        "delay",
-        measure_delay,
-        "Measure the age of the messages of a topic when they arrive here: median, 99th percentile, maximum [ms].",
-    ),
-):
-    app.command(_name, help=_about)(_measuring(_measure))
+@app.command()
+def hz(
+    topic: TopicArgument,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+    count: CountOption = None,
+    duration: DurationOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure a topic by source: rate, gaps in the sequence, age of the messages on arrival here, bytes."""
+    with report_errors(as_json), open_observer(site_file, topic) as observer:
+        rows = measure(observer, topic, duration, count)
+    print_answer({"topic": topic, "sources": rows}, rows, as_json=as_json)
 
 
 @contextlib.contextmanager

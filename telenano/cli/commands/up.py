@@ -122,9 +122,6 @@ def _run(
 
 def _warn(request: UpRequest, plan: Plan) -> None:
     """Print what is easily overlooked in a session that is about to start."""
-    if request.delay_ms is not None:
-        text = f"--delay-ms {request.delay_ms:g} is one way: a round trip of {2 * request.delay_ms:g} ms"
-        _tell(f"{text}, as --round-trip-ms {2 * request.delay_ms:g}")
     for text in known_problems():
         _tell(f"{text}; it is left out")
     if text := _clock_text(plan):

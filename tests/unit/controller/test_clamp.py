@@ -7,7 +7,8 @@ import pytest
 from telenano_studies.loops.cells import Cell, trajectory_of
 
 from services.controller.clamp import NO_LIMIT_N, ClampConfig, ClampParams, clamped
-from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
 from services.controller.law import NO_SIGNAL, SlaveReference, TipMeasurement
 from studies.loops import lockstep
 

@@ -8,7 +8,8 @@ import pytest
 from proto.errors import RefusedError
 from proto.messages import SessionControl
 from services.controller.__main__ import half_of_site
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
+from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from proto.errors import ConfigError
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
+from services.controller.config import ControllerConfig
 from services.controller.energy import Port
 from services.controller.laws.shared.virtual_mass import FARTHEST_M, bounded
 from services.runtime.settings.config import flatten, validate

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from proto.sequence import Arrival
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import OWN_LAWS as LAWS
+from services.controller.config import ControllerConfig
 from services.controller.master_half import MasterController
 from services.controller.slave_half import SlaveController
 from services.runtime.bus.bus import Received

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from services.afm_node.config import AfmConfig
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import (
     MOST_PERIODS_A_STEP,
     NO_SIGNAL,
@@ -133,7 +133,7 @@ def test_the_stated_share_keeps_an_integrator_stable_for_all_orders_of_delays(
 
 
 def test_the_limits_are_those_that_the_document_derives() -> None:
-    limits = {name: config_of(name).stiffness_limit_n_per_m() for name in LAWS}
+    limits = {name: config_of(name).stiffness_limit_n_per_m() for name in OWN_LAWS}
     assert limits == {
         "virtual_impedance": None,
         "position_force": None,

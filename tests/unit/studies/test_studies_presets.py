@@ -8,7 +8,7 @@ import studies
 import telenano
 from presets import SCENARIO_DIRECTORY
 from proto.errors import ConfigError
-from services.controller.config import KNOWN_LAWS, OWN_LAWS
+from services.controller.config import OWN_LAWS
 from studies.loops.simulation import SimulatedSession
 
 assert studies  # before the steps are imported: they are compiled from then on
@@ -97,7 +97,7 @@ def test_a_law_that_moves_no_tip_is_said_to_have_lost_contact(environment: str) 
     assert session.verdict == "contact_lost"
 
 
-@pytest.mark.parametrize("law", tuple(KNOWN_LAWS))
+@pytest.mark.parametrize("law", (*LAWS, "tactile"))
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 def test_what_a_lockstep_has_not_is_refused_in_words_that_name_it(law: str, environment: str) -> None:
     with pytest.raises(ConfigError, match=r"afm_node.begin: tactile moves the tip by a program.*telenano up"):

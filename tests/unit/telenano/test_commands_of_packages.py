@@ -151,7 +151,7 @@ def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_a
     text = said("experiment", "check", "delay_and_law", code=2)
     how = how_to_add_package("telenano-experiments")
     assert f"the command 'experiment' is in the package telenano-experiments: {how}" in text
-    listed = said("--help")
+    listed = said("--help-all")
     assert "  law " in listed and not {"study", "experiment", "benchmark"} & set(listed.split())
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import command_page
 import pytest
 from typer.testing import CliRunner
 
@@ -54,3 +55,18 @@ def test_a_page_has_no_command_or_option_that_is_gone(folder: str) -> None:
     assert [words for words in headings if not any(f"{one} ".startswith(f"{words} ") for one in there)] == []
     options = {flag for command in there.values() for one in command.params for flag in one.opts}
     assert set(re.findall(r"^- `(--[a-z-]+)", page, re.MULTILINE)) <= options
+
+
+def test_a_length_at_the_instrument_is_in_nanometres_in_every_command() -> None:
+    core = {path.removeprefix("telenano "): command for path, command in command_page.commands().items()}
+    found = {**core, **{words: command for words, (command, _) in FOUND.items()}}
+    metres = {
+        f"{words} {one.opts[0]}"
+        for words, command in found.items()
+        for one in getattr(command, "params", [])
+        if re.search(r"\[(m|um|mm|m/s|m/V)\]", getattr(one, "help", None) or "")
+    }
+    # the arm of a handle moves by centimetres; what a file or a function of a person's own has is in SI
+    of_the_hand, of_own = {"device calibrate handle --gauge"}, ("--pattern", "--sample")
+    assert {name for name in metres if not name.endswith(of_own)} == of_the_hand
+    assert {name for name in metres if name.endswith("--pattern")}

@@ -76,6 +76,15 @@ def test_a_key_has_default_range_and_unit() -> None:
     assert run("param", "list", "telepathy")[0] == 2
 
 
+def test_the_first_list_of_keys_is_short_and_leads_to_the_others() -> None:
+    first = {row["key"] for row in json.loads(run("param", "list", "--json")[1])["keys"]}
+    every = {row["key"] for row in json.loads(run("param", "list", "--all", "--json")[1])["keys"]}
+    assert first < every == {key.name for key in all_keys()}
+    assert len(first) <= 120
+    assert {"controller.law", "delay_node.profile", "afm_node.sample.name", "afm_node.rest_distance_m"} <= first
+    assert f"{len(every) - len(first)} more: `telenano param list --all`" in run("param", "list")[1]
+
+
 def test_a_value_is_that_of_the_scenario_or_the_default() -> None:
     assert json.loads(run("param", "get", "afm_node.rest_distance_m", "--json")[1])["value"] == 1e-8
     assert run("param", "get", "controller.wave.filter_s")[1] == "0.02\n"
@@ -88,10 +97,10 @@ def test_a_value_is_that_of_the_scenario_or_the_default() -> None:
 
 def test_what_param_dumps_is_a_scenario_that_runs_the_same(tmp_path: Path) -> None:
     path = tmp_path / "full.yaml"
-    path.write_text(run("param", "dump")[1])
+    path.write_text(run("param", "get")[1])
     plan = make_plan(UpRequest(scenario=str(path), out=tmp_path / "out"), tmp_path)
     assert plan.scenario.duration_s == 8.0
-    dumped = json.loads(run("param", "dump", "--json")[1])
+    dumped = json.loads(run("param", "get", "--json")[1])
     assert value_at(dumped, "haptic_node.operator.points.0.time_s") == 0.8
     assert value_at(dumped, "delay_node.profile") == "clean"
     with pytest.raises(ConfigError, match="the scenario has no key link"):

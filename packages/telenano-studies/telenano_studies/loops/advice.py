@@ -15,10 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from analysis.statistics import Statistic, share, statistic
-from services.controller.config import LAWS
+from proto.errors import ConfigError
+from services.controller.config import OWN_LAWS as LAWS
+from services.delay_node.profiles import profile_named
 from services.runtime.settings.config import Settings as StrictSettings
 from services.runtime.settings.option import Option
 from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
@@ -38,8 +40,12 @@ CANDIDATES: tuple[tuple[str, bool], ...] = tuple((law, clamp) for law in LAWS fo
 class Question(StrictSettings):
     """The network, the sample, and what is tried."""
 
-    round_trip_ms: Annotated[float, Option(("--delay",), "MS")] = Field(
-        ge=0.0, le=LONGEST_MS, description="Round trip of the network [ms]"
+    network: Annotated[str | None, Option(("--network",), "NAME")] = Field(
+        default=None,
+        description="Network of those that `telenano link profile` lists, in place of --delay, --jitter and --loss",
+    )
+    round_trip_ms: Annotated[float, Option(("--delay",), "MS", written="that of --network")] = Field(
+        default=math.nan, ge=0.0, le=LONGEST_MS, description="Round trip of the network [ms]"
     )
     jitter: Annotated[Jitter, Option(("--jitter",), "MS", lambda text: jitters(text)[0], written="0")] = Field(
         default=Jitter(), description="Half-width of uniform jitter each way [ms], or n% of the delay"
@@ -55,6 +61,22 @@ class Question(StrictSettings):
         default=None, gt=0.0, le=STIFFEST_N_PER_M, description="Stiffness at the tip [N/m], in place of --sample"
     )
     seeds: int = Field(default=3, ge=1, le=1000, description="Seeds of a random network")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_network(cls, given: Any) -> Any:
+        """Take the mean round trip of a named network; ConfigError where there is neither, or both."""
+        name = given.get("network")
+        own = [key for key in ("round_trip_ms", "jitter", "loss") if given.get(key) is not None]
+        if name is None and "round_trip_ms" not in own:
+            raise ConfigError("--delay or --network is needed: the round trip [ms], or a network")
+        if name is None:
+            return given
+        if own:
+            raise ConfigError(
+                f"--network {name} has its own delay, jitter and loss; leave --delay, --jitter and --loss"
+            )
+        return {**given, "network": name.lower(), "round_trip_ms": profile_named(name).round_trip_ms}
 
     @property
     def tip_n_per_m(self) -> float:
@@ -155,7 +177,7 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
     jitter_ms = question.jitter.at_ms(question.round_trip_ms)
     longest_s = 1e-3 * (question.round_trip_ms + 2.0 * jitter_ms)
     settings: Settings = (*tuned(law, question.tip_n_per_m, longest_s), ("clamp.enabled", clamp))
-    random = jitter_ms > 0.0 or question.loss > 0.0
+    random = jitter_ms > 0.0 or question.loss > 0.0 or question.network is not None
     return [
         Cell(
             law=law,
@@ -166,6 +188,7 @@ def cells_of(question: Question, law: str, clamp: bool) -> list[Cell]:
             jitter_ms=jitter_ms,
             loss=question.loss,
             seed=seed,
+            network=question.network,
             settings=settings,
         )
         for hand in get_args(Hand)
@@ -185,7 +208,7 @@ def advise(question: Question, sweep: Sweep) -> list[Candidate]:
 
 def in_words(question: Question, candidates: Sequence[Candidate]) -> list[str]:
     """Return the advice in three sentences: what to take, what comes next, and what not to take."""
-    network = f"{question.round_trip_ms:g} ms"
+    network = f"{question.round_trip_ms:g} ms" if question.network is None else question.network
     network += f", jitter {question.jitter}" if question.jitter.value else ""
     network += f", {100.0 * question.loss:g} % loss" if question.loss else ""
     where = f"{network}, {question.environment} of {question.tip_n_per_m:g} N/m"

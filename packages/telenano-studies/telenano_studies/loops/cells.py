@@ -28,7 +28,7 @@ from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.afm_node.section_config import CantileverConfig, SafetyConfig
 from services.controller.config import LAWS, ControllerConfig
-from services.delay_node.config import LinkSettings
+from services.delay_node.config import LinkSettings, parse_settings
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.operator_config import ARMS
 from services.numerics.source_digest import source_digest
@@ -139,6 +139,9 @@ class Cell(Conditions):
     uneven: Uneven | None = Field(
         default=None, description="A link that is uneven in time both ways, instead of jitter and loss"
     )
+    network: str | None = Field(
+        default=None, description="A network of presets/networks both ways, instead of delay, jitter and loss"
+    )
     uneven_ms: float = Field(default=30.0, gt=0.0, le=1e4, description="Its slots, outages, pauses or teeth [ms]")
 
     @property
@@ -150,7 +153,7 @@ class Cell(Conditions):
     @property
     def has_random_link(self) -> bool:
         """Return whether another seed gives another session."""
-        return self.jitter_ms > 0.0 or self.loss > 0.0
+        return self.jitter_ms > 0.0 or self.loss > 0.0 or self.network is not None
 
     @property
     def round_trip_s(self) -> float:
@@ -335,6 +338,8 @@ def course_of(
     elif cell.uneven is not None:
         round_trip_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
         schedule = uneven_schedule(round_trip_s, cell.uneven, 1e-3 * cell.uneven_ms, ticks, rig.period_s)
+    elif cell.network is not None:
+        schedule = _network_schedule(cell.network, cell.seed, ticks, rig.period_s, play_out=cell.play_out)
     else:
         # a constant delay is the same to the loop wherever it is
         delay_s = (cell.round_trip_ms + cell.device_latency_ms) * 1e-3
@@ -360,6 +365,12 @@ def _schedule(
 ) -> Schedule:
     """Return the arrivals of a link; laws and hands are tried over the same one, and a random one takes its time."""
     return schedule_of(symmetric_link(*link), ticks, period_s, play_out=play_out)
+
+
+@functools.lru_cache(maxsize=16)
+def _network_schedule(network: str, seed: int, ticks: int, period_s: float, *, play_out: bool) -> Schedule:
+    """Return the arrivals over a named network, with the draws of a seed."""
+    return schedule_of(parse_settings({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
 
 
 def judged(cell: Cell, course: Trajectory, *, noisy: bool = False) -> CellResult:

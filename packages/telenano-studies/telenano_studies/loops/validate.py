@@ -126,13 +126,14 @@ def scenario_of(cell: Cell) -> dict[str, Any]:
         ConfigError: The AFM node cannot simulate the environment.
     """
     direction = direction_of(0.5e-3 * cell.round_trip_ms, cell.jitter_ms * 1e-3, cell.loss, cell.burst)
+    own = {"forward": direction, "backward": direction} if cell.network is None else {"profile": cell.network}
     return {
         "name": f"validate-{cell.key[:12]}",
         "description": f"{cell.law} at {cell.round_trip_ms:g} ms, {cell.environment} {cell.stiffness_n_per_m:g} N/m",
         "duration_s": cell.hold_s()[1],
         "haptic_node": {"operator": cell.operator(cell.hand_points())},
         "controller": cell.controller().model_dump(mode="json", exclude_unset=True),
-        "delay_node": {"seed": cell.seed, "forward": direction, "backward": direction},
+        "delay_node": {"seed": cell.seed, **own},
         "afm_node": _instrument_section(cell),
     }
 

@@ -27,7 +27,7 @@ _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
 # samples that are made, and no files
 SHAPES = ("flat", "dots", "grating")
-_HEIGHT_NAMES = ("height", "topograph", "zsensor", "z sensor", "z_sensor")
+_HEIGHT_NAMES = re.compile(r"height|topo|\bz\b|z_?sensor", re.IGNORECASE)
 
 
 class _Channel(NamedTuple):
@@ -93,7 +93,7 @@ def _chosen(channels: list[_Channel], wanted: str | None) -> _Channel:
             raise ValueError(f"has no channel {wanted!r}; it has: {names}")
         return found[0]
     heights = [c for c in channels if c.unit_z in METRES] or channels
-    return next((c for c in heights if any(name in c.name.lower() for name in _HEIGHT_NAMES)), heights[0])
+    return next((c for c in heights if _HEIGHT_NAMES.search(c.name)), heights[0])
 
 
 def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:

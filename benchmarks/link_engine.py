@@ -1,0 +1,67 @@
+"""What a message costs the engine of the link, network by network, as a ratio to the engine of another checkout.
+
+    python benchmarks/link_engine.py [--before FOLDER] [--rounds N] [NETWORK ...]
+
+Each network carries the same messages, 2000 a second on three topics for ten seconds, through this engine and, in turn
+and in a process of its own, through that of FOLDER, a checkout of an earlier version. A network that FOLDER lacks is
+compared with `lte` there: jitter in order, a rate and losses in bursts. A figure is the median over the rounds of the
+ratio of one round, in which both ran one after the other.
+"""
+
+import argparse
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parents[1]
+NETWORKS = ("clean", "wifi", "lte", "cicv5g_n78_arterial", "starlink_driving", "verizon_driving")
+REFERENCE = "lte"
+CARRY = """
+import sys, time
+from services.delay_node.config import parse_settings
+from services.delay_node.direction import DirectionEngine
+from services.delay_node.profiles import PROFILES
+name = sys.argv[1] if sys.argv[1] in PROFILES else sys.argv[2]
+engine = DirectionEngine("forward", parse_settings({"profile": name, "seed": 3}), 0)
+topics, payload, best = ("teleop/forward", "law/status", "node/health"), bytes(300), 1e9
+now = 0
+for part in range(20):
+    begin = time.process_time()
+    for seq in range(1000):
+        now += 500_000
+        engine.submit(now, topics[seq % 3], payload, seq)
+        engine.due(now)
+    engine.take_fates()
+    best = min(best, time.process_time() - begin)
+print(best * 1e3)
+"""
+
+
+def cost_us(folder: Path, network: str) -> float:
+    """Return the least processor time of a message, by parts of a thousand [us]."""
+    command = [sys.executable, "-c", CARRY, network, REFERENCE]
+    own = {"PYTHONPATH": str(folder)}
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, env=own)
+    return float(done.stdout)
+
+
+def main() -> None:
+    """Print the cost of each network and its ratio."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("networks", nargs="*", default=NETWORKS)
+    parser.add_argument("--before", type=Path)
+    parser.add_argument("--rounds", type=int, default=7)
+    chosen = parser.parse_args()
+    for network in chosen.networks:
+        ratios, costs = [], []
+        for _ in range(chosen.rounds):
+            costs.append(cost_us(HERE, network))
+            other = cost_us(HERE, REFERENCE) if chosen.before is None else cost_us(chosen.before.resolve(), network)
+            ratios.append(costs[-1] / other)
+        name = f"before, {REFERENCE} where it has none" if chosen.before else REFERENCE
+        print(f"{network}: {statistics.median(costs):.1f} us a message, {statistics.median(ratios):.2f} of {name}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Images (.sxm, by nanonispy2) and spectroscopies (.dat, here) of Nanonis: called in a child process with limits.
+
+A spectroscopy is a header of `key TAB value`, a line `[DATA]`, a line of names such as `Frequency Shift [bwd] (Hz)`,
+and rows of numbers. Z rises away from the sample.
+"""
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from telenano_afm_files.recorded import Array, Curves, Recorded
+
+Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
+
+_SWEPT = re.compile(r"Z( rel)?( \[AVG\])? \(m\)")
+
+
+def load_nanonis(path: str) -> Found:
+    """Return the maps of the forward lines of a Nanonis .sxm file, y rising with the row; lines not scanned are NaN."""
+    from nanonispy2.read import Scan
+
+    scan = Scan(path)
+    width, depth = (float(side) for side in scan.header["scan_range"])
+    units = dict(zip(scan.header["data_info"]["Name"], scan.header["data_info"]["Unit"], strict=True))
+    facts, maps = [], []
+    for name, directions in scan.signals.items():
+        values = np.asarray(directions["forward"], dtype=np.float64)
+        facts.append({"name": name, "sides": [width, depth], "unit": "m", "z": units.get(name, "")})
+        # Lines are kept in the order of the scan.
+        maps.append(values[::-1] if scan.header["scan_dir"] == "down" else values)
+    return {"channels": facts}, maps
+
+
+def load_table(path: str) -> Found:
+    """Return the header of a spectroscopy and the names of its columns, and the table, shape (columns, rows)."""
+    # Some languages write a comma as decimal mark; columns are parted by tabs.
+    head, mark, body = Path(path).read_bytes().decode("utf-8", "replace").replace(",", ".").partition("[DATA]")
+    rows = [line.rstrip("\r\t ").split("\t") for line in body.strip("\r\n").splitlines()]
+    if not mark or len(rows) < 2:
+        raise ValueError("is no spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
+    names, *numbers = rows
+    for place, row in enumerate(numbers, start=1):
+        if len(row) != len(names):
+            raise ValueError(f"row {place} of its data has {len(row)} columns, and {len(names)} have names")
+    header = dict(line.split("\t")[:2] for line in head.splitlines() if "\t" in line)
+    return {"header": header, "names": names}, [np.array(numbers, dtype=np.float64).T]
+
+
+class Sweep(NamedTuple):
+    """A sweep of z: the heights [m], rising away from the sample, and by name the columns with a value at each."""
+
+    height_m: Array
+    columns: dict[str, Array]
+
+
+def sweep_of(facts: dict[str, Any], table: Array) -> Sweep:
+    """Return the sweep of z of a spectroscopy, without columns that were filtered afterwards.
+
+    Raises:
+        ValueError: Something else was swept.
+    """
+    names = facts["names"]
+    if not _SWEPT.fullmatch(names[0]):
+        raise ValueError(f"it is a spectroscopy over {names[0]}; a curve of force or frequency shift is one over Z")
+    columns = {name: row for name, row in zip(names, table, strict=True) if not name.endswith("[filt]")}
+    return Sweep(columns.pop(names[0]), columns)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit at the end of the name of a column, empty without one."""
+    found = re.search(r"\(([^()]*)\)$", name)
+    return found[1] if found else ""
+
+
+def backward_of(name: str) -> str:
+    """Return the name that the column of a name has on the way back."""
+    return re.sub(r" \(", " [bwd] (", name)
+
+
+def curves_of(path: str) -> Curves:
+    """Return the force curve of a spectroscopy over Z.
+
+    Raises:
+        ValueError: It has no force and no deflection; the message says what else can be done with it.
+    """
+    facts, (table,) = load_table(path)
+    height, columns = sweep_of(facts, table)
+    forward = [name for name in columns if "[bwd]" not in name]
+    name = next((name for name in forward if unit_of(name) == "N"), None) or next(
+        (name for name in forward if "deflection" in name.lower() and unit_of(name) in ("m", "V")), None
+    )
+    if name is None:
+        raise ValueError(
+            "it has no force and no deflection; a frequency shift becomes a force by `telenano sample import FILE --as "
+            f"force`. Its channels are {', '.join(forward)}"
+        )
+    ways = [(height, columns[name])]
+    if backward_of(name) in columns:
+        ways.append((height[::-1], columns[backward_of(name)][::-1]))
+    if height[-1] > height[0]:
+        # the sweep goes away from the sample, so the way back is the approach
+        ways = ways[::-1]
+    return Curves((1, 1), (0.0, 0.0), iter([(lambda: Recorded((0, 0), tuple(ways), unit_of(name)), 1.0)]))

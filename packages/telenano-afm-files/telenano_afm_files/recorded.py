@@ -1,0 +1,70 @@
+"""Curves as files have them, whatever the format: what each reader of force curves hands over."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Way = tuple[Array, Array]
+
+
+class Recorded(NamedTuple):
+    """One curve.
+
+    place: column and row of its grid. ways: of the approach and of the retraction the height [m], rising away from the
+    sample, and the value, in the order of time. unit: of the values, N of a force, m or V of a deflection.
+    stiffness_n_per_m, sensitivity_m_per_v: as the file has them, or None. speed_m_per_s: of the approach.
+    """
+
+    place: tuple[int, int]
+    ways: tuple[Way, ...]
+    unit: str
+    stiffness_n_per_m: float | None = None
+    sensitivity_m_per_v: float | None = None
+    speed_m_per_s: float = 1.0
+
+
+class Curves(NamedTuple):
+    """The curves of a file: columns and rows of its grid, its sides [m], and how to read each, with the share done."""
+
+    shape: tuple[int, int]
+    sides_m: tuple[float, float]
+    each: Iterator[tuple[Callable[[], Recorded], float]]
+
+
+def constants_of(curve: Recorded, given: dict[str, float]) -> tuple[float | None, float | None]:
+    """Return spring constant [N/m] and sensitivity [m/V] of a curve, those that are given before those of the file."""
+    return (
+        given.get("stiffness_n_per_m", curve.stiffness_n_per_m),
+        given.get("sensitivity_m_per_v", curve.sensitivity_m_per_v),
+    )
+
+
+def factor_to_force(curve: Recorded, given: dict[str, float], *, as_deflection: bool = False) -> float:
+    """Return what the values of a curve are multiplied by to be a force [N], or a deflection [m].
+
+    Raises:
+        ValueError: The unit is that of no force and no deflection, or a constant is missing, which the message names.
+    """
+    names = ("stiffness_n_per_m", "sensitivity_m_per_v")
+    powers = {"N": (0, 0), "m": (1, 0), "V": (1, 1)}
+    if curve.unit not in powers:
+        raise ValueError(f"its deflection is in {curve.unit!r}; it must be in N, m or V")
+    factor, missing = 1.0, []
+    for name, value, power in zip(names, constants_of(curve, given), powers[curve.unit], strict=True):
+        is_stiffness = name == names[0]
+        if value is None and (power or (as_deflection and is_stiffness)):
+            missing.append(name)
+        elif value is not None:
+            factor *= value ** (power - (as_deflection and is_stiffness))
+    if missing:
+        raise ValueError(lacks(missing))
+    return factor
+
+
+def lacks(names: list[str]) -> str:
+    """Return what is said of constants that neither the file has nor the user gave."""
+    given = " ".join(f"--set {name}=…" for name in names)
+    return f"{', '.join(names)}: the file has no such value; give {given}"

@@ -1,0 +1,1 @@
+"""Teleoperation laws beside those of telenano, one a module."""

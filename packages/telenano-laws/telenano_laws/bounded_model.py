@@ -1,0 +1,551 @@
+"""A contact that is rendered at the hand from a bounded model, and pressed at the tip with the hand's own force.
+
+In free motion the base follows the hand's position. In contact it is a force servo to the hand's force, whatever the
+hand's position is, and the hand touches a model of the contact at its own site: no loop is closed through the link.
+
+    hand   (M_v + M_e) x'' + (B_v + B_e) x' = F_m - F(y),   F(y) = K (y - y_0) down to -F_a, and 0 outside of that
+    base   B_g x_s' = F_m(t - T) - F_s in contact,          B_a x_s' <= max(F_m(t - T), 0) + F_0 - F_s outside
+
+y is the tip's reference. The model's line goes through the newest pair (x_s, F_s) that came back, with the slope of the
+pairs over the last way of `memory_m`. The idea is that of model-mediated teleoperation (B. Hannaford 1989; P. Mitra,
+G. Niemeyer 2008, as in telenano's model_mediated). What is added here is derived here:
+
+1. One account of energy covers both ports. The model's potential V may rise only by what the dampers at the hand have
+   taken (Z), and the tip may get only E_0 and what the hand has sent from Z; the work that the tip got is measured. So
+   a wrong or late model costs force or motion, and makes no energy (README, "Why it is passive").
+2. Hand and tip move at one time. The tip does at t what the hand's force was at t - T, so a hand that moves at once
+   is ahead of it. M_e = c_2 K tau^2 and B_e = c_1 K tau - B_v, with tau = T + B_g / K, hold the hand back by about tau:
+   exp(s tau) = 1 + s tau + s^2 tau^2 / 2 ... is the impedance K of a contact that is tau late, and these two terms of
+   it are passive. They fade in while the model agrees with what came back.
+3. A surface is met late. The hand is then beyond it, the model begins under the hand without force, and goes to its
+   place no faster than the dampers pay for and with no more than `update_margin_n` over the force at the tip.
+"""
+
+import math
+from typing import NamedTuple
+
+from pydantic import Field
+
+from telenano.extend.laws import (
+    EnergyAccount,
+    HandSample,
+    Mass,
+    MassConfig,
+    MassParams,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+    at_rest,
+    compiled,
+    is_coupled,
+    law_of,
+    let_go,
+    periods_in,
+    port_signal,
+    ranges,
+    rescaled,
+    resumed,
+    tip_reference,
+    tip_signal,
+    virtual_mass,
+)
+from telenano_laws.ports import (
+    Store,
+    account_of,
+    credited,
+    followed,
+    goes_on,
+    has_to_be_armed,
+    is_heard,
+    is_retracted,
+    opened,
+    opened_anew,
+    paid_damped_way,
+    received_anew,
+    sent_on,
+    slid_work,
+    stood,
+    tank,
+)
+
+bounded = virtual_mass.bounded
+_FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
+# the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
+_LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
+# the model agrees with what came back where their forces at the hand differ by less than this [N]
+_AGREES_N = 0.5
+# a part of `memory_m` over which the slope is the one assumed beforehand
+_UNKNOWN_SHARE = 0.1
+# The tip asks for energy where less than this part of E_0 is left.
+_LEAST_SHARE = 0.25
+
+
+class BoundedModelParams(NamedTuple):
+    """Constants of the law; lengths at the hand's scale, and shares of a period."""
+
+    mass: MassParams
+    mass_kg: float
+    damping_n_s_per_m: float
+    first_n_per_m: float
+    memory_m: float
+    follow: float
+    force_step_n: float
+    update_margin_n: float
+    lag_damping: float
+    lag_inertia: float
+    lag_share: float
+    fade_share: float
+    servo_n_s_per_m: float
+    approach_n_s_per_m: float
+    margin_n: float
+    start_j: float
+    cap_j: float
+    well_j: float
+    send_share: float
+
+
+class BoundedModelConfig(MassConfig):
+    """Section `controller.bounded_model`; energies and stiffness at the hand's scale."""
+
+    silence_limit_s: ranges.TimeS = Field(
+        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    )
+    first_stiffness_n_per_m: ranges.StiffnessNPerM = Field(
+        default=1000.0, description="Stiffness of the contact before its slope is known, at the hand's scale K_0 [N/m]"
+    )
+    memory_m: ranges.LengthM = Field(
+        default=1e-10, description="Way of the tip over which the slope of the contact is taken [m]"
+    )
+    update_s: ranges.TimeS = Field(default=0.05, description="Time constant with which the model follows [s]")
+    update_force_n_per_s: ranges.ForceRateNPerS = Field(
+        default=10.0, description="Fastest change of the force at the hand by an update [N/s]"
+    )
+    update_margin_n: ranges.ForceOrNoneN = Field(
+        default=0.5, description="Force over that of the tip up to which an update may raise that at the hand [N]"
+    )
+    lag_damping: ranges.Gain = Field(
+        default=0.85, description="Share c_1 of K tau that the hand feels as a damper in contact; 0 = none"
+    )
+    lag_inertia: ranges.Gain = Field(
+        default=0.22, description="Share c_2 of K tau^2 that the hand feels as a mass in contact; 0 = none"
+    )
+    servo_damping_n_s_per_m: ranges.DampingNSPerM = Field(
+        default=150.0, description="Damper B_g of the tip's force servo in contact, at the hand's scale [N s/m]"
+    )
+    approach_damping_n_s_per_m: ranges.DampingNSPerM = Field(
+        default=30.0, description="Damper B_a against which the hand's force drives the tip on outside [N s/m]"
+    )
+    force_margin_n: ranges.ForceOrNoneN = Field(
+        default=0.0, description="Force by which the tip may meet the sample harder than the hand presses F_0 [N]"
+    )
+    start_energy_j: ranges.EnergyOrNoneJ = Field(
+        default=7.5e-4, description="Energy that each side has before it has taken or received any E_0 [J]"
+    )
+    energy_cap_j: ranges.EnergyJ = Field(default=1e-2, description="Most energy that a side keeps [J]")
+    well_energy_j: ranges.EnergyOrNoneJ = Field(
+        default=5e-4, description="Deepest well of a pull that the model may have E_a [J]"
+    )
+    exchange_s: ranges.TimeS = Field(
+        default=0.05, description="Time constant with which a tip's store that is nearly empty is filled [s]"
+    )
+
+    def to_params(self, period_s: float) -> BoundedModelParams:
+        """Return the constants of the compiled steps for a period [s] of the hand."""
+        return BoundedModelParams(
+            mass=self.mass_params(period_s),
+            mass_kg=self.mass_kg,
+            damping_n_s_per_m=self.damping_n_s_per_m,
+            first_n_per_m=self.first_stiffness_n_per_m,
+            memory_m=self.memory_m / self.position_scale,
+            follow=min(period_s / self.update_s, 1.0),
+            force_step_n=self.update_force_n_per_s * period_s,
+            update_margin_n=self.update_margin_n,
+            lag_damping=self.lag_damping,
+            lag_inertia=self.lag_inertia,
+            lag_share=min(period_s / _LAG_S, 1.0),
+            fade_share=min(period_s / _FADE_S, 1.0),
+            servo_n_s_per_m=max(self.servo_damping_n_s_per_m, self.approach_damping_n_s_per_m),
+            approach_n_s_per_m=self.approach_damping_n_s_per_m,
+            margin_n=self.force_margin_n,
+            start_j=min(self.start_energy_j, self.energy_cap_j),
+            cap_j=self.energy_cap_j,
+            well_j=self.well_energy_j,
+            send_share=min(period_s / self.exchange_s, 1.0),
+        )
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample [N/m] that the tip may meet: it comes to it through the damper B_a."""
+        return virtual_mass.stiffness_limit_n_per_m(self, self.approach_damping_n_s_per_m, period_s)
+
+
+class Contact(NamedTuple):
+    """A line F = K (y - y_0) [N, m at the hand's scale] down to -F_a, the pull [N], and 0 outside."""
+
+    stiffness_n_per_m: float
+    zero_m: float
+    pull_n: float
+
+
+class Seen(NamedTuple):
+    """What came back from contact: newest pair, means and sums of products with fading weights, greatest pull [N]."""
+
+    known: bool
+    last_m: float
+    last_n: float
+    mean_m: float
+    mean_n: float
+    square_m2: float
+    product_n_m: float
+    pull_n: float
+
+
+class MasterState(NamedTuple):
+    """Mass, what was seen, the model and whether there is one, lag [s], share of the lag's terms, M, and the store."""
+
+    mass: Mass
+    seen: Seen
+    contact: Contact
+    rendered: bool
+    lag_s: float
+    held_back: float
+    mass_kg: float
+    store: Store
+    stood_s: float
+
+
+class SlaveState(NamedTuple):
+    """Base reference [m], last measurement (at the hand's scale) [m, N], and the store; `coupled`: it counts."""
+
+    position_m: float
+    last_m: float
+    last_n: float
+    store: Store
+    coupled: bool
+
+
+@compiled
+def nothing_seen() -> Seen:
+    """Return what is known before the first contact."""
+    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@compiled
+def contact_force(contact: Contact, y_m: float) -> float:
+    """Return the force of the model at a reference of the tip [N]."""
+    force = contact.stiffness_n_per_m * (y_m - contact.zero_m)
+    return force if force > -contact.pull_n else 0.0
+
+
+@compiled
+def potential(contact: Contact, y_m: float) -> float:
+    """Return the work that it took to bring the hand there from outside [J], at least -F_a^2 / 2 K."""
+    force, pull = contact.stiffness_n_per_m * (y_m - contact.zero_m), contact.pull_n
+    return 0.5 * (force * force - pull * pull) / contact.stiffness_n_per_m if force > -pull else 0.0
+
+
+@compiled
+def taught(params: BoundedModelParams, seen: Seen, position_m: float, force_n: float, touches: bool) -> Seen:
+    """Learn from a pair of the tip; out of contact it can only move the surface further away.
+
+    A pair has a weight by the way since the one before, so a tip that stands forgets nothing.
+    """
+    if not touches:
+        slope = slope_of(params, seen)
+        beyond = seen.known and position_m > seen.last_m - (seen.last_n + seen.pull_n) / slope
+        if not beyond:
+            return seen
+        return Seen(
+            seen.known,
+            position_m,
+            -seen.pull_n,
+            seen.mean_m,
+            seen.mean_n,
+            seen.square_m2,
+            seen.product_n_m,
+            seen.pull_n,
+        )
+    if not seen.known:
+        return Seen(True, position_m, force_n, position_m, force_n, 0.0, 0.0, max(-force_n, 0.0))
+    way = abs(position_m - seen.last_m) / params.memory_m
+    gain = way / (1.0 + way)
+    by_m, by_n, kept = position_m - seen.mean_m, force_n - seen.mean_n, 1.0 - gain
+    return Seen(
+        known=True,
+        last_m=position_m,
+        last_n=force_n,
+        mean_m=seen.mean_m + gain * by_m,
+        mean_n=seen.mean_n + gain * by_n,
+        square_m2=kept * (seen.square_m2 + gain * by_m * by_m),
+        product_n_m=kept * (seen.product_n_m + gain * by_m * by_n),
+        pull_n=max(seen.pull_n, -force_n),
+    )
+
+
+@compiled
+def slope_of(params: BoundedModelParams, seen: Seen) -> float:
+    """Return the slope of what was seen [N/m]: the one assumed beforehand where the tip has not moved yet."""
+    first, unknown = params.first_n_per_m, _UNKNOWN_SHARE * params.memory_m
+    slope = (seen.product_n_m + first * unknown * unknown) / (seen.square_m2 + unknown * unknown)
+    return min(max(slope, 1e-3 * first), 1e3 * first)
+
+
+@compiled
+def goal_of(params: BoundedModelParams, seen: Seen) -> Contact:
+    """Return the model that what was seen speaks for, with a well no deeper than allowed."""
+    slope = slope_of(params, seen)
+    pull = min(seen.pull_n, math.sqrt(2.0 * slope * params.well_j))
+    return Contact(slope, seen.last_m - seen.last_n / slope, pull)
+
+
+@compiled
+def between(start: Contact, end: Contact, share: float) -> Contact:
+    """Return the model that lies a share of the way from one to another."""
+    return Contact(
+        start.stiffness_n_per_m + share * (end.stiffness_n_per_m - start.stiffness_n_per_m),
+        start.zero_m + share * (end.zero_m - start.zero_m),
+        start.pull_n + share * (end.pull_n - start.pull_n),
+    )
+
+
+@compiled
+def updated(
+    params: BoundedModelParams, contact: Contact, goal: Contact, y_m: float, tip_n: float, left_j: float
+) -> tuple[Contact, float]:
+    """Move the model towards the goal as far as force and energy allow; return it with the energy that it took [J].
+
+    The share is halved until the limits hold, and the model stays where it gets too small.
+    """
+    force, stored = contact_force(contact, y_m), potential(contact, y_m)
+    most = max(force, tip_n + params.update_margin_n)
+    share = params.follow
+    for _ in range(12):
+        tried = between(contact, goal, share)
+        force_then, rise = contact_force(tried, y_m), potential(tried, y_m) - stored
+        if abs(force_then - force) <= params.force_step_n and force_then <= most and rise <= max(left_j, 0.0):
+            return tried, rise
+        share *= 0.5
+    return contact, 0.0
+
+
+@compiled
+def _begun(params: BoundedModelParams, mass: Mass) -> MasterState:
+    contact = Contact(params.first_n_per_m, 0.0, 0.0)
+    return MasterState(mass, nothing_seen(), contact, False, 0.0, 0.0, params.mass_kg, opened(params.start_j), 0.0)
+
+
+@compiled
+def master_start(params: BoundedModelParams, hand: HandSample) -> MasterState:
+    """Start with the virtual mass at rest at the hand's position, over a surface not yet known."""
+    return _begun(params, at_rest(hand.position_m))
+
+
+@compiled
+def master_resume(params: BoundedModelParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Continue with the hand's motion and the tip's reference; the contact is learnt from nothing."""
+    return _begun(params, resumed(params.mass, hand, tip_reference_m))
+
+
+@compiled
+def master_send(
+    params: BoundedModelParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Return the slave's reference, the hand's force, and the energy that has been sent to the tip."""
+    p, mass = params.mass, state.mass
+    return state, port_signal(
+        position_m=tip_reference(p, mass),
+        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
+        force_n=hand.force_n / p.force_scale,
+        energy_j=state.store.sent_j,
+        active=mass.coupled,
+    )
+
+
+@compiled
+def _let_go(
+    params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, stood_s: float
+) -> MasterState:
+    """Leave the mass with the hand, and what the model had stored in the store; after an arming all begins anew."""
+    p, store = params.mass, state.store
+    if state.rendered:
+        y = tip_reference(p, state.mass) / p.position_scale
+        store = tank(store, potential(state.contact, y), params.cap_j)
+    anew = is_retracted(p, signal)
+    seen, lag = state.seen, state.lag_s
+    if anew:
+        seen, lag, store = nothing_seen(), 0.0, opened_anew(store, 0.0, False, params.start_j)
+    mass = let_go(p, state.mass, hand, signal)
+    return MasterState(mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s)
+
+
+@compiled
+def _first_contact(params: BoundedModelParams, goal: Contact, y_m: float, tip_m: float, left_j: float) -> Contact:
+    """Return the model as it begins: under the hand without force; or where it is, if hand and tip are at one place.
+
+    The force that the hand begins with there is paid as well.
+    """
+    if abs(y_m - tip_m) <= params.memory_m and potential(goal, y_m) <= left_j:
+        return goal
+    return Contact(goal.stiffness_n_per_m, max(goal.zero_m, y_m), 0.0)
+
+
+@compiled
+def lag_terms(params: BoundedModelParams, stiffness_n_per_m: float, delay_s: float) -> tuple[float, float]:
+    """Return the mass M_e [kg] and the damper B_e [N s/m], B_v included, that hold the hand back like the tip.
+
+    The tip is late by the delay T of its line, K e^(sT) = K (1 + s T + s^2 T^2 / 2 ...), and by its servo, K + s B_g.
+    """
+    late = stiffness_n_per_m * delay_s
+    mass = (params.lag_inertia * late + params.lag_damping * params.servo_n_s_per_m) * delay_s
+    return mass, params.lag_damping * late + params.servo_n_s_per_m
+
+
+@compiled
+def master_receive(
+    params: BoundedModelParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Learn from the answer, update the model within the store, and move the mass over dt [s] on it.
+
+    The step is Euler's with the new velocity, for which the energies of a period are exact: F_m dx is the change of
+    M v^2 / 2 and V, and what mass, damper and the model's step have taken.
+    """
+    p, scale = params.mass, params.mass.position_scale
+    coupled = is_coupled(p, signal)
+    off_s = 0.0 if hand.following else state.stood_s + dt
+    if not goes_on(p, state.mass, hand, signal, off_s):
+        state = _let_go(params, state, hand, signal, off_s)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    mass, seen, contact, rendered, store = state.mass, state.seen, state.contact, state.rendered, state.store
+    tip_m, tip_n = signal.position_m / scale, p.force_scale * signal.force_n
+    lag, heavy = state.lag_s, state.mass_kg
+    if signal.silence_s < 0.5 * p.period_s:
+        seen = taught(params, seen, tip_m, tip_n, signal.in_contact)
+        lag += params.lag_share * (min(0.5 * signal.round_trip_s, _LONGEST_LAG_S) - lag)
+    offset = mass.tip_offset_m / scale
+    goal, held_back, force = goal_of(params, seen), state.held_back, 0.0
+    if seen.known and not rendered:
+        y = mass.position_m + offset
+        contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j), True
+        store = tank(store, -potential(contact, y), params.cap_j)
+    if not hand.following:
+        # A device that is off for a moment stands: the lead of its reference is undone, and booked like a motion.
+        y, back = mass.position_m + offset, hand.position_m - mass.position_m
+        if rendered:
+            force = contact_force(contact, y + back)
+            store = tank(store, potential(contact, y) - potential(contact, y + back), params.cap_j)
+        store = tank(store, hand.force_n * back, params.cap_j)
+        state = MasterState(stood(mass, hand), seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s)
+        return state, MasterReference(hand.position_m, 0.0, force, True)
+    for _ in range(periods_in(dt, p.period_s)):
+        y = mass.position_m + offset
+        agrees = 0.0
+        if rendered:
+            contact, used = updated(params, contact, goal, y, tip_n, store.left_j)
+            store = tank(store, -max(used, 0.0), params.cap_j)
+            force = contact_force(contact, y)
+            if force > 0.0:
+                agrees = max(1.0 - abs(contact_force(goal, y) - force) / _AGREES_N, 0.0)
+        held_back += params.fade_share * (agrees - held_back)
+        stiffness = contact.stiffness_n_per_m
+        more_mass, more_damper = lag_terms(params, stiffness, lag)
+        wanted = params.mass_kg + held_back * more_mass
+        velocity = mass.velocity_m_per_s
+        if wanted > heavy:
+            # The momentum stays while the mass grows, so that its energy falls.
+            velocity *= heavy / wanted
+        heavy = wanted
+        b = params.damping_n_s_per_m
+        damper = b + held_back * max(more_damper - b, 0.0)
+        after = (heavy * velocity + p.period_s * (hand.force_n - force)) / (heavy + damper * p.period_s)
+        after = bounded(after, _FASTEST_M_PER_S)
+        way, change = after * p.period_s, after - velocity
+        stored = (potential(contact, y + way) - potential(contact, y)) if rendered else 0.0
+        taken = 0.5 * heavy * change * change + damper * after * way + force * way - stored
+        store = tank(store, taken, params.cap_j)
+        mass = Mass(bounded(mass.position_m + way, _FARTHEST_M), after, mass.tip_offset_m, True)
+    missing = max(signal.energy_j - store.sent_j, 0.0)
+    store = sent_on(store, min(max(store.left_j, 0.0), params.send_share * missing))
+    state = MasterState(mass, seen, contact, rendered, lag, held_back, heavy, store, 0.0)
+    return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: BoundedModelParams, tip: TipMeasurement) -> SlaveState:
+    """Start at the position of the base."""
+    return _standing(params, tip.base_position_m, tip, opened(params.start_j))
+
+
+@compiled
+def _standing(params: BoundedModelParams, position_m: float, tip: TipMeasurement, store: Store) -> SlaveState:
+    p = params.mass
+    return SlaveState(position_m, tip.base_position_m / p.position_scale, p.force_scale * tip.force_n, store, False)
+
+
+@compiled
+def slave_receive(
+    params: BoundedModelParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Press with the hand's force in contact and follow its position outside, within the energy that has come.
+
+    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
+    """
+    p, store = params.mass, state.store
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    if state.coupled and tip.following:
+        store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
+    if not (is_coupled(p, signal) and tip.following):
+        base = state.position_m if tip.following else signal.position_m
+        heard = is_heard(signal, p.silence_limit_s)
+        store = received_anew(store, signal.energy_j, heard)
+        if has_to_be_armed(tip):
+            store = opened_anew(store, signal.energy_j, heard, params.start_j)
+        return _standing(params, base, tip, store), SlaveReference(base, True)
+    store = credited(store, signal.energy_j, params.cap_j)
+    pressed, start = p.force_scale * signal.force_n, followed(p, state.position_m, tip)
+    due = (signal.position_m - start) / p.position_scale
+    if tip.in_contact:
+        way = p.period_s / params.servo_n_s_per_m * (pressed - force)
+        if pressed <= 0.0:
+            # A hand that no longer presses takes the tip along.
+            way = min(way, due)
+    else:
+        allowed = max(pressed, 0.0) + params.margin_n - force
+        way = min(due, p.period_s / params.approach_n_s_per_m * allowed)
+    way = paid_damped_way(way, force, params.servo_n_s_per_m, p.period_s, store.left_j)
+    base = start + p.position_scale * way
+    return SlaveState(base, here, force, store, True), SlaveReference(base, True)
+
+
+@compiled
+def slave_send(
+    params: BoundedModelParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Return what the tip measures, and how much energy the hand is to have sent in all: what the tip got, and some."""
+    asked = max(state.store.received_j - state.store.left_j + _LEAST_SHARE * params.start_j, 0.0)
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=asked)
+
+
+@compiled
+def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference constant when alpha_p changes; the store stays below the new cap."""
+    store = state.store
+    store = Store(store.sent_j, store.received_j, min(store.left_j, new.cap_j), store.granted_j)
+    mass, heavy = rescaled(old.mass, new.mass, state.mass), max(state.mass_kg, new.mass_kg)
+    return MasterState(
+        mass, state.seen, state.contact, state.rendered, state.lag_s, state.held_back, heavy, store, state.stood_s
+    )
+
+
+@compiled
+def master_energy_account(params: BoundedModelParams, state: MasterState) -> EnergyAccount:
+    """Return what the dampers have taken and neither updates nor the tip have got, and what both ports were granted."""
+    return EnergyAccount(state.store.left_j, 0.0, params.well_j + 2.0 * state.store.granted_j)
+
+
+@compiled
+def slave_energy_account(params: BoundedModelParams, state: SlaveState) -> EnergyAccount:
+    """Return what the tip may still get, and what both ports were granted."""
+    return account_of(state.store)
+
+
+BOUNDED_MODEL = law_of(__name__, BoundedModelConfig, uses_energy=True, local_loop=True)

@@ -1,0 +1,257 @@
+"""Fractal impedance: a spring between hand and tip that takes back what it gave, so that it needs no damper.
+
+On each side a target is the other one's position. With e the distance to it, the force towards it is
+
+    F = P(e) while e grows,   F = K_out (e - e_max / 2), K_out = 4 U(e_max) / e_max^2, while it falls:
+
+the way back gives in its first half what it takes in its second one. P(e) = K_0 e up to e_0, and then nears the
+greatest force W; U is its integral. The hand feels F of x_m - x_s; the base moves as b_s x_s' = F(x_m - x_s) - F_s.
+
+Source: K. K. Babarahmati, C. Tiseo and others, arXiv:2003.01463 and 2003.01466 (abstracts read); P, U and the way back
+are those of an author's public code (W. Merkt, superimposition_of_passive_taskspace_controllers); the coupling of the
+two sides is derived here. A target that moves does work that no account pays for, so that the law is passive only over
+swings in which the other side stands.
+
+What nano scale changes: 1 N on a sample of 20 N/m is 0.33 mm at the hand's scale, so K_0 is the softest spring in the
+chain and decides what is felt; and the base is a position source, so the tip's damper b_s is a rate of motion.
+"""
+
+import math
+from typing import NamedTuple
+
+from pydantic import Field
+
+from telenano.extend.laws import (
+    HandSample,
+    Mass,
+    MassConfig,
+    MassParams,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+    at_rest,
+    compiled,
+    is_coupled,
+    law_of,
+    let_go,
+    moved,
+    periods_in,
+    port_signal,
+    ranges,
+    rescaled,
+    resumed,
+    tip_reference,
+    tip_signal,
+    virtual_mass,
+)
+from telenano_laws.ports import followed
+
+# the width of the rise from K_0 e_0 to W, as a part of what the distance has left up to e_b
+_RISE_PARTS = 20.0
+_LEAST_RISE_M, _LEAST_HALF_M = 1e-12, 1e-9
+
+
+class Fractal(NamedTuple):
+    """K_0 [N/m], W [N], e_0 [m], and the width b of the rise from the one to the other [m]."""
+
+    stiffness_n_per_m: float
+    most_n: float
+    linear_m: float
+    rise_m: float
+
+
+class Turn(NamedTuple):
+    """The distance to the target when it was seen last, and where it turned last [m]."""
+
+    last_m: float
+    farthest_m: float
+
+
+class FractalImpedanceParams(NamedTuple):
+    """Constants of the law."""
+
+    mass: MassParams
+    spring: Fractal
+    damping_n_s_per_m: float
+
+
+class FractalImpedanceConfig(MassConfig):
+    """Section `controller.fractal_impedance`; all at the hand's scale."""
+
+    silence_limit_s: ranges.TimeS = Field(
+        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    )
+    stiffness_n_per_m: ranges.StiffnessNPerM = Field(default=1500.0, description="Stiffness of the spring K_0 [N/m]")
+    greatest_force_n: ranges.ForceOrNoneN = Field(default=10.0, description="Greatest force of the spring W [N]")
+    base_damping_n_s_per_m: ranges.DampingNSPerM = Field(default=30.0, description="Damper of the base b_s [N s/m]")
+
+    def to_params(self, period_s: float) -> FractalImpedanceParams:
+        """Return the constants of the compiled steps for a period [s] of the hand."""
+        # nine tenths of the way to the greatest force are linear
+        farthest = self.greatest_force_n / self.stiffness_n_per_m
+        return FractalImpedanceParams(
+            self.mass_params(period_s),
+            fractal(self.stiffness_n_per_m, self.greatest_force_n, 0.9 * farthest, farthest),
+            self.base_damping_n_s_per_m,
+        )
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample [N/m] that the base bears, which also goes against its spring."""
+        felt = self.force_scale * self.position_scale
+        limit = virtual_mass.stiffness_limit_n_per_m(self, self.base_damping_n_s_per_m, period_s)
+        return max(limit - 2.0 * self.stiffness_n_per_m / felt, 0.0)
+
+
+def fractal(stiffness_n_per_m: float, most_n: float, linear_m: float, farthest_m: float) -> Fractal:
+    """Return a spring K_0 up to e_0 [m] that has nearly its greatest force W [N] at e_b [m]."""
+    return Fractal(stiffness_n_per_m, most_n, linear_m, max((farthest_m - linear_m) / _RISE_PARTS, _LEAST_RISE_M))
+
+
+class MasterState(NamedTuple):
+    """The mass, and the turn of the hand's spring."""
+
+    mass: Mass
+    turn: Turn
+
+
+class SlaveState(NamedTuple):
+    """The base reference [m], and the turn of the tip's spring."""
+
+    position_m: float
+    turn: Turn
+
+
+@compiled
+def faded(ratio: float) -> float:
+    """Return exp(-ratio) by products alone, whose bits no library chooses; ratio >= 0."""
+    part = min(ratio, 700.0) / 1024.0
+    value = 1.0 - part * (1.0 - part * (0.5 - part * (1.0 / 6.0 - part / 24.0)))
+    for _ in range(10):
+        value *= value
+    return value
+
+
+@compiled
+def outward_force(spring: Fractal, distance_m: float) -> float:
+    """Return P(e) [N], the force on the way from the target."""
+    a, linear = abs(distance_m), spring.linear_m
+    if a < linear:
+        return spring.stiffness_n_per_m * distance_m
+    first = spring.stiffness_n_per_m * linear
+    rise = (1.0 - faded((a - linear) / spring.rise_m)) * (spring.most_n - first)
+    return math.copysign(first + rise, distance_m)
+
+
+@compiled
+def stored(spring: Fractal, distance_m: float) -> float:
+    """Return U(e) [J], the work of P up to there."""
+    a, linear, b = abs(distance_m), spring.linear_m, spring.rise_m
+    if a < linear:
+        return 0.5 * spring.stiffness_n_per_m * a * a
+    first = spring.stiffness_n_per_m * linear
+    more = (a - linear - b * (1.0 - faded((a - linear) / b))) * (spring.most_n - first)
+    return 0.5 * first * linear + first * (a - linear) + more
+
+
+@compiled
+def fractal_force(spring: Fractal, turn: Turn, distance_m: float) -> tuple[Turn, float]:
+    """Return the force towards the target [N] at a distance from it [m], by whether that grows or falls."""
+    change = distance_m - turn.last_m
+    if distance_m * change >= 0.0:
+        return Turn(distance_m, distance_m), outward_force(spring, distance_m)
+    half = 0.5 * turn.farthest_m
+    if abs(half) < _LEAST_HALF_M:
+        return Turn(distance_m, turn.farthest_m), 0.0
+    force = stored(spring, turn.farthest_m) / (half * half) * (distance_m - half)
+    return Turn(distance_m, turn.farthest_m), min(max(force, -spring.most_n), spring.most_n)
+
+
+@compiled
+def _turned_at(distance_m: float) -> Turn:
+    return Turn(distance_m, distance_m)
+
+
+@compiled
+def master_start(params: FractalImpedanceParams, hand: HandSample) -> MasterState:
+    """Start with the virtual mass at rest at the hand's position."""
+    return MasterState(at_rest(hand.position_m), _turned_at(0.0))
+
+
+@compiled
+def master_resume(params: FractalImpedanceParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Continue with the hand's motion and the tip's reference."""
+    return MasterState(resumed(params.mass, hand, tip_reference_m), _turned_at(0.0))
+
+
+@compiled
+def master_send(
+    params: FractalImpedanceParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Return the slave's target, and the hand's force for the record."""
+    p, mass = params.mass, state.mass
+    return state, port_signal(
+        position_m=tip_reference(p, mass),
+        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
+        force_n=hand.force_n / p.force_scale,
+        active=hand.following and mass.coupled,
+    )
+
+
+@compiled
+def master_receive(
+    params: FractalImpedanceParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Move the mass over dt [s] against the spring to where the tip was last."""
+    p, mass, turn = params.mass, state.mass, state.turn
+    coupled = is_coupled(p, signal)
+    if not (coupled and hand.following):
+        state = MasterState(let_go(p, mass, hand, signal), _turned_at(0.0))
+        return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    target, force = (signal.position_m - mass.tip_offset_m) / p.position_scale, 0.0
+    for _ in range(periods_in(dt, p.period_s)):
+        turn, force = fractal_force(params.spring, turn, mass.position_m - target)
+        mass = moved(p, mass, hand.force_n - force)
+    return MasterState(mass, turn), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: FractalImpedanceParams, tip: TipMeasurement) -> SlaveState:
+    """Start at the position of the base."""
+    return SlaveState(tip.base_position_m, _turned_at(0.0))
+
+
+@compiled
+def slave_receive(
+    params: FractalImpedanceParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Move the base for a period under its spring to the hand and against the force measured.
+
+    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
+    """
+    p = params.mass
+    if not (is_coupled(p, signal) and tip.following):
+        base = state.position_m if tip.following else signal.position_m
+        return SlaveState(base, _turned_at(0.0)), SlaveReference(base, True)
+    start = followed(p, state.position_m, tip)
+    turn, pulled = fractal_force(params.spring, state.turn, (signal.position_m - start) / p.position_scale)
+    speed = (pulled - p.force_scale * tip.force_n) / params.damping_n_s_per_m
+    base = start + p.position_scale * p.period_s * speed
+    return SlaveState(base, turn), SlaveReference(base, True)
+
+
+@compiled
+def slave_send(
+    params: FractalImpedanceParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Return where the tip is and what it measures."""
+    return state, tip_signal(tip, tip.base_position_m, tip.force_n)
+
+
+@compiled
+def retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference constant when alpha_p changes."""
+    return MasterState(rescaled(old.mass, new.mass, state.mass), state.turn)
+
+
+FRACTAL_IMPEDANCE = law_of(__name__, FractalImpedanceConfig, local_loop=True)

@@ -1,0 +1,98 @@
+"""The frontier of laws, a point a law: `python -m telenano_laws.frontier RUNS.CSV PICTURE.PNG`.
+
+RUNS.CSV is what `telenano benchmark` writes. To the right is what follows worse, downwards what is softer; the colour
+is the least energy at the ports, and the name has the share of the runs that were held.
+"""
+
+import argparse
+import csv
+import statistics
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+from matplotlib.figure import Figure
+
+# over these the bar allows a tracking error of 0.35, over all others of 0.2
+LONG_NETWORKS = frozenset({"satellite"})
+BAR_STIFFNESS, BAR_TRACKING, BAR_LONG_TRACKING = 0.6, 0.2, 0.35
+# energy below this is drawn in the deepest colour [mJ]
+_LEAST_MJ = -2.0
+
+
+class Point(NamedTuple):
+    """A law: medians of tracking error and stiffness ratio, least energy of any run [mJ], share of the runs held."""
+
+    law: str
+    tracking: float | None
+    stiffness: float | None
+    least_mj: float
+    held: float
+
+
+def points_of(rows: list[dict[str, str]], *, over_long: bool) -> list[Point]:
+    """Return the points of the laws over the long networks or over the others; what was not held has no place."""
+    found: dict[str, list[dict[str, str]]] = {}
+    for row in rows:
+        if (row["network"] in LONG_NETWORKS) == over_long:
+            found.setdefault(row["law"], []).append(row)
+    return [_point(law, some) for law, some in sorted(found.items())]
+
+
+def _point(law: str, some: list[dict[str, str]]) -> Point:
+    held = [row for row in some if row["verdict"] == "stable"]
+    least = min(float(row["least_energy_mj"] or 0.0) for row in some)
+    return Point(law, _median(held, "tracking_error"), _median(held, "stiffness_ratio"), least, len(held) / len(some))
+
+
+def _median(rows: list[dict[str, str]], measure: str) -> float | None:
+    known = [float(row[measure]) for row in rows if row[measure]]
+    return statistics.median(known) if known else None
+
+
+def frontier(rows: list[dict[str, str]]) -> Figure:
+    """Return the figure: the long networks beside the others, with the corner that the bar asks for."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    for axes, over_long in zip(figure.subplots(1, 2), (False, True), strict=True):
+        bar = BAR_LONG_TRACKING if over_long else BAR_TRACKING
+        axes.axvspan(0.0, bar, ymin=BAR_STIFFNESS / 1.6, color="0.92", zorder=0)
+        points = points_of(rows, over_long=over_long)
+        shown = [point for point in points if point.tracking is not None and point.stiffness is not None]
+        absent = [point for point in points if point not in shown]
+        dots = axes.scatter(
+            [point.tracking for point in shown],
+            [min(max(point.stiffness or 0.0, 0.0), 1.6) for point in shown],
+            c=[max(point.least_mj, _LEAST_MJ) for point in shown],
+            cmap="viridis",
+            vmin=_LEAST_MJ,
+            vmax=0.0,
+            s=60,
+            edgecolors="black",
+        )
+        for point in shown:
+            place = point.tracking or 0.0, min(max(point.stiffness or 0.0, 0.0), 1.6)
+            axes.annotate(f"{point.law} {point.held:.0%}", place, xytext=(6, 4), textcoords="offset points", fontsize=8)
+        if absent:
+            names = ", ".join(f"{point.law} {point.held:.0%}" for point in absent)
+            axes.text(0.02, 0.02, f"nothing to compare: {names}", transform=axes.transAxes, fontsize=7, wrap=True)
+        axes.set(xlim=(0.0, 1.3), ylim=(0.0, 1.6), xlabel="tracking error", ylabel="stiffness felt, of the true one")
+        axes.set_title("round trips of 600 ms" if over_long else "round trips of up to 100 ms", fontsize=10)
+        figure.colorbar(dots, ax=axes, label="least energy at the ports [mJ]")
+    return figure
+
+
+def main() -> None:
+    """Draw tracking against stiffness against energy, a point a law, from the runs of a benchmark."""
+    parser = argparse.ArgumentParser(prog="python -m telenano_laws.frontier", description=main.__doc__)
+    parser.add_argument("runs", type=Path, help="runs.csv of a benchmark")
+    parser.add_argument("picture", type=Path, help="file to write")
+    given = parser.parse_args()
+    with given.runs.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    frontier(rows).savefig(given.picture, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

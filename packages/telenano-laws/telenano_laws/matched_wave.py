@@ -1,0 +1,356 @@
+"""Wave variables with both ends matched: nothing echoes, and what a guard of energy cuts is made up for.
+
+    u = (b v + F) / sqrt(2 b)   towards the tip,   w = (b v - F) / sqrt(2 b)   back,   F v = u^2 / 2 - w^2 / 2
+
+The hand feels F_e = b v - sqrt(2 b) w and sends u = sqrt(2 b) v - w. At the tip a damper b ends the line, so that
+
+    x_s' = u / sqrt(2 b) - F_s / (2 b),   w = -F_s / sqrt(2 b):
+
+no part of u is in w. Hence F_e = b v + F_s (late), and x_s' = v (late) + (F_s of a round trip before - F_s) / 2 b.
+
+What crosses the line are the wave itself and two counters, sqrt(2/b) int u dt as `position_m` and int u^2 / 2 dt
+as `energy_j`. The receiver takes u + kappa (what is due of int u dt beyond u Ts), within the energy that has arrived,
+and no faster than the two run out together, as telenano's wave does: so a late, lost or repeated message makes no
+energy, and hand and tip do not drift apart.
+
+Sources: R. J. Anderson, M. W. Spong 1989 and G. Niemeyer, J.-J. E. Slotine, IEEE J. Oceanic Eng. 16 (1991) and Int. J.
+Robotics Research 23 (2004), for waves and matching; equations of the unmatched line as in public code. The matched end,
+the guard and this form of the correction are derived here. The impedance b is constant: adapting it at both ends, as in
+the literature, moves hand and tip apart while the ends differ.
+
+What nano scale changes: the tip's end is a position source, so its damper b is a share of the measured force taken from
+the base's speed, which bears samples up to 4 b / (alpha_f alpha_p n Ts); and b is felt by the hand beside B_v.
+"""
+
+import math
+from typing import NamedTuple
+
+from pydantic import Field
+
+from telenano.extend.laws import (
+    EnergyAccount,
+    HandSample,
+    Mass,
+    MassConfig,
+    MassParams,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+    at_rest,
+    compiled,
+    is_coupled,
+    law_of,
+    let_go,
+    moved,
+    periods_in,
+    port_signal,
+    ranges,
+    rescaled,
+    resumed,
+    tip_reference,
+    tip_signal,
+    virtual_mass,
+)
+from telenano_laws.ports import followed, goes_on, slid_work
+
+# after such a silence no wave is on its way any more, and the base stands [s]
+_STANDS_S = 0.02
+# the periods of the longest step that a slave half makes after late signals
+_LONGEST_STEP = 3
+
+
+class MatchedWaveParams(NamedTuple):
+    """Constants of the law; `mass` has the line's damper b in it."""
+
+    mass: MassParams
+    impedance_n_s_per_m: float
+    made_up_per_s: float
+    cap_j: float
+
+
+class MatchedWaveConfig(MassConfig):
+    """Section `controller.matched_wave`; all at the hand's scale."""
+
+    silence_limit_s: ranges.TimeS = Field(
+        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    )
+    impedance_n_s_per_m: ranges.DampingNSPerM = Field(default=100.0, description="Impedance of the line b [N s/m]")
+    drift_rate_per_s: ranges.Gain = Field(
+        default=10.0, description="Rate at which waves that are due are made up for kappa [1/s]; 0 = never"
+    )
+    energy_cap_j: ranges.EnergyJ = Field(
+        default=5e-3, description="Most energy of the tip's damper that is kept to pay for the wave back [J]"
+    )
+
+    def to_params(self, period_s: float) -> MatchedWaveParams:
+        """Return the constants of the compiled steps for a period [s] of the hand."""
+        b = self.impedance_n_s_per_m
+        rate = min(self.drift_rate_per_s, 1.0 / period_s)
+        return MatchedWaveParams(self.mass_params(period_s, b), b, rate, self.energy_cap_j)
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample [N/m] that the base bears against 2 b, over the longest step."""
+        return virtual_mass.stiffness_limit_n_per_m(self, 2.0 * self.impedance_n_s_per_m, period_s, _LONGEST_STEP)
+
+
+class Inbox(NamedTuple):
+    """Counters of the incoming wave: sqrt(2/b) int u dt received and taken [m], and its energy likewise [J]."""
+
+    received_m: float
+    taken_m: float
+    received_j: float
+    taken_j: float
+
+
+class MasterState(NamedTuple):
+    """Mass, incoming wave, int F_e dt / b [m], wave energy sent [J], the newest wave, and time the hand has stood."""
+
+    mass: Mass
+    inbox: Inbox
+    impulse_m: float
+    sent_j: float
+    wave_sqrt_w: float
+    stood_s: float
+
+
+class SlaveState(NamedTuple):
+    """Base [m], incoming wave, where the outgoing counter began [m], what has left, and what there is to pay with.
+
+    last_m, last_n: the last measurement at the hand's scale [m, N].
+    """
+
+    position_m: float
+    inbox: Inbox
+    anchor_m: float
+    sent_m: float
+    sent_j: float
+    wave_sqrt_w: float
+    reserve_j: float
+    last_m: float
+    last_n: float
+    coupled: bool
+
+
+@compiled
+def hand_end(impedance_n_s_per_m: float, velocity_m_per_s: float, wave_sqrt_w: float) -> tuple[float, float]:
+    """Return the force against the hand [N] and the wave that leaves it [sqrt(W)]."""
+    root = math.sqrt(2.0 * impedance_n_s_per_m)
+    force = impedance_n_s_per_m * velocity_m_per_s - root * wave_sqrt_w
+    return force, root * velocity_m_per_s - wave_sqrt_w
+
+
+@compiled
+def tip_end(impedance_n_s_per_m: float, wave_sqrt_w: float, force_n: float) -> tuple[float, float]:
+    """Return the velocity of a matched base [m/s] and the wave that leaves it [sqrt(W)]."""
+    root = math.sqrt(2.0 * impedance_n_s_per_m)
+    return wave_sqrt_w / root - force_n / (2.0 * impedance_n_s_per_m), -force_n / root
+
+
+@compiled
+def guarded_wave(wave_sqrt_w: float, left_j: float, period_s: float) -> float:
+    """Return a wave within the energy that has arrived for a period."""
+    most = math.sqrt(2.0 * max(left_j, 0.0) / period_s)
+    return min(max(wave_sqrt_w, -most), most)
+
+
+@compiled
+def received(inbox: Inbox, position_m: float, energy_j: float) -> Inbox:
+    """Update the counters by a signal; one with less energy than was received already is an old one: ignore it."""
+    if energy_j < inbox.received_j:
+        return inbox
+    return Inbox(position_m, inbox.taken_m, energy_j, inbox.taken_j)
+
+
+@compiled
+def emptied(position_m: float, energy_j: float) -> Inbox:
+    """Start counting at a signal: what it stands for counts as taken."""
+    return Inbox(position_m, position_m, energy_j, energy_j)
+
+
+@compiled
+def drawn(params: MatchedWaveParams, inbox: Inbox, wave_sqrt_w: float) -> tuple[Inbox, float]:
+    """Return the wave of the next period: the newest one, and a share of what is due beyond it, within what is paid."""
+    b, period = params.impedance_n_s_per_m, params.mass.period_s
+    root = math.sqrt(0.5 * b)
+    due = root * (inbox.received_m - inbox.taken_m)
+    wanted = wave_sqrt_w + params.made_up_per_s * (due - wave_sqrt_w * period)
+    left = max(inbox.received_j - inbox.taken_j, 0.0)
+    # A wave of 2 D / U spends what is left as fast as what is due, so that neither lasts longer than the other.
+    most = 2.0 * left / abs(due) if due != 0.0 else 0.0
+    wave = guarded_wave(min(max(wanted, -most), most), left, period)
+    taken_j = min(inbox.taken_j + 0.5 * wave * wave * period, inbox.received_j)
+    return Inbox(inbox.received_m, inbox.taken_m + wave * period / root, inbox.received_j, taken_j), wave
+
+
+@compiled
+def master_start(params: MatchedWaveParams, hand: HandSample) -> MasterState:
+    """Start with the virtual mass at rest at the hand's position."""
+    return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_resume(params: MatchedWaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+    """Continue with the hand's motion and the tip's reference."""
+    mass = resumed(params.mass, hand, tip_reference_m)
+    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+
+
+@compiled
+def master_send(
+    params: MatchedWaveParams, state: MasterState, hand: HandSample, dt: float
+) -> tuple[MasterState, PortSignal]:
+    """Return wave and counters; while the hand is let go, the counter is the tip's reference."""
+    p, mass = params.mass, state.mass
+    return state, port_signal(
+        position_m=tip_reference(p, mass) + p.position_scale * state.impulse_m,
+        velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
+        force_n=hand.force_n / p.force_scale,
+        wave_sqrt_w=state.wave_sqrt_w,
+        energy_j=state.sent_j,
+        active=mass.coupled,
+    )
+
+
+@compiled
+def master_receive(
+    params: MatchedWaveParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Move the virtual mass over dt [s] at the end of the line; a hand whose device is off for a moment stands."""
+    p, b = params.mass, params.impedance_n_s_per_m
+    position = signal.position_m / p.position_scale
+    off_s = 0.0 if hand.following else state.stood_s + dt
+    if not goes_on(p, state.mass, hand, signal, off_s):
+        mass = let_go(p, state.mass, hand, signal)
+        state = MasterState(mass, emptied(position, signal.energy_j), 0.0, state.sent_j, 0.0, off_s)
+        return state, MasterReference(hand.position_m, 0.0, 0.0, is_coupled(p, signal))
+    # Signals that were sent before the tip was felt are no waves, so counting starts here.
+    inbox = received(state.inbox, position, signal.energy_j)
+    if not state.mass.coupled:
+        inbox = emptied(position, signal.energy_j)
+    mass, impulse, sent, force, out = state.mass, state.impulse_m, state.sent_j, 0.0, 0.0
+    if not hand.following:
+        mass = let_go(p, mass, hand, signal)
+    for _ in range(periods_in(dt, p.period_s)):
+        inbox, wave = drawn(params, inbox, signal.wave_sqrt_w)
+        before = mass.position_m
+        if hand.following:
+            mass = moved(p, mass, hand.force_n + math.sqrt(2.0 * b) * wave)
+        # The mean velocity gives the mean force of the damper b exactly.
+        force, out = hand_end(b, (mass.position_m - before) / p.period_s, wave)
+        impulse += force * p.period_s / b
+        sent += 0.5 * out * out * p.period_s
+    mass = Mass(mass.position_m, mass.velocity_m_per_s, mass.tip_offset_m, True)
+    state = MasterState(mass, inbox, impulse, sent, out, off_s)
+    return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_start(params: MatchedWaveParams, tip: TipMeasurement) -> SlaveState:
+    """Start at the position of the base."""
+    return _standing(params, tip.base_position_m, tip, emptied(0.0, 0.0), 0.0)
+
+
+@compiled
+def _standing(
+    params: MatchedWaveParams, position_m: float, tip: TipMeasurement, inbox: Inbox, sent_j: float
+) -> SlaveState:
+    p = params.mass
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    return SlaveState(position_m, inbox, position_m, 0.0, sent_j, 0.0, 0.0, here, force, False)
+
+
+@compiled
+def slave_receive(
+    params: MatchedWaveParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Move the base for dt [s], whole periods, with the incoming waves against the force measured last.
+
+    While the tip does not follow, the reference is the master's; while the master does not, it stays.
+    """
+    p = params.mass
+    position = signal.position_m / p.position_scale
+    if not (is_coupled(p, signal) and tip.following):
+        base = state.position_m if tip.following else signal.position_m
+        state = _standing(params, base, tip, emptied(position, signal.energy_j), state.sent_j)
+        return state, SlaveReference(base, True)
+    inbox = received(state.inbox, position, signal.energy_j) if state.coupled else emptied(position, signal.energy_j)
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    reserve, way = state.reserve_j, 0.0
+    for _ in range(round(dt / p.period_s)):
+        inbox, wave = drawn(params, inbox, signal.wave_sqrt_w)
+        reserve += 0.5 * wave * wave * p.period_s
+        speed, _ = tip_end(params.impedance_n_s_per_m, wave, force)
+        way += speed * p.period_s
+    if signal.silence_s > _STANDS_S:
+        way = 0.0
+    base = followed(p, state.position_m, tip) + p.position_scale * way
+    # Without a step between them the last measurement is still the one that the work is counted from.
+    last_m, last_n = (state.last_m, state.last_n) if state.coupled else (here, force)
+    state = SlaveState(
+        position_m=base,
+        inbox=inbox,
+        anchor_m=state.anchor_m,
+        sent_m=state.sent_m,
+        sent_j=state.sent_j,
+        wave_sqrt_w=state.wave_sqrt_w,
+        reserve_j=reserve,
+        last_m=last_m,
+        last_n=last_n,
+        coupled=True,
+    )
+    return state, SlaveReference(base, True)
+
+
+@compiled
+def slave_send(
+    params: MatchedWaveParams, state: SlaveState, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, PortSignal]:
+    """Account for the work on the sample, and send back the wave of the force, as far as it is paid."""
+    p, b = params.mass, params.impedance_n_s_per_m
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    sent_m, sent_j, reserve, wave = state.sent_m, state.sent_j, state.reserve_j, 0.0
+    if state.coupled and dt > 0.0:
+        reserve -= slid_work(state.last_m, state.last_n, here, force)
+        _, wave = tip_end(b, 0.0, 0.5 * (force + state.last_n))
+        wave = guarded_wave(wave, reserve, dt)
+        reserve = min(reserve - 0.5 * wave * wave * dt, params.cap_j)
+        sent_m += math.sqrt(2.0 / b) * wave * dt
+        sent_j += 0.5 * wave * wave * dt
+    state = SlaveState(
+        position_m=state.position_m,
+        inbox=state.inbox,
+        anchor_m=state.anchor_m,
+        sent_m=sent_m,
+        sent_j=sent_j,
+        wave_sqrt_w=wave,
+        reserve_j=reserve,
+        last_m=here,
+        last_n=force,
+        coupled=state.coupled,
+    )
+    position = state.anchor_m + p.position_scale * sent_m if state.coupled else state.position_m
+    return state, tip_signal(tip, position, tip.force_n, wave, sent_j)
+
+
+@compiled
+def retune(old: MatchedWaveParams, new: MatchedWaveParams, state: MasterState) -> MasterState:
+    """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
+    impulse = state.impulse_m * (old.impedance_n_s_per_m / new.impedance_n_s_per_m)
+    mass = rescaled(old.mass, new.mass, state.mass)
+    return MasterState(mass, state.inbox, impulse, state.sent_j, state.wave_sqrt_w, state.stood_s)
+
+
+@compiled
+def master_energy_account(params: MatchedWaveParams, state: MasterState) -> EnergyAccount:
+    """Return the wave energy that has arrived and is not yet taken."""
+    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j, 0.0, 0.0)
+
+
+@compiled
+def slave_energy_account(params: MatchedWaveParams, state: SlaveState) -> EnergyAccount:
+    """Return the energy that has arrived and was neither given to the sample nor sent back."""
+    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, 0.0)
+
+
+MATCHED_WAVE = law_of(__name__, MatchedWaveConfig, uses_waves=True, uses_energy=True, local_loop=True)

@@ -1,0 +1,164 @@
+"""What the laws of this package do alike at their ports: energy that may leave, and motion and force within it.
+
+All quantities are at the hand's scale, x = x_s / alpha_p and F = alpha_f F_s, so all energies are the hand's joules.
+"""
+
+import math
+from typing import NamedTuple
+
+from telenano.extend.laws import (
+    EnergyAccount,
+    HandSample,
+    Mass,
+    MassParams,
+    PortSignal,
+    TipMeasurement,
+    compiled,
+    is_coupled,
+    virtual_mass,
+)
+
+# numba compiles what a module names itself
+followed = virtual_mass.followed
+is_retracted = virtual_mass.is_retracted
+
+
+class Store(NamedTuple):
+    """Energy of a port [J]: sent and received, counters that only grow; left, what may still leave; granted."""
+
+    sent_j: float
+    received_j: float
+    left_j: float
+    granted_j: float
+
+
+@compiled
+def opened(start_j: float) -> Store:
+    """Return a store that begins with the energy E_0 [J]."""
+    return Store(0.0, 0.0, start_j, start_j)
+
+
+@compiled
+def opened_anew(store: Store, energy_j: float, heard: bool, start_j: float) -> Store:
+    """Begin once more with E_0 [J]: what is missing is granted, and what was received up to a signal does not count."""
+    granted = store.granted_j + max(start_j - store.left_j, 0.0)
+    return Store(store.sent_j, energy_j if heard else store.received_j, start_j, granted)
+
+
+@compiled
+def received_anew(store: Store, energy_j: float, heard: bool) -> Store:
+    """Start counting what is received at a signal; what is left stays."""
+    return Store(store.sent_j, energy_j if heard else store.received_j, store.left_j, store.granted_j)
+
+
+@compiled
+def credited(store: Store, energy_j: float, cap_j: float) -> Store:
+    """Add what the other side has sent since its last signal; what goes beyond the cap is dissipated."""
+    added = max(energy_j - store.received_j, 0.0)
+    left = max(min(store.left_j + added, cap_j), store.left_j) if added > 0.0 else store.left_j
+    return Store(store.sent_j, store.received_j + added, left, store.granted_j)
+
+
+@compiled
+def two_counters(store: Store, into_j: float) -> Store:
+    """Book work at a port by direction: what goes into the network is sent on, what leaves it is spent."""
+    sent, left = store.sent_j + max(into_j, 0.0), store.left_j + min(into_j, 0.0)
+    return Store(sent, store.received_j, left, store.granted_j)
+
+
+@compiled
+def tank(store: Store, into_j: float, cap_j: float) -> Store:
+    """Book work at a port in its own tank; what goes beyond the cap is dissipated."""
+    left = store.left_j + into_j
+    if into_j > 0.0:
+        left = max(min(left, cap_j), store.left_j)
+    return Store(store.sent_j, store.received_j, left, store.granted_j)
+
+
+@compiled
+def sent_on(store: Store, energy_j: float) -> Store:
+    """Send energy [J] from the tank to the other side."""
+    return Store(store.sent_j + energy_j, store.received_j, store.left_j - energy_j, store.granted_j)
+
+
+@compiled
+def account_of(store: Store) -> EnergyAccount:
+    """Return what `law/status` says of a store; the other port was granted as much."""
+    return EnergyAccount(store.left_j, 0.0, 2.0 * store.granted_j)
+
+
+@compiled
+def clipped_force(force_n: float, own_m: float, way_m_per_n: float, left_j: float) -> float:
+    """Return the force on an admittance within the energy that may leave in the coming period.
+
+    The mass goes own_m - way_m_per_n f under the force f, so the work that leaves is -f (own_m - way_m_per_n f). The
+    forces for which that is at most left_j lie between the roots of a square.
+
+    Args:
+        force_n: The force wanted against the hand [N].
+        own_m: The way that the mass would go without it [m].
+        way_m_per_n: The way that a newton takes from it, > 0 [m/N].
+        left_j: The energy that may leave; below zero counts as none [J].
+    """
+    root = math.sqrt(own_m * own_m + 4.0 * way_m_per_n * max(left_j, 0.0))
+    low, high = (own_m - root) / (2.0 * way_m_per_n), (own_m + root) / (2.0 * way_m_per_n)
+    return min(max(force_n, low), high)
+
+
+@compiled
+def paid_way(way_m: float, force_n: float, left_j: float) -> float:
+    """Return the part of a way [m] against a force [N] of the sample that the energy pays for."""
+    work = force_n * way_m
+    paid = max(left_j, 0.0)
+    return way_m if work <= paid else way_m * (paid / work)
+
+
+@compiled
+def paid_damped_way(way_m: float, force_n: float, damping_n_s_per_m: float, period_s: float, left_j: float) -> float:
+    """Return the part of a way [m] that the energy pays for whatever the sample does in it.
+
+    Up to a stiffness of 2 B / Ts a sample takes at most F d + B d^2 / Ts over a way d that begins at the force F.
+    """
+    side, step = math.copysign(1.0, way_m), damping_n_s_per_m / period_s
+    against = force_n * side
+    root = math.sqrt(against * against + 4.0 * step * max(left_j, 0.0))
+    most = max(root - against, 0.0) / (2.0 * step)
+    return side * min(abs(way_m), most)
+
+
+@compiled
+def slid_work(last_m: float, last_n: float, here_m: float, force_n: float) -> float:
+    """Return the work [J] that the sample got over the way from one measurement to the next, by the trapezoid."""
+    return 0.5 * (last_n + force_n) * (here_m - last_m)
+
+
+@compiled
+def is_heard(signal: PortSignal, silence_limit_s: float) -> bool:
+    """Return whether the other half was heard of late, whether or not it follows."""
+    return signal.silence_s <= silence_limit_s
+
+
+@compiled
+def has_to_be_armed(tip: TipMeasurement) -> bool:
+    """Return whether the tip is retracted in free air, so that what follows begins anew."""
+    return not tip.following and not tip.in_contact
+
+
+@compiled
+def goes_on(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal, stood_s: float) -> bool:
+    """Return whether a master half moves or, its device being off for a moment, stands; else it lets the hand go."""
+    return is_coupled(params, signal) and (hand.following or (mass.coupled and stood_s <= params.silence_limit_s))
+
+
+@compiled
+def stood(mass: Mass, hand: HandSample) -> Mass:
+    """Return the mass at a device that is off for a moment: the lead of its reference is undone."""
+    return Mass(hand.position_m, 0.0, mass.tip_offset_m, True)
+
+
+@compiled
+def paid_or_granted(store: Store, into_j: float) -> Store:
+    """Book the work of a motion that cannot be cut; what the store lacks for it is granted."""
+    lacking = max(-into_j - max(store.left_j, 0.0), 0.0)
+    left = store.left_j + min(into_j, 0.0) + lacking
+    return Store(store.sent_j, store.received_j, left, store.granted_j + lacking)

@@ -1,0 +1,177 @@
+"""Two layers: one that is transparent, and below it tanks of energy that every motion and force is paid from.
+
+The upper layer is direct: the hand feels the force that was measured at the tip, and the tip goes where the hand is.
+Below, each side has a tank H that the work at its port fills or empties. In each period a share beta of H goes to the
+other side, as a counter that only grows. While the hand's tank is below its level H_d the hand feels a damper
+
+    d = alpha (H_d - H)
+
+besides, whose work fills the tank. At the hand the force is clipped so that its work in the coming period stays within
+H; at the tip the way is cut in the proportion of H to its work.
+
+Source: M. Franken, S. Stramigioli, S. Misra, C. Secchi, A. Macchelli, IEEE Trans. Robotics 27 (2011). The paper's text
+could not be read: tank, level control and limit are as in public code (F. Grotto, phri; creminem94, pHRI), the clip,
+the one direction of the limit and the counters are derived here.
+
+What nano scale changes: the tip's tank must hold what the sample stores, F^2 / 2 K at the hand's scale, which is 0.2 mJ
+for 1 N on 20 N/m and 30 mJ on 0.1 N/m; and the hand, which follows positions, feels the level's damper as a slower way.
+"""
+
+from typing import NamedTuple
+
+from pydantic import Field
+
+from telenano.extend.laws import (
+    HandSample,
+    MassConfig,
+    MassParams,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+    compiled,
+    is_coupled,
+    law_of,
+    let_go,
+    moved,
+    periods_in,
+    ranges,
+)
+from telenano_laws.ports import (
+    clipped_force,
+    credited,
+    followed,
+    goes_on,
+    has_to_be_armed,
+    is_heard,
+    is_retracted,
+    opened_anew,
+    paid_or_granted,
+    paid_way,
+    received_anew,
+    sent_on,
+    slid_work,
+    stood,
+    tank,
+)
+from telenano_laws.tdpa import MasterState, SlaveState, standing
+from telenano_laws.tdpa import master_energy_account as master_energy_account
+from telenano_laws.tdpa import master_resume as master_resume
+from telenano_laws.tdpa import master_send as master_send
+from telenano_laws.tdpa import master_start as master_start
+from telenano_laws.tdpa import retune as retune
+from telenano_laws.tdpa import slave_energy_account as slave_energy_account
+from telenano_laws.tdpa import slave_send as slave_send
+from telenano_laws.tdpa import slave_start as slave_start
+
+# A damper that acts on the velocity of the period before is stable below M / Ts; this share of it leaves room.
+_STABLE_SHARE = 0.4
+
+
+class TwoLayerParams(NamedTuple):
+    """Constants of the law; shared: the part beta of a tank that is sent in a period."""
+
+    mass: MassParams
+    level_j: float
+    damping_per_j: float
+    most_damping_n_s_per_m: float
+    shared: float
+    start_j: float
+    cap_j: float
+
+
+class TwoLayerConfig(MassConfig):
+    """Section `controller.two_layer`; energies at the hand's scale."""
+
+    silence_limit_s: ranges.TimeS = Field(
+        default=0.5, description="Time without a signal from the other half after which the hand is let go [s]"
+    )
+    level_j: ranges.EnergyOrNoneJ = Field(default=2e-3, description="Level of the hand's tank H_d [J]")
+    level_gain_n_s_per_m_j: ranges.Gain = Field(
+        default=1e5, description="Damper at the hand for each joule that is missing in its tank alpha [N s/m/J]"
+    )
+    exchange_s: ranges.TimeS = Field(
+        default=0.1, description="Time in which a tank would send all it has to the other side Ts/beta [s]"
+    )
+    start_energy_j: ranges.EnergyOrNoneJ = Field(default=1e-3, description="Energy in each tank at the start H(0) [J]")
+    energy_cap_j: ranges.EnergyJ = Field(default=2e-2, description="Most energy that a tank keeps [J]")
+
+    def to_params(self, period_s: float) -> TwoLayerParams:
+        """Return the constants of the compiled steps for a period [s] of the hand."""
+        return TwoLayerParams(
+            mass=self.mass_params(period_s),
+            level_j=self.level_j,
+            damping_per_j=self.level_gain_n_s_per_m_j,
+            most_damping_n_s_per_m=_STABLE_SHARE * self.mass_kg / period_s,
+            shared=min(period_s / self.exchange_s, 1.0),
+            start_j=min(self.start_energy_j, self.energy_cap_j),
+            cap_j=self.energy_cap_j,
+        )
+
+
+@compiled
+def level_damper(params: TwoLayerParams, left_j: float) -> float:
+    """Return the damper [N s/m] that the hand feels while its tank has left_j [J]."""
+    return min(params.damping_per_j * max(params.level_j - left_j, 0.0), params.most_damping_n_s_per_m)
+
+
+@compiled
+def master_receive(
+    params: TwoLayerParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[MasterState, MasterReference]:
+    """Move the mass over dt [s] against force and level control, clipped to what the tank has."""
+    p, mass = params.mass, state.mass
+    received = p.force_scale * signal.force_n
+    coupled = is_coupled(p, signal)
+    off_s = 0.0 if hand.following else state.stood_s + dt
+    if not goes_on(p, mass, hand, signal, off_s):
+        heard = is_heard(signal, p.silence_limit_s)
+        store = received_anew(state.store, signal.energy_j, heard)
+        if is_retracted(p, signal):
+            store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
+        state = MasterState(let_go(p, mass, hand, signal), store, off_s)
+        return state, MasterReference(hand.position_m, 0.0, received if coupled else 0.0, coupled)
+    store = credited(state.store, signal.energy_j, params.cap_j)
+    if not hand.following:
+        store = paid_or_granted(store, received * (hand.position_m - mass.position_m))
+        return MasterState(stood(mass, hand), store, off_s), MasterReference(hand.position_m, 0.0, received, True)
+    force = received
+    for _ in range(periods_in(dt, p.period_s)):
+        wanted = received + level_damper(params, store.left_j) * mass.velocity_m_per_s
+        own = moved(p, mass, hand.force_n).position_m - mass.position_m
+        force = clipped_force(wanted, own, p.gamma_x_m_per_n, store.left_j)
+        after = moved(p, mass, hand.force_n - force)
+        store = tank(store, force * (after.position_m - mass.position_m), params.cap_j)
+        store = sent_on(store, params.shared * max(store.left_j, 0.0))
+        mass = after
+    return MasterState(mass, store, 0.0), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+
+
+@compiled
+def slave_receive(
+    params: TwoLayerParams, state: SlaveState, signal: PortSignal, tip: TipMeasurement, dt: float
+) -> tuple[SlaveState, SlaveReference]:
+    """Go where the hand is, within what the tank has.
+
+    While the tip does not follow, the reference is the master's; while the master does not, the base stays.
+    """
+    p = params.mass
+    if not (is_coupled(p, signal) and tip.following):
+        heard = is_heard(signal, p.silence_limit_s)
+        store = received_anew(state.store, signal.energy_j, heard)
+        if has_to_be_armed(tip):
+            store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
+        base = state.position_m if tip.following else signal.position_m
+        return standing(params, base, tip, store), SlaveReference(base, True)
+    store = credited(state.store, signal.energy_j, params.cap_j)
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    if state.coupled:
+        store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
+    start, target = followed(p, state.position_m, tip), signal.position_m / p.position_scale
+    way = paid_way(target - start / p.position_scale, force, store.left_j)
+    store = sent_on(store, params.shared * max(store.left_j, 0.0))
+    base = start + p.position_scale * way
+    return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
+
+
+TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True)
