@@ -72,11 +72,10 @@ def first_keys(keys: Iterable[Key]) -> list[Key]:
     return [key for key in keys if key.name.count(".") < 2 or key.name in changed]
 
 
-def _names(document: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    for name, value in document.items():
+def _names(document: Any, prefix: str = "") -> Iterator[str]:
+    for name, value in document.items() if isinstance(document, Mapping) else ():
         yield f"{prefix}{name}"
-        if isinstance(value, Mapping):
-            yield from _names(value, f"{prefix}{name}.")
+        yield from _names(value, f"{prefix}{name}.")
 
 
 def _keys(schema: Mapping[str, Any], prefix: str, definitions: Mapping[str, Any]) -> Iterator[Key]:

@@ -75,8 +75,6 @@ GROUPS = {
 # `--help` lists these, which are enough to begin with, and `--help-all` lists every command.
 FIRST_COMMANDS = ("up", "session", "estop", "replay", "status", "view", "link", "bag", "experiment", "study", "scan",
                   "curve", "scenario", "new", "device", "doctor")  # fmt: skip
-# Where the context of a command line says that all commands are to be listed.
-WHOLE_HELP = "telenano.whole_help"
 # The help of `up` begins with these options.
 FIRST_OPTIONS = ("scenario", "round_trip_ms", "settings", "duration_s", "sweep", "out", "overwrite", "headless",
                  "no_view", "as_json")  # fmt: skip
@@ -247,6 +245,7 @@ class LazyRoot(OpenGroup):
     """The group of all commands, which lists them without importing them, and reports what none of them did."""
 
     own_rows = LAZY_COMMANDS
+    lists_all = False
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run a command and exit; a usage error, and what the system refuses, is a sentence as any other error is."""
@@ -274,15 +273,14 @@ class LazyRoot(OpenGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands under the headings of GROUPS, each with its whole line; all of them for `--help-all`."""
         rows = self.rows()
-        is_whole = ctx.meta.get(WHOLE_HELP, False)
         placed = {name for names in GROUPS.values() for name in names}
         others = tuple(name for name in rows if name not in placed)
         for heading, names in {**GROUPS, "Packages": others}.items():
-            shown = [name for name in names if name in rows and (is_whole or name in (*FIRST_COMMANDS, *others))]
+            shown = [name for name in names if name in rows and (self.lists_all or name in (*FIRST_COMMANDS, *others))]
             if shown:
                 with formatter.section(heading):
                     formatter.write_dl([(name, rows[name].about) for name in shown])
-        if not is_whole:
+        if not self.lists_all:
             formatter.write_paragraph()
             formatter.write_text("`telenano --help-all` lists the other commands as well.")
 

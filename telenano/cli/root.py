@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli.lazy_commands import WHOLE_HELP, LazyRoot
+from telenano.cli.lazy_commands import LazyRoot
 
 app = typer.Typer(
     cls=LazyRoot,
@@ -20,7 +20,7 @@ app = typer.Typer(
 
 def _whole_help(ctx: typer.Context, asked: bool) -> None:
     if asked:
-        ctx.meta[WHOLE_HELP] = True
+        ctx.command.lists_all = True  # type: ignore[attr-defined]
         typer.echo(ctx.get_help())
         raise typer.Exit
 

@@ -4,7 +4,7 @@ import contextlib
 import math
 import time
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -143,13 +143,6 @@ def messages_of(observer: Observer, name: str, duration_s: float | None, count: 
                 return
 
 
-@dataclass
-class _Samples:
-    arrivals_ns: list[int] = field(default_factory=list)
-    ages_ns: list[int] = field(default_factory=list)
-    sizes: list[int] = field(default_factory=list)
-
-
 def measure(observer: Observer, name: str, duration_s: float | None, count: int | None) -> list[dict[str, Any]]:
     """Return for each source of a topic its rate, gaps, the age of its messages on arrival and their size.
 
@@ -158,22 +151,22 @@ def measure(observer: Observer, name: str, duration_s: float | None, count: int 
     Raises:
         RigError: No source sent two messages.
     """
-    samples: dict[str, _Samples] = {}
+    samples: dict[str, list[tuple[int, int, int]]] = {}
     with contextlib.suppress(KeyboardInterrupt):
         for received in messages_of(observer, name, duration_s, count):
-            of_source = samples.setdefault(received.message.src, _Samples())
-            of_source.arrivals_ns.append(received.received_ns)
-            of_source.ages_ns.append(received.received_ns - received.message.t_ns)
-            of_source.sizes.append(len(received.payload))
-    if max((len(s.arrivals_ns) for s in samples.values()), default=0) < 2:
+            arrived_ns, message = received.received_ns, received.message
+            sample = (arrived_ns, arrived_ns - message.t_ns, len(received.payload))
+            samples.setdefault(message.src, []).append(sample)
+    if max(map(len, samples.values()), default=0) < 2:
         raise RigError(f"fewer than 2 messages were received on {name}: is the rig running with this site file?")
     return [_measured(src, one, observer.tracker(name, src)) for src, one in sorted(samples.items())]
 
 
-def _measured(src: str, samples: _Samples, tracker: SequenceTracker) -> dict[str, Any]:
-    intervals_s, sizes = np.diff(samples.arrivals_ns) * 1e-9, samples.sizes
+def _measured(src: str, samples: list[tuple[int, int, int]], tracker: SequenceTracker) -> dict[str, Any]:
+    arrivals_ns, ages_ns, sizes = zip(*samples, strict=True)
+    intervals_s = np.diff(arrivals_ns) * 1e-9
     span_s = float(intervals_s.sum())
-    p50, p99 = np.percentile(np.array(samples.ages_ns) * 1e-6, [50.0, 99.0])
+    p50, p99 = np.percentile(np.array(ages_ns) * 1e-6, [50.0, 99.0])
     return {
         "src": src,
         "messages": len(sizes),
@@ -183,7 +176,7 @@ def _measured(src: str, samples: _Samples, tracker: SequenceTracker) -> dict[str
         "lost": tracker.lost,
         "age_p50_ms": float(p50),
         "age_p99_ms": float(p99),
-        "age_max_ms": max(samples.ages_ns) * 1e-6,
+        "age_max_ms": max(ages_ns) * 1e-6,
         "mean_bytes": sum(sizes) / len(sizes),
         "most_bytes": max(sizes),
         # The time begins with the first message.
