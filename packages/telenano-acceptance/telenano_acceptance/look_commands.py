@@ -45,6 +45,7 @@ Tick = Callable[[], dict[str, Any]]
 
 
 def probe(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", hidden=True)] = None,
     port: PortOption = None,
     baud: BaudOption = 1_000_000,
     calibration: Annotated[
@@ -67,6 +68,11 @@ def probe(
     installed package, for either node.
     """
     with report_errors(as_json):
+        if name is not None:
+            raise ConfigError(
+                f"{name}: name a device by how it is reached: an instrument by the file that says so, --calibration"
+                f" {name}.yaml, a handle by --port /dev/serial/by-id/..., the driver of a package by --device {name}"
+            )
         if (port is not None) + (calibration is not None) + (kind is not None) != 1:
             raise ConfigError(
                 "give --port for a handle, or --calibration for an instrument, or --device simulated_impedance or the"

@@ -119,3 +119,11 @@ def test_what_is_not_there_is_a_sentence_and_exit_code_2(tmp_path: Path) -> None
     silent = CliRunner().invoke(app, ["device", "probe", "--calibration", str(stage)])
     assert silent.exit_code == 2
     assert "127.0.0.1:1: LabJack T7" in silent.output
+
+
+def test_a_device_that_is_named_without_an_option_is_told_how_it_is_named() -> None:
+    done = CliRunner().invoke(app, ["device", "probe", "nanonis"])
+    assert done.exit_code == 2
+    text = " ".join(done.output.split())
+    assert "nanonis: name a device by how it is reached" in text
+    assert "--calibration nanonis.yaml" in text and "--device nanonis" in text
