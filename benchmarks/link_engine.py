@@ -1,6 +1,6 @@
 """What a message costs the engine of the link, network by network, as a ratio to the engine of another checkout.
 
-    python benchmarks/link_engine.py [--before FOLDER] [--rounds N] [NETWORK ...]
+    python benchmarks/link_engine.py [--before FOLDER] [--rounds N] [--smoke] [--json] [NETWORK ...]
 
 Each network carries the same messages, 2000 a second on three topics for ten seconds, through this engine and, in turn
 and in a process of its own, through that of FOLDER, a checkout of an earlier version. A network that FOLDER lacks is
@@ -9,6 +9,7 @@ ratio of one round, in which both ran one after the other.
 """
 
 import argparse
+import json
 import statistics
 import subprocess
 import sys
@@ -47,12 +48,17 @@ def cost_us(folder: Path, network: str) -> float:
 
 
 def main() -> None:
-    """Print the cost of each network and its ratio."""
+    """Print the cost of each network and its ratio; `--smoke` takes one round of two networks."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("networks", nargs="*", default=NETWORKS)
     parser.add_argument("--before", type=Path)
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--smoke", action="store_true")
+    parser.add_argument("--json", action="store_true")
     chosen = parser.parse_args()
+    if chosen.smoke:
+        chosen.networks, chosen.rounds = ("clean", "starlink_driving"), 1
+    found = {}
     for network in chosen.networks:
         ratios, costs = [], []
         for _ in range(chosen.rounds):
@@ -60,7 +66,11 @@ def main() -> None:
             other = cost_us(HERE, REFERENCE) if chosen.before is None else cost_us(chosen.before.resolve(), network)
             ratios.append(costs[-1] / other)
         name = f"before, {REFERENCE} where it has none" if chosen.before else REFERENCE
-        print(f"{network}: {statistics.median(costs):.1f} us a message, {statistics.median(ratios):.2f} of {name}")
+        found[network] = {"us": statistics.median(costs), "ratio": statistics.median(ratios)}
+        if not chosen.json:
+            print(f"{network}: {found[network]['us']:.1f} us a message, {found[network]['ratio']:.2f} of {name}")
+    if chosen.json:
+        print(json.dumps({"networks": found}))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ COUNT = 150
 @pytest.fixture(scope="module")
 def results() -> dict[str, dict[str, Any]]:
     command = [sys.executable, str(Path(fuzzed_nodes.__file__)), "short", str(COUNT)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "contract")))}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
     found: dict[str, dict[str, Any]] = json.loads(done.stdout)

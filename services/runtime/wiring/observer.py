@@ -179,6 +179,5 @@ def _measured(src: str, samples: list[tuple[int, int, int]], tracker: SequenceTr
         "age_max_ms": max(ages_ns) * 1e-6,
         "mean_bytes": sum(sizes) / len(sizes),
         "most_bytes": max(sizes),
-        # The time begins with the first message.
         "bytes_per_s": sum(sizes[1:]) / span_s if span_s > 0.0 else None,
     }

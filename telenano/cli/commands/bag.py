@@ -51,13 +51,10 @@ def info(
     full: Annotated[bool, typer.Option("--full", help="Read every message, also of a long recording.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a recording contains; of a long one that was closed, by its index."""
+    """Show what a recording contains; of a long one that was closed, by its index, which names no people."""
     with report_errors(as_json):
-        from recording.indexed import open_indexed
-        from recording.people import people_in
-
-        found = (_by_index(file, full=full) or _read(file)).model_dump(mode="json")
-        found["people"] = people_in(open_indexed([file]))
+        by_index = _by_index(file, full=full)
+        found = _read(file) if by_index is None else by_index.model_dump(mode="json")
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
@@ -77,10 +74,12 @@ def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
     return quick_info(file) if is_long and not full else None
 
 
-def _read(file: Path) -> "RecordingInfo":
+def _read(file: Path) -> dict[str, Any]:
+    from recording.people import people_in
     from recording.reader import Recording
 
-    return Recording(file).info()
+    recording = Recording(file)
+    return {**recording.info().model_dump(mode="json"), "people": people_in(recording)}
 
 
 @app.command("list")
@@ -293,8 +292,10 @@ def rerun(
 
 
 def _row(path: Path) -> dict[str, Any]:
+    from recording.reader import Recording
+
     try:
-        found = _by_index(path, full=False) or _read(path)
+        found = _by_index(path, full=False) or Recording(path).info()
     except RecordingError as error:
         return {
             "path": str(path),

@@ -28,6 +28,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "link.py": {
         "messages_per_s": (6000, 6000), "lost": (0, 0), "ratio": (0.5, 100.0), "delay_error_ms.p50": (-1.0, 100.0)
     },
+    "link_engine.py": {"networks.*.us": (1.0, 1e4), "networks.*.ratio": (0.05, 20.0)},
     "link_udp.py": {"median.*.lost": (0.0, 0.5), "median.*.p50_ms": (1e-3, 100.0), "ratio.p50": (0.2, 1e3)},
     "lockstep.py": {"rows.*.ratio": (20.0, 1e5), "rows.*.ns_per_tick": (10.0, 1e5)},
     "loop.py": {

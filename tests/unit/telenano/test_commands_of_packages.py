@@ -305,5 +305,5 @@ def test_files_are_read_by_the_package_whose_entry_has_their_name(make: Any, tmp
     with pytest.raises(ConfigError, match=r"c\.bad: bad of the package my_package 1\.2 cannot be used: TypeError"):
         read_surface(tmp_path / "c.bad")
     # what has no curve is no file of curves
-    with pytest.raises(ConfigError, match=r"a\.my-scan: is of no format that is known here; for this they are \.h5"):
+    with pytest.raises(ConfigError, match=r"a\.my-scan: is no whole force curve: is of no format of force curves"):
         read_measured(tmp_path / "a.my-scan")

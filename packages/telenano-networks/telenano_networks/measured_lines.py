@@ -1,10 +1,10 @@
 """Fit the networks of presets/networks that others measured, and hold each fit against the half it has not seen.
 
-    python benchmarks/measured_lines.py FOLDER [NAME ...] [--out DIR] [--write]
+    python -m telenano_networks.measured_lines FOLDER [NAME ...] [--out DIR] [--write]
 
 FOLDER has the checkouts that `CAMPAIGNS` names, each under the name and at the commit there; nothing is fetched. Each
-line is fitted by `telenano link fit`, whose table goes into DIR/acceptance.md, a row for each line. `--write` puts the
-profiles, and the twins without memory, into presets/networks; only derived parameters are in them.
+line is fitted by `telenano link fit`, whose table goes into DIR/acceptance.md, a row for each line. `--write`, in a
+checkout, puts the profiles, and the twins without memory, into presets/networks; only derived parameters are in them.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-PRESETS = Path(__file__).resolve().parents[1] / "presets" / "networks"
+PRESETS = Path("presets") / "networks"
 
 
 class Campaign(NamedTuple):
@@ -168,7 +168,7 @@ def main() -> None:
     for name in chosen.names or LINES:
         line = LINES[name]
         rows.append(row(name.lower(), fitted(name.lower(), line, chosen.folder, chosen.out)))
-        print(rows[-1], flush=True)
+        sys.stdout.write(f"{rows[-1]}\n")
         names = [name.lower()]
         if line.has_twin:
             names.append(f"{name}_no_memory")
