@@ -8,6 +8,7 @@ from pathlib import Path
 import machine
 from stack_rig import Rig
 
+from proto.errors import RecordingError
 from recording.reader import Recording
 
 NS_PER_S = 1_000_000_000
@@ -25,6 +26,14 @@ def slept(duration_s: float) -> int:
     return worst_ns
 
 
+def has_messages(path: Path) -> bool:
+    """Return whether messages were flushed to a recording; what stands before them is longer with every package."""
+    try:
+        return path.exists() and any(True for _ in Recording(path).messages())
+    except RecordingError:
+        return False
+
+
 def kill_recorders(rig: Rig, kills: int) -> list[tuple[Path, int, int]]:
     """Start recorders beside a running rig, one after the other, and kill each.
 
@@ -40,7 +49,7 @@ def kill_recorders(rig: Rig, kills: int) -> list[tuple[Path, int, int]]:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        rig.wait_until(lambda path=path: path.exists() and path.stat().st_size > 4000, "a flushed recording")
+        rig.wait_until(lambda path=path: has_messages(path), "a flushed recording")
         late_ns = slept(draw.uniform(0.1, 0.8))  # the moment of the kill is what is drawn
         recorder.kill()
         killed.append((path, time.time_ns(), late_ns))

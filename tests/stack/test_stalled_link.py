@@ -4,6 +4,7 @@ import json
 import time
 from typing import Any
 
+import pytest
 from ledger import record
 from stack_rig import Rig
 
@@ -27,8 +28,10 @@ def arm(rig: Rig) -> None:
     rig.wait_until(lambda: mode(rig) == "follow", "a tip that follows")
 
 
-def test_a_stalled_link_is_bounded_set_stopped_through_and_killed(shared_rig: Rig) -> None:
-    rig = shared_rig
+# it kills a node of the rig, which no other test may find started again
+@pytest.mark.check
+def test_a_stalled_link_is_bounded_set_stopped_through_and_killed(pressing_rig: Rig) -> None:
+    rig = pressing_rig
     if mode(rig) != "follow":
         arm(rig)
     assert rig.telenano("link", "set", *STALL).returncode == 0
