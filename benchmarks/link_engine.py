@@ -11,9 +11,10 @@ ratio of one round, in which both ran one after the other.
 import argparse
 import json
 import statistics
-import subprocess
 import sys
 from pathlib import Path
+
+from services.signals import children
 
 HERE = Path(__file__).resolve().parents[1]
 NETWORKS = ("clean", "wifi", "lte", "cicv5g_n78_arterial", "starlink_driving", "verizon_driving")
@@ -43,7 +44,7 @@ def cost_us(folder: Path, network: str) -> float:
     """Return the least processor time of a message, by parts of a thousand [us]."""
     command = [sys.executable, "-c", CARRY, network, REFERENCE]
     own = {"PYTHONPATH": str(folder)}
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, env=own)
+    done = children.run(command, cwd=folder, capture_output=True, text=True, check=True, env=own)
     return float(done.stdout)
 
 

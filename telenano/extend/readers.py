@@ -5,3 +5,4 @@ from services.runtime.untrusted.file_readers import FileReader as FileReader
 from services.runtime.untrusted.limited_child import Limits as Limits
 from services.runtime.untrusted.limited_child import limits_for as limits_for
 from services.runtime.untrusted.limited_child import read_in_child as read_in_child
+from services.signals import children as children

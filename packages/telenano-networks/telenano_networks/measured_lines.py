@@ -10,10 +10,11 @@ checkout, puts the profiles, and the twins without memory, into presets/networks
 import argparse
 import json
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
+
+from telenano.extend.readers import children
 
 PRESETS = Path("presets") / "networks"
 
@@ -130,7 +131,7 @@ def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[
     logs = [str(path) for path in logs_of(line, folder)]
     about = line.about.replace("measured", "measured; each message drawn by itself") if extra else line.about
     command = [sys.executable, "-m", "telenano", "link", "fit", *logs, *line.options, *extra, "--out", str(out / name)]
-    done = subprocess.run(
+    done = children.run(
         [*command, "--about", about, "--cite", cite, "--taken", taken], capture_output=True, text=True, check=False
     )
     if done.returncode not in (0, 3):

@@ -154,9 +154,8 @@ def measure(observer: Observer, name: str, duration_s: float | None, count: int 
     samples: dict[str, list[tuple[int, int, int]]] = {}
     with contextlib.suppress(KeyboardInterrupt):
         for received in messages_of(observer, name, duration_s, count):
-            arrived_ns, message = received.received_ns, received.message
-            sample = (arrived_ns, arrived_ns - message.t_ns, len(received.payload))
-            samples.setdefault(message.src, []).append(sample)
+            age_ns = received.received_ns - received.message.t_ns
+            samples.setdefault(received.message.src, []).append((received.received_ns, age_ns, len(received.payload)))
     if max(map(len, samples.values()), default=0) < 2:
         raise RigError(f"fewer than 2 messages were received on {name}: is the rig running with this site file?")
     return [_measured(src, one, observer.tracker(name, src)) for src, one in sorted(samples.items())]

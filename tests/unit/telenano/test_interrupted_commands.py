@@ -74,6 +74,7 @@ ELSEWHERE = {
     "experiment analyse": "reads a journal, and writes all at once at the end by `results_in`",
     "record": "a recorder completes its file: tests/stack/test_running_rig.py",
     "link fit": "computes for seconds, and then writes a few files at once by `results_in`",
+    "link picture": "computes for seconds, and then writes a few files at once by `results_in`",
     "link probe": "listens to a running rig for a time, and then writes a few files at once by `results_in`",
     "study network": "reads a folder, and writes a few files at once at the end by `results_in`",
     "study validate": "runs a rig for each cell: tests/unit/launcher/test_child_session.py",
