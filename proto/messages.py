@@ -74,8 +74,8 @@ Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Facts = Annotated[dict[str, Annotated[Scalar, _OneFault()]], Field(max_length=MAX_KEYS)]
 Counts = Annotated[dict[str, Count], Field(max_length=MAX_KEYS)]
-# the name that a person was given at the rig
-PersonName = Annotated[str, Field(max_length=64)]
+# This is the name that a person was given at the rig.
+PersonName = Annotated[str, Field(min_length=1, max_length=64)]
 Latches = Annotated[dict[str, Annotated[str, Field(max_length=64)]], Field(max_length=MAX_KEYS)]
 
 _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8": "<i8", "f4": "<f4", "f8": "<f8"}

@@ -25,7 +25,7 @@ from typing import (
 
 import msgpack
 import msgspec
-from annotated_types import Ge, Le, Lt, MaxLen
+from annotated_types import Ge, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel, FailFast
 from pydantic.fields import FieldInfo
 
@@ -200,6 +200,8 @@ def _checked_text(metadata: tuple[Any, ...]) -> Any:
         pattern = getattr(rule, "pattern", None)
         if isinstance(rule, MaxLen):
             rules["max_length"] = rule.max_length
+        elif isinstance(rule, MinLen):
+            rules["min_length"] = rule.min_length
         elif isinstance(pattern, str) and pattern.endswith("$"):
             # At the end of a text Python's $ permits a new line, and that of the declared model does not.
             rules["pattern"] = pattern[:-1] + r"\Z"

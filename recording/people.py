@@ -20,10 +20,8 @@ def people_in(recording: RecordingSource) -> dict[str, dict[str, int]]:
 
     def take(message: Any) -> None:
         fields = message.decode()
-        if message.channel.topic == "session/control":
-            by, command = fields.by, fields.command
-        else:
-            by, command = fields.data.get("by"), fields.data.get("command")
+        given = vars(fields) if message.channel.topic == "session/control" else fields.data
+        by, command = given.get("by"), given.get("command")
         if by and command:
             commands[fields.id] = by, command
         elif by:

@@ -31,7 +31,7 @@ ACTION_NAMES: dict[int, str] = {ACTION_POSITION: "position", ACTION_HOLD: "hold"
 REASON_START, REASON_ARMED, REASON_ESTOP, REASON_FORCE_LIMIT, REASON_FORCE_INVALID, REASON_COMMAND_DEADLINE = range(6)
 REASON_HOLD_EXPIRED, REASON_COMMANDS_RESUMED, REASON_HOLD_REQUESTED, REASON_RETRACT_REQUESTED = range(6, 10)
 REASON_DEVICE_LOST, REASON_LATERAL_LIMIT = range(10, 12)
-# as the constants are called
+# These are the names of the constants.
 REASON_NAMES: dict[int, str] = {
     code: name.removeprefix("REASON_").lower() for name, code in [*globals().items()] if name.startswith("REASON_")
 }

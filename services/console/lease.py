@@ -19,7 +19,7 @@ VANISHED_NS = 1_000_000_000
 # A holder says so often that it is there [s].
 BEAT_S = 0.25
 _MOST_ASKING = 16
-# of the name of a person
+# The name of a person has so many letters at most.
 MOST_LETTERS = 48
 # Commands that only end a motion, or move nothing, need no lease.
 FREE_COMMANDS = ("estop", "stop", "mark")
@@ -65,6 +65,10 @@ class Lease(NamedTuple):
     withdraw: bool = False
     asking: tuple[Party, ...] = ()
 
+    def is_held_by(self, party: Party) -> bool:
+        """Whether a party has the hand."""
+        return self.holder is not None and self.holder.id == party.id
+
 
 def current(lease: Lease, now_ns: int) -> Lease:
     """Return the lease as it is now: without a holder who has vanished. A time ahead is of before the machine began."""
@@ -108,9 +112,9 @@ def take(lease: Lease, party: Party, now_ns: int) -> Lease:
     """
     lease = current(lease, now_ns)
     holder = lease.holder
-    if party.role in ("observer", "participant", "pupil") and (holder is None or holder.id != party.id):
+    if party.role in ("observer", "participant", "pupil") and not lease.is_held_by(party):
         raise RefusedError(f"a {party.role} cannot take the hand")
-    if holder is not None and holder.id == party.id:
+    if lease.is_held_by(party):
         return lease._replace(kept=True, seen_ns=now_ns)
     if holder is not None and party.role != "teacher" and not _are_the_owners(party, holder):
         raise RefusedError(f"{holder.label} has the hand: ask for it")
@@ -128,7 +132,7 @@ def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
         raise RefusedError(f"a {party.role} cannot have the hand")
     if lease.holder is None and party.role != "pupil":
         return take(lease, party, now_ns)
-    if lease.holder is not None and lease.holder.id == party.id:
+    if lease.is_held_by(party):
         return lease
     others = _without(lease.asking, party)
     if len(others) >= _MOST_ASKING:
@@ -150,8 +154,7 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
         RefusedError: The party has not the hand, was speaking of an earlier lease, or that one does not ask.
     """
     lease = current(lease, now_ns)
-    holds = lease.holder is not None and lease.holder.id == party.id
-    if party.role != "teacher" and not holds:
+    if party.role != "teacher" and not lease.is_held_by(party):
         raise RefusedError("only who has the hand, or a teacher, hands it over")
     if number != lease.number:
         raise RefusedError("this was said under an earlier lease")
@@ -168,7 +171,7 @@ def let_go(lease: Lease, party: Party, now_ns: int, *, vanished: bool = False) -
     """
     lease = current(lease, now_ns)
     lease = lease._replace(asking=_without(lease.asking, party))
-    if lease.holder is None or lease.holder.id != party.id:
+    if not lease.is_held_by(party):
         return lease
     return _vacant(lease, now_ns, withdraw=vanished and lease.presses)
 
@@ -176,7 +179,7 @@ def let_go(lease: Lease, party: Party, now_ns: int, *, vanished: bool = False) -
 def ended(lease: Lease, party: Party, now_ns: int) -> Lease:
     """Return the lease after an act of a party, which keeps the hand only if it has taken it."""
     lease = current(lease, now_ns)
-    if lease.holder is None or lease.holder.id != party.id:
+    if not lease.is_held_by(party):
         return lease
     return lease._replace(presses=False) if lease.kept else _vacant(lease, now_ns, withdraw=False)
 
@@ -184,14 +187,14 @@ def ended(lease: Lease, party: Party, now_ns: int) -> Lease:
 def seen(lease: Lease, party: Party, now_ns: int, heard_ns: int | None = None) -> Lease:
     """Note that a party is there, or that it was heard at a time before now."""
     lease = current(lease, now_ns)
-    if lease.holder is None or lease.holder.id != party.id:
+    if not lease.is_held_by(party):
         return lease
     return lease._replace(seen_ns=now_ns if heard_ns is None else max(lease.seen_ns, min(heard_ns, now_ns)))
 
 
 def stood_still(lease: Lease, party: Party, now_ns: int) -> Lease:
     """Note that the server of a party stood still and could not hear it; what others made of the lease counts."""
-    if lease.holder is None or lease.holder.id != party.id or now_ns - lease.seen_ns > 3 * VANISHED_NS:
+    if not lease.is_held_by(party) or now_ns - lease.seen_ns > 3 * VANISHED_NS:
         return current(lease, now_ns)
     return lease._replace(seen_ns=now_ns)
 

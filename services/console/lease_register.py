@@ -86,8 +86,7 @@ class Hold:
     def __init__(self, party: Party, register: LeaseRegister, step: Step) -> None:
         self.party, self._register = party, register
         self.lost = False
-        lease = register.change(step)
-        self._holds = lease.holder is not None and lease.holder.id == party.id
+        self._holds = register.change(step).is_held_by(party)
         self._over = threading.Event()
         if self._holds:
             threading.Thread(target=self._beat, name="lease", daemon=True).start()
@@ -95,8 +94,7 @@ class Hold:
     def is_held(self) -> bool:
         """Return whether nobody has taken the hand meanwhile."""
         if self._holds:
-            holder = self._register.look().holder
-            self.lost |= holder is None or holder.id != self.party.id
+            self.lost |= not self._register.look().is_held_by(self.party)
         return not self.lost
 
     def end(self) -> None:

@@ -84,7 +84,7 @@ class LeaseDesk:
 
     def has(self, session: Session) -> bool:
         """Return whether a page has the hand, by the lease as it was looked at last."""
-        return self.lease.holder is not None and self.lease.holder.id == session.party.id
+        return self.lease.is_held_by(session.party)
 
     def may_press(self, session: Session) -> bool:
         """Return whether the force of a page may still go out, by the lease as it was looked at last."""
@@ -99,8 +99,7 @@ class LeaseDesk:
         # where the file cannot be had pages are told nothing new, and what they send is refused by name
         with contextlib.suppress(RigError):
             self.lease = self._register.look()
-            holder = self.lease.holder
-            there = next((each for each in sessions if holder is not None and each.party.id == holder.id), None)
+            there = next((each for each in sessions if self.has(each)), None)
             if there is not None and there.heard_s > self._beat_s and now_s - self._beat_s >= BEAT_S:
                 self._beat_s, heard_ns = now_s, round(there.heard_s * 1e9)
                 self.lease = self._register.change(lambda lease, now_ns: seen(lease, there.party, now_ns, heard_ns))

@@ -79,7 +79,7 @@ def curves_of(path: str) -> Curves:
         for place, cut in enumerate((slice(None, counts[0]), slice(counts[0], None))):
             volts = data[number, cut] * volts_per_step
             height: Array = np.linspace(0.0, ramp, len(volts))
-            # what was not sampled, because the trigger came first, is stored as the lowest number
+            # Points that were not sampled, because the trigger came first, are stored as the lowest number.
             volts = np.where(data[number, cut] == np.iinfo(data.dtype).min, np.nan, volts)
             ways.append((height[::-1], volts[::-1]) if place == 0 else (height, volts))
         return Recorded((number % side, number // side), tuple(ways), "V", k, sensitivity)

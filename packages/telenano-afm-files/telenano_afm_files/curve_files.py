@@ -15,7 +15,7 @@ from telenano_afm_files.recorded import Array, Curves, Recorded, Way, constants_
 # Of a segment so many points are kept at most; a finer curve is interpolated to them.
 MOST_POINTS = 4096
 _MOST_CURVES = 1 << 18
-# of a large map so many curves give the sensitivity
+# So many curves of a large map give the sensitivity.
 _MOST_OF_HARD = 64
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]

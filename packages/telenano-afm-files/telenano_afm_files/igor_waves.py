@@ -124,7 +124,7 @@ def curves_of(path: str) -> Curves:
         raise ValueError(refusal_of_pause("a dwell at the sample"))
     # towards the sample is where the deflection rises: Asylum's sensor does too
     base = columns["ZSnsr"] if "ZSnsr" in columns else columns["Raw"]
-    # where segments end: a curve that dwells has more than two
+    # These are the ends of the segments, of which a curve that dwells has more than two.
     ends = [int(float(end)) + 1 for end in notes["Indexes"].split(",") if end]
     turn, back = ends[1], ends[-2]
     speed = abs(float(base[turn - 1] - base[0])) / (float(wave["steps"][0]) * turn)

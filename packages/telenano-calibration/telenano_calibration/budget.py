@@ -35,7 +35,7 @@ _SCALES = {
 }
 # Below so many samples a share of a stage says nothing.
 _LEAST_SAMPLES = 50
-# what begins at one site and ends at the other: the clocks leave open how much of it is of which way
+# These stages begin at one site and end at the other: the clocks leave open how much belongs to which way.
 _OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back")
 
 

@@ -114,7 +114,7 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
     after = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
     changes = {new.stage: new.mean_ms - old.mean_ms for new, old in zip(after, before, strict=True)}
     moved = {name: change for name, change in changes.items() if abs(change) > 1e-9}
-    # what is left of the way back is no less than nothing, so that its part on purpose gives way
+    # The rest of the way back is never below zero, so that its part on purpose gives way.
     assert moved.pop("law of the slave") == pytest.approx(1.0, abs=1e-9)
     assert sum(moved.values()) == pytest.approx(-1.0, abs=1e-9)
     assert set(moved) <= {"law of the master", "link back, on purpose"}

@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 
 # Steps of the force on the way back below this share of the greatest are not the break.
 _JUMP_SHARE = 0.5
-# what a file of a curve may lack
+# A file of a curve may lack these constants.
 CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
 _SPEED_M_PER_S = CurveSettings.in_simulated_time().speed_m_per_s
 

@@ -7,7 +7,7 @@ import typer
 
 from telenano.extend.commands import report_errors
 
-# of a drawing where there is no terminal: columns and rows
+# A drawing has so many columns and rows where there is no terminal.
 _SIZE = (100, 12)
 
 
