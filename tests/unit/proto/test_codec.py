@@ -588,7 +588,7 @@ def _strategy(schema: dict[str, Any], root: dict[str, Any], name: str = "") -> s
         "integer": st.integers(schema.get("minimum", -(2**63)), highest),
         "number": st.floats(schema.get("minimum"), schema.get("maximum"), allow_nan=False, allow_infinity=False),
         "boolean": st.booleans(),
-        "string": st.text(max_size=min(schema.get("maxLength", 20), 20)),
+        "string": st.text(min_size=schema.get("minLength", 0), max_size=min(schema.get("maxLength", 20), 20)),
         "null": st.none(),
     }[schema["type"]]
 

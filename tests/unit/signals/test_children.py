@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from telenano_experiments.apparatus.rig_process import RigError, RigProcess
+from telenano_networks import measured_lines
 
 from services.haptic_node.devices.servo_process import ProcessLink
 from services.haptic_node.driver import DeviceError
@@ -265,11 +266,23 @@ def by_experiment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     return "Show this message" in str(caught.value)
 
 
+def by_measured_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
+    line = measured_lines.Line("det6g", ("*.log",), (), "a line without a reading")
+    logs = folder.parent / measured_lines.CAMPAIGNS["det6g"].folder
+    logs.mkdir(parents=True)
+    (logs / "empty.log").touch()
+    with pytest.raises(SystemExit) as caught:
+        measured_lines.fitted("a_line", line, folder.parent, folder.parent)
+    return "empty.log" in str(caught.value) and "Traceback" not in str(caught.value)
+
+
 SAFE = children.safe_path
 Start = Callable[[Path, pytest.MonkeyPatch], bool]
 # Every file that starts a process, and what starts one there, or why no path can matter.
 STARTED: dict[str, tuple[Start, ...] | str] = {
     "deploy/entrypoint.py": (by_entrypoint,),
+    "packages/telenano-afm-files/telenano_afm_files/gwyddion.py": "Gwyddion's converter",
+    "packages/telenano-networks/telenano_networks/measured_lines.py": (by_measured_line,),
     "packages/telenano-experiments/telenano_experiments/apparatus/rig_process.py": (by_experiment,),
     "packages/telenano-studies/telenano_studies/loops/sweep.py": (by_sweep,),
     "packages/telenano-emulators/telenano_emulators/firmware.py": "a C compiler",
