@@ -7,5 +7,6 @@ export function nearest(delays: number[], delay: number): number;
 
 export class Gallery {
   constructor(root: HTMLElement, data: GalleryData);
+  readonly delayMs: number;
   choose(law: string, delayMs: number): void;
 }

@@ -133,6 +133,11 @@ export class Gallery {
     this.draw();
   }
 
+  /** The round trip that is shown [ms]. */
+  get delayMs() {
+    return this.data.delays_ms[Number(this.slider.value)];
+  }
+
   draw() {
     const about = this.data.laws.find(({ law }) => law === this.law.value);
     const place = Number(this.slider.value);

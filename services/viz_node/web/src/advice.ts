@@ -48,3 +48,14 @@ export function lineText(ways: readonly (readonly unknown[])[]): string {
   const full = ways.some(([, , sends]) => sends === "full") ? ": the line is full, and samples are that much older" : "";
   return `Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
 }
+
+/** Pictures are taken for those of the loop's own delay within so much of it, or so many milliseconds: their steps are of 5 ms. */
+const SAME_SHARE = 0.05;
+const SAME_MS = 4;
+
+/** That pictures are of another round trip [ms] than the one in force; nothing where they are of the same. */
+export function otherDelay(inForceMs: number, shownMs: number, longestMs: number): string {
+  if (Number.isNaN(inForceMs) || Math.abs(inForceMs - shownMs) <= Math.max(SAME_MS, SAME_SHARE * shownMs)) return "";
+  const why = inForceMs > longestMs ? `, and none were computed beyond ${longestMs} ms` : "";
+  return `The loop runs at ${inForceMs.toFixed(0)} ms: verdict and pictures are of another delay, ${shownMs} ms${why}.`;
+}

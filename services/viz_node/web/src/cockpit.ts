@@ -37,6 +37,8 @@ export interface PanelRow {
   id: string;
   title: string;
   region: Region;
+  /** Whether a panel of `watch` keeps a place beside the scopes where the others of that region are tabs. */
+  pane?: boolean;
   /** Whether the panel is there at all, as an operator's panel is not on an observer's page; always, if left out. */
   shows?(cockpit: Cockpit): boolean;
   make(root: HTMLElement, cockpit: Cockpit): Panel;

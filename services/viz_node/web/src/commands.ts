@@ -79,6 +79,13 @@ export class Commands {
     this.settle(this.pending(about), about, ok, text);
   }
 
+  /** Say something that is neither an acknowledgement nor a refusal. */
+  tell(text: string): void {
+    const note = this.pending("");
+    note.textContent = note.title = text;
+    setTimeout(() => note.remove(), SHOWN_MS);
+  }
+
   private pending(about: string): HTMLElement {
     const note = make("div", { class: "answer pending" }, `${about} …`);
     const answers = part("answers");

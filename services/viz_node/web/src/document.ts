@@ -46,6 +46,18 @@ export interface About {
   fault?: string;
 }
 
+/** That there is no event on a side of the playhead, as far as the server has read the file. */
+export function noMoment(forwards: boolean, read: number): string {
+  const how = read >= 1 ? "" : read >= ALL_READ ? " (all is read, the events are being looked for)" : ` (read so far: ${Math.floor(100 * read)} %)`;
+  return `No ${forwards ? "later" : "earlier"} event${how}`;
+}
+
+/** Holds in which the hand does not press hold nothing, whatever stands still in them: they are named `released`. */
+export function withoutReleased(holds: readonly Hold[]): Hold[] {
+  const greatest = Math.max(0, ...holds.map(({ hand_force_n }) => Math.abs(hand_force_n)));
+  return holds.map((hold) => (hold.verdict === "stable" && Math.abs(hold.hand_force_n) <= PRESSING_SHARE * greatest ? { ...hold, verdict: "released" } : hold));
+}
+
 /** Curves of a part of a recording: samples by stream, and the width of their spans [s], 0 where it is every sample. */
 export interface Part {
   from: number;
@@ -67,6 +79,8 @@ const PART_SPANS = 3600;
 const READING_MS = 600;
 /** The server says this while it judges what it has read. */
 const ALL_READ = 0.999;
+/** A hand that presses with no more than this share of its greatest force has let go, as in the verdicts of a report. */
+const PRESSING_SHARE = 0.05;
 const SEEK_MS = 80;
 /** A part reaches beyond what is seen by this much of it on both sides, so that a playhead that moves finds it there. */
 const MARGIN = 0.75;
@@ -212,7 +226,7 @@ export class Document {
       const { length_s } = about;
       const part = await this.connection.ask({ k: "part", from_s: 0, to_s: Math.max(length_s, 1e-3), spans: WHOLE_SPANS });
       if (reading !== this.readings) return;
-      this.about = about;
+      this.about = about.holds ? { ...about, holds: withoutReleased(about.holds) } : about;
       if (part.ok) this.whole = this.taken(part.found as PartAnswer);
       this.part = undefined;
       this.asked = "";

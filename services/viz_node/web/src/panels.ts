@@ -37,5 +37,5 @@ export const PANELS: readonly PanelRow[] = [
   { id: "settings", title: "Settings", region: "dock", shows: isLive, make: (root, cockpit) => new SettingsPanel(root, cockpit) },
   { id: "experiment", title: "Experiment", region: "watch", shows: hasExperiment, make: (root, cockpit) => new ExperimentPanel(root, cockpit) },
   { id: "nodes", title: "Nodes", region: "watch", make: (root, cockpit) => new NodesPanel(root, cockpit) },
-  { id: "events", title: "Events", region: "watch", make: (root, cockpit) => new EventsPanel(root, cockpit) },
+  { id: "events", title: "Events", region: "watch", pane: true, make: (root, cockpit) => new EventsPanel(root, cockpit) },
 ];

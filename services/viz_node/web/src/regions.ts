@@ -4,6 +4,9 @@ import { make, part } from "./dom";
 /** From this width on the panels of `watch` have a column of their own, and are tabs otherwise. */
 const WIDE = "(min-width: 1600px), (max-width: 1199px)";
 
+/** From this width on those with a pane have one beside the scopes. */
+const PANE = "(min-width: 1300px)";
+
 interface Placed {
   row: PanelRow;
   root: HTMLElement;
@@ -15,6 +18,7 @@ export class Regions {
   readonly placed: Placed[] = [];
   private readonly tabs = make("div", { class: "tabs", role: "tablist", "aria-label": "Panels" });
   private readonly wide = matchMedia(WIDE);
+  private readonly pane = matchMedia(PANE);
   private chosen = "";
 
   constructor(
@@ -31,7 +35,7 @@ export class Regions {
       part(row.region).append(root);
       this.placed.push({ row, root, panel: row.make(root, cockpit) });
     }
-    this.wide.addEventListener("change", () => this.arrange());
+    for (const width of [this.wide, this.pane]) width.addEventListener("change", () => this.arrange());
     this.tabs.addEventListener("keydown", (event) => this.moveByKey(event));
     this.arrange();
   }
@@ -53,14 +57,15 @@ export class Regions {
     for (const placed of shown) {
       const { row, root } = placed;
       root.hidden = false;
-      if (row.region === "watch") part(this.wide.matches ? "watch" : "dock").append(root);
-      const isTab = row.region === "dock" || (row.region === "watch" && !this.wide.matches);
+      const isWatched = row.region === "watch" && (this.wide.matches || (row.pane === true && this.pane.matches));
+      if (row.region === "watch") part(isWatched ? "watch" : "dock").append(root);
+      const isTab = row.region === "dock" || (row.region === "watch" && !isWatched);
       if (isTab) tabs.push(placed);
       root.setAttribute("role", isTab ? "tabpanel" : "region");
     }
     part("controls").hidden = !shown.some(({ row }) => row.region === "controls");
     part("timeline").hidden = !shown.some(({ row }) => row.region === "timeline");
-    part("watch").hidden = !this.wide.matches;
+    part("watch").hidden = !this.wide.matches && !this.pane.matches;
     part("dock").hidden = !tabs.length;
     this.tabs.replaceChildren(
       ...tabs.map(({ row }) => make("button", { type: "button", role: "tab", id: `tab-${row.id}`, "aria-controls": row.id, onclick: () => this.choose(row.id) }, row.title)),

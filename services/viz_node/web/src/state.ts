@@ -56,7 +56,8 @@ function doingOf(store: Store): string {
 }
 
 /** Whether the force of the tip at the hand's scale has been swinging for the last seconds. */
-function swingOf(store: Store): ReturnType<typeof oscillationIn> {
+/** How the force that the hand is shown swings now; undefined where it does not. */
+export function swingOf(store: Store): ReturnType<typeof oscillationIn> {
   const ring = store.rings.get("command");
   const column = store.column("command", "tip_force");
   if (!ring?.length || column < 0) return undefined;

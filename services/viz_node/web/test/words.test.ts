@@ -1,5 +1,7 @@
 import { expect, it } from "vitest";
-import { adviceFor, delayText, lineText } from "../src/advice";
+import { adviceFor, delayText, lineText, otherDelay } from "../src/advice";
+import { noMoment, withoutReleased, type Hold } from "../src/document";
+import { energyText } from "../src/panels/law";
 import { judged } from "../src/panels/nodes";
 
 const way = (delay_mean_s: number, delay_max_s = delay_mean_s): object => ({ delay_mean_s, delay_max_s, delay_valid: true });
@@ -41,4 +43,28 @@ it("judges the numbers of a node in words", () => {
   expect(judged({ ...node, state: "safe" })[0]).toBe("warn");
   expect(judged({ ...node, state: "safe" }, true)).toEqual(["", "rests while the instrument runs a program"]);
   expect(judged({ ...node, overruns: 0, rejected: 0 })).toEqual(["", "good"]);
+});
+
+it("says that no event comes only as far as the recording is read", () => {
+  expect(noMoment(true, 0.012)).toBe("No later event (read so far: 1 %)");
+  expect(noMoment(false, 1)).toBe("No earlier event");
+  expect(noMoment(true, 0.9995)).toMatch(/^No later event \(all is read/);
+});
+
+it("calls a hold in which nobody presses released, and leaves every other verdict", () => {
+  const hold = (hand_force_n: number, verdict: string): Hold => ({ from_s: 0, to_s: 1, hand_force_n, verdict, reason: "", growth_per_s: null, peak_to_peak_n: 0 });
+  const verdicts = (holds: Hold[]): string[] => withoutReleased(holds).map(({ verdict }) => verdict);
+  expect(verdicts([hold(1, "stable"), hold(0, "stable"), hold(0.04, "stable"), hold(0.06, "stable"), hold(0, "limit_cycle")])).toEqual(["stable", "released", "released", "stable", "limit_cycle"]);
+  expect(verdicts([hold(0, "stable")])).toEqual(["released"]);
+});
+
+it("names pictures of another delay than the one in force", () => {
+  expect(otherDelay(401, 200, 200)).toBe("The loop runs at 401 ms: verdict and pictures are of another delay, 200 ms, and none were computed beyond 200 ms.");
+  expect(otherDelay(60, 120, 200)).toBe("The loop runs at 60 ms: verdict and pictures are of another delay, 120 ms.");
+  // the nearest of steps of 5 ms is the same
+  for (const [inForce, shown] of [[62.4, 60], [1.2, 0], [203, 200], [NaN, 40]] as const) expect(otherDelay(inForce, shown, 200)).toBe("");
+});
+
+it("says where a motion gets its energy that swings although the loop makes none", () => {
+  expect([energyText(true), energyText(true, true), energyText(false, true), energyText(undefined, true)]).toEqual(["no energy made", "swings on the hand's energy", "has made energy", ""]);
 });

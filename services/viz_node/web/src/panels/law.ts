@@ -1,6 +1,7 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { CycleCounter } from "../cycles";
 import { make } from "../dom";
+import { swingOf } from "../state";
 
 /** The law of the loop. Its parameters are among the settings. */
 export class LawPanel implements Panel {
@@ -46,7 +47,7 @@ export class LawPanel implements Panel {
     const age = store.last("hand", "loop_age");
     const words = [
       Number.isNaN(age) ? "" : `loop ${(age * 1e3).toFixed(age < 0.1 ? 1 : 0)} ms`,
-      energyText(passive),
+      energyText(passive, swingOf(store) !== undefined),
       `${this.cycles.count} ${this.cycles.count === 1 ? "cycle" : "cycles"}`,
     ];
     const text = words.filter(Boolean).join(" · ");
@@ -54,9 +55,10 @@ export class LawPanel implements Panel {
   }
 }
 
-/** What the account of the energy says, named as what it is: it says nothing of the motion. */
-export function energyText(passive: unknown): string {
-  return passive === true ? "no energy made" : passive === false ? "has made energy" : "";
+/** What the account of the energy says, and of a motion that swings all the same where its energy comes from. */
+export function energyText(passive: unknown, swings = false): string {
+  if (passive !== true) return passive === false ? "has made energy" : "";
+  return swings ? "swings on the hand's energy" : "no energy made";
 }
 
 const ENERGY_ABOUT =

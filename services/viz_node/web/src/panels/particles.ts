@@ -59,6 +59,8 @@ export class ParticlesPanel implements Panel {
   ];
   private readonly pad = make("div", { class: "pad steer", id: "steer-pad", tabindex: 0, role: "application", "aria-label": "Hand across the sample: drag from the middle, or hold the arrow keys, to move the tip" });
 
+  /** Whether an image was looked at since the page was opened. */
+  private hasLooked = false;
   /** Whether particles were on the image when it was last drawn. */
   private wasMeant = false;
 
@@ -117,6 +119,8 @@ export class ParticlesPanel implements Panel {
     const { store, image, tip } = this.cockpit;
     const runs = tip.program;
     this.find.disabled = image.surface.isEmpty;
+    // a page that is opened after a scan has its image, and has not seen the scan end
+    if (!this.hasLooked && !image.surface.isEmpty && runs !== "scan") this.look();
     const program = store.state.get(PROGRAM);
     const own = runs === "push" ? String(program?.["text"] ?? "") : this.byHand();
     const sentence = [own, this.words].filter(Boolean).join(" · ");
@@ -142,6 +146,7 @@ export class ParticlesPanel implements Panel {
     const { surface } = this.cockpit.image;
     const extent = surface.extent;
     if (!extent) return;
+    this.hasLooked = true;
     const { measured, rows, columns } = surface.grid();
     const was = this.known;
     const found = findParticles({ values: measured, rows, columns, extent }).map((one) => {

@@ -101,7 +101,7 @@ export class SummaryPanel implements Panel {
   /** A hold, which is a way to its place. */
   private rowOf(hold: Hold): HTMLElement {
     const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, hold.from_s.toFixed(2));
-    const kind = kindOf(hold.verdict).replace("good", "");
+    const kind = hold.verdict === "released" ? "" : kindOf(hold.verdict).replace("good", "");
     const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;
     return make("tr", { class: kind, title: hold.reason }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, `${hold.verdict.replaceAll("_", " ")}${hold.frequency_hz ? `, ${+hold.frequency_hz.toPrecision(2)} Hz` : ""}`));
   }

@@ -1,5 +1,5 @@
 import type { Cockpit, Panel } from "../cockpit";
-import type { Span } from "../document";
+import { noMoment, type Span } from "../document";
 import { colour, make } from "../dom";
 import type { Ring } from "../ring";
 import { kindOf } from "./summary";
@@ -50,7 +50,7 @@ export class TimelinePanel implements Panel {
         this.stretch,
         make("div", { class: "segments", role: "group", "aria-label": "Stretch" }, button("stretch-a", "A", "The stretch begins here", () => this.choose(0)), button("stretch-b", "B", "The stretch ends here", () => this.choose(1)), this.loop),
         this.rate,
-        make("button", { type: "button", class: "icon plain", title: KEYS, "aria-label": KEYS, onclick: () => this.cockpit.commands.show("keys", true, KEYS) }, "?"),
+        make("button", { type: "button", class: "icon plain", title: KEYS, "aria-label": KEYS, onclick: () => this.cockpit.commands.tell(KEYS) }, "?"),
       ),
       this.track,
     );
@@ -151,7 +151,7 @@ export class TimelinePanel implements Panel {
     const { document, commands } = this.cockpit;
     const found = document.moment(document.at(performance.now()), forwards);
     if (found) this.stepTo(found.t_s);
-    else commands.show("event", false, forwards ? "none comes after this place" : "none comes before this place");
+    else commands.tell(noMoment(forwards, document.about?.read ?? 0));
   }
 
   /** Go to a place to look at it: what plays would run away from there. */
@@ -234,7 +234,7 @@ export class TimelinePanel implements Panel {
     const hold = phase.kind === "hold" ? this.cockpit.document.holdAt(middle) : undefined;
     const verdict = hold?.verdict ?? "";
     const [x0, x1] = [toX(phase.from_s), toX(phase.to_s)];
-    const kind = hold ? kindOf(verdict) : "";
+    const kind = hold && verdict !== "released" ? kindOf(verdict) : "";
     pen.fillStyle = colour(kind ? `${kind}-back` : fill);
     pen.fillRect(x0 + 0.5, height - BAND, Math.max(1, x1 - x0 - 1), BAND);
     const text = hold ? `${hold.frequency_hz ? `${+hold.frequency_hz.toPrecision(2)} Hz` : `${+hold.hand_force_n.toPrecision(2)} N`} ${verdict.replaceAll("_", " ")}` : name;
