@@ -55,6 +55,7 @@ class ReplayPublisher:
         self.publisher = publisher
         self._send_frame = publisher.send_frame
         self.sent = 0
+        self.was_read = False
         self.subscriptions: set[bytes] = set()
         socket = publisher.socket
         # a full queue of a reader is then an error at once, and not a message that is silently dropped
@@ -81,7 +82,7 @@ class ReplayPublisher:
             message: bytes = self.publisher.socket.recv()
             if message.startswith(_SUBSCRIBE):
                 self.subscriptions.add(message[1:])
-                subscribed = True
+                subscribed = self.was_read = True
             else:
                 self.subscriptions.discard(message[1:])
         return subscribed

@@ -9,7 +9,7 @@ import zmq
 
 from presets import DEFAULT_SITE_FILE
 from proto import TOPICS
-from proto.errors import ConfigError, RecordingError
+from proto.errors import ConfigError, RecordingError, RigError
 from proto.nodes import LINK, PLAYER, is_console, name_of
 from recording.channel_filter import Selection
 from recording.indexed import open_indexed
@@ -24,6 +24,7 @@ from services.runtime.wiring.participant import StopSignals, open_participant, r
 
 # One message of each channel is tried in so much of the beginning; the first of most comes within a second.
 _TRIED_NS = 5_000_000_000
+_RIG = "start the rest of the rig beside it, by `telenano up --without NODE --allow-replay`"
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def run_replay(
     warnings = [*refused_messages(recording, playback), *absent_topics(plan, book), *remote_control(plan, book)]
     for text in warnings:
         warn(text)
-    signals = StopSignals()
+    signals, told = StopSignals(), list[str]()
     # As fast as possible is nothing to be in time for, and would keep others from their processors.
     scheduling = on_time() if request.settings.rate > 0.0 else contextlib.nullcontext()
     with scheduling, open_participant(PLAYER, book, signals.descriptor) as participant, shallow_idle():
@@ -83,10 +84,19 @@ def run_replay(
         sources = book.sources(PLAYER, PlayerNode.inputs)
         live = {node: topics for node, topics in sources.items() if node not in publishers}
         bus = participant.bus_of(publisher, participant.subscribers(live))
+
+        def watch(player: PlayerNode) -> None:
+            if player.started and not told and not any(publisher.was_read for publisher in publishers.values()):
+                told.append(f"nobody reads what is played: {_RIG}")
+                warn(told[0])
+            observe(player)
+
         player = PlayerNode(
-            participant.context(bus), playback, plan, publishers, request.settings, observe=observe, warnings=warnings
+            participant.context(bus), playback, plan, publishers, request.settings, observe=watch, warnings=warnings
         )
         run_loop(player, bus, signals)
+    if player.sent and not any(publisher.was_read for publisher in publishers.values()):
+        raise RigError(f"{player.sent} messages of {', '.join(plan.nodes)} were played, and nobody read them: {_RIG}")
     return Replayed(plan.nodes, player.sent, playback.time_s, warnings)
 
 

@@ -12,7 +12,7 @@ from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, haptic_state, sampl
 
 from presets import DEFAULT_SITE_FILE
 from proto import decode, encode
-from proto.errors import ConfigError, RecordingError, RefusedError
+from proto.errors import ConfigError, RecordingError, RefusedError, RigError
 from proto.messages import HapticState, Message, NodeHealth, SessionControl, SessionEvent
 from proto.nodes import PLAYER
 from recording.channel_filter import Selection
@@ -498,6 +498,23 @@ def test_a_replay_of_nothing_is_refused(tmp_path: Path) -> None:
     writer.finish()
     with pytest.raises(RecordingError, match=rf"has no message of {HAND} in what was selected: nothing can be played"):
         run_replay(ReplayRequest([writer.path], site_file, nodes=["haptic_node"]))
+
+
+def test_a_replay_that_nobody_reads_says_so_and_fails(tmp_path: Path) -> None:
+    site_file = tmp_path / "site.yaml"
+    site_file.write_text(yaml.safe_dump({"nodes": {node: f"ipc://{tmp_path}/{node}" for node in (HAND, PLAYER)}}))
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
+    hand = writer.channel("haptic/state", HAND, "master")
+    for number in range(200):
+        at_ns = EPOCH_NS + number * 1_000_000
+        writer.write(hand, at_ns, at_ns, number, encode(sample("haptic/state", number, src=HAND)))
+    writer.finish()
+    warned: list[str] = []
+    request = ReplayRequest([writer.path], site_file, nodes=["haptic_node"], settings=PlaySettings(wait_s=0.0))
+    with pytest.raises(RigError, match=r"200 messages of haptic_node@master were played, and nobody read them"):
+        run_replay(request, warn=warned.append)
+    (text,) = [text for text in warned if text.startswith("nobody reads what is played: start the rest of the rig")]
+    assert "--without NODE --allow-replay" in text
 
 
 def test_warnings_are_published_at_the_start(stage: Callable[..., Stage], make_file: MakeFile) -> None:
