@@ -137,7 +137,10 @@ def value_at(document: Mapping[str, Any], key: str) -> Any:
         elif isinstance(value, Mapping) and part in value:
             value = value[part]
         else:
-            known = known_names(part, value) if isinstance(value, Mapping) else "known are none"
-            raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {known}")
+            if isinstance(value, Mapping) or len(seen) < 2:
+                known = known_names(part, value if isinstance(value, Mapping) else document)
+                raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {known}")
+            known = known_names(part, value_at(document, ".".join(seen[:-1])))
+            raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; in {'.'.join(seen[:-1])} {known}")
         seen.append(part)
     return value

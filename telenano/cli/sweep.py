@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from proto.errors import ConfigError, RigError
+from proto.errors import ConfigError, RigError, probably_meant
 from services.launcher.child_session import run_session
 from services.launcher.plan import UpRequest
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
@@ -66,6 +66,8 @@ def _axis(text: str) -> tuple[str, list[str]]:
     found = [value.strip() for value in values.split(",")]
     if not sign or not key or not all(found):
         raise ConfigError(f"--sweep {text}: is not of the form KEY=V1,V2, such as controller.law=wave,smith")
+    if key not in (own := (*DELAY_OPTIONS, SEED)) and (near := probably_meant(key, own)):
+        raise ConfigError(f"--sweep {text}: no key of a scenario{near}")
     return key.strip(), found
 
 

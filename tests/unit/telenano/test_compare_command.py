@@ -131,6 +131,9 @@ def test_a_sweep_that_is_none_is_refused(text: str) -> None:
         points_of(["a.b=1,1"])
     with pytest.raises(ConfigError, match="more than 100"):
         points_of([f"a.b={','.join(map(str, range(101)))}"])
+    with pytest.raises(ConfigError, match=r"roundtrip=10,20: no key of a scenario; did you mean round_trip_ms\?"):
+        points_of(["roundtrip=10,20"])
+    assert [point.name for point in points_of(["duration_s=1,2"])] == ["duration_s=1", "duration_s=2"]
 
 
 def test_each_session_has_the_options_of_the_sweep_but_its_own() -> None:

@@ -105,6 +105,13 @@ def test_what_param_dumps_is_a_scenario_that_runs_the_same(tmp_path: Path) -> No
     assert value_at(dumped, "delay_node.profile") == "clean"
     with pytest.raises(ConfigError, match="the scenario has no key link"):
         value_at(dumped, "link.x")
+    # below a value the keys beside it are those that can be meant
+    with pytest.raises(
+        ConfigError, match=r"controller\.law is 'virtual_impedance' and has no keys; in controller known"
+    ):
+        value_at(dumped, "controller.law.period_s")
+    with pytest.raises(ConfigError, match=r"name\.x: name has no key x; known are name, "):
+        value_at(dumped, "name.x")
 
 
 def test_a_new_scenario_is_valid_and_names_its_schema(tmp_path: Path) -> None:
