@@ -49,7 +49,9 @@ def parquet_tables(
             arrow.field(column, type_of(column, kind_of(found)), metadata=quantity(topic, column)._asdict())
             for column, found in kinds.items()
         ]
-        return arrow.schema(fields, metadata=origin)
+        # pandas gives what is under this name as the `attrs` of its table
+        attrs = {"topic": topic, "units": {column: quantity(topic, column).unit for column in kinds}}
+        return arrow.schema(fields, metadata={**origin, "PANDAS_ATTRS": json.dumps(attrs)})
 
     @contextmanager
     def tables(folder: Path) -> Iterator[OpenTable]:

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from proto.errors import RecordingError, known_names
+from proto.errors import NoRecordingError, RecordingError, known_names
 from proto.messages import Message
 from recording.column_table import Column, ColumnTable
 from recording.messages import topic_of
@@ -165,12 +165,20 @@ class LiveRig:
 
 
 def open(path: str | os.PathLike[str], *further: str | os.PathLike[str]) -> RecordedSession:
-    """Open a recording, or all parts of one, in their order.
+    """Open a recording, or all parts of one, in their order; of a folder the one recording that is in it.
 
     Raises:
-        RecordingError: A file cannot be read; the message names it.
+        RecordingError: A file cannot be read, or a folder has not just one recording; the message names it.
     """
-    return RecordedSession(map(Path, (path, *further)))
+    return RecordedSession(map(_recording_at, map(Path, (path, *further))))
+
+
+def _recording_at(path: Path) -> Path:
+    found = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+    if len(found) != 1:
+        names = f" of {', '.join(each.name for each in found)}" if found else ""
+        raise NoRecordingError(f"{path}: is a folder with {len(found)} recordings (.mcap); give the file{names}")
+    return found[0]
 
 
 def check_law(name: str) -> dict[str, list[str]]:

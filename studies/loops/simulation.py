@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -242,6 +243,8 @@ def simulate_scenario(
     key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}. What is not given is the scenario's.
     Raises: ConfigError naming the file or key at fault, or what cannot be simulated.
     """
+    if round_trip_ms is not None and (isinstance(round_trip_ms, bool) or not isinstance(round_trip_ms, Real)):
+        raise ConfigError(f"round_trip_ms: must be a number of milliseconds, got {round_trip_ms!r}")
     given: dict[str, Any] = {}
     if law is not None:
         given["controller"] = {"law": law}
@@ -258,6 +261,10 @@ def simulate_scenario(
         # in the place of that of the scenario, and not key by key: it may be of another kind
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
     return simulate_document(document, str(path))
+
+
+# An error of Python's names it as it is called.
+simulate_scenario.__qualname__ = "telenano.simulate"
 
 
 def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers | None = None) -> SimulatedSession:

@@ -75,6 +75,15 @@ def test_parquet_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     assert json.loads(event["data"][4]) == {"force_n": 1.5, "k4": "x"}
 
 
+def test_pandas_has_topic_and_units_of_a_parquet_file_in_its_attrs(rich: Path, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    export_recording(rich, tmp_path / "out", "parquet")
+    attrs = pandas.read_parquet(next((tmp_path / "out").glob("haptic*state*.parquet"))).attrs
+    assert attrs["topic"] == "haptic/state"
+    assert attrs["units"]["operator_force_n.2"] == "N"
+    assert attrs["units"]["position_m.0"] == "m"
+
+
 def test_csv_holds_every_digit(rich: Path, tmp_path: Path) -> None:
     export_recording(rich, tmp_path / "csv", "csv", Selection.of(["haptic/*"]))
     names = {path.name for path in (tmp_path / "csv").iterdir()}

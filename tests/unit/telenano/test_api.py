@@ -58,6 +58,25 @@ def test_publishers_of_a_channel_are_kept_apart(session: telenano.RecordedSessio
         session.table("afm")
 
 
+def test_a_folder_is_opened_where_it_has_one_recording(recording_of: Callable[[str], Path], tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"is a folder with 0 recordings \(\.mcap\); give the file"):
+        telenano.open(tmp_path)
+    recording = recording_of("fig12_wave").resolve()
+    (tmp_path / "session.mcap").symlink_to(recording)
+    (tmp_path / "summary.json").write_text("{}")
+    assert telenano.open(tmp_path).channels == telenano.open(recording).channels
+    (tmp_path / "take.mcap").symlink_to(recording)
+    with pytest.raises(RecordingError, match=r"with 2 recordings .*give the file of session\.mcap, take\.mcap"):
+        telenano.open(tmp_path)
+
+
+def test_what_simulate_cannot_take_is_said_in_its_own_words() -> None:
+    with pytest.raises(ConfigError, match="round_trip_ms: must be a number of milliseconds, got '40'"):
+        telenano.simulate(round_trip_ms="40")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"telenano\.simulate\(\) got an unexpected keyword argument 'delay'"):
+        telenano.simulate(delay=40.0)  # type: ignore[call-arg]
+
+
 def test_a_value_that_is_not_there_is_nan(
     session: telenano.RecordedSession, recording_of: Callable[[str], Path]
 ) -> None:
