@@ -322,6 +322,10 @@ def _judge_hold(
             reason = "; ".join([reason, *_causes(programme, without[0].start_s, without[-1].end_s)])
             return Hold(start, end, force, *verdict._replace(kind="guarded", reason=reason))
         verdict = before
+    if not presses and verdict.kind == "stable":
+        verdict = verdict._replace(
+            reason=f"the hand presses with {abs(force):.2g} N, and nothing moves: this is no hold"
+        )
     return Hold(start, end, force, *verdict)
 
 
@@ -450,5 +454,6 @@ def _worst_of(holds: list[Hold], greatest_n: float | None) -> tuple[Kind, str]:
         return "cannot_say", "the hand never stood still for long enough"
     # Among several holds that are equally bad, the first one decides.
     decisive = min(holds, key=lambda hold: _WORST_FIRST.index(hold.verdict))
-    decisive = holds[-1] if decisive.verdict == "stable" else decisive
+    if decisive.verdict == "stable":
+        decisive = max(reversed(holds), key=lambda hold: abs(hold.hand_force_n) > _PRESSING_SHARE * (greatest_n or 0.0))
     return decisive.verdict, decisive.reason
