@@ -189,7 +189,9 @@ def find_the_jump(page: Page, folder: Path) -> None:
     """Walk as somebody who opens a recording after its end: by keys to the jump, and with a cursor to its force."""
     page.until("telenano.scopes.plots[0].data[1]?.some((value) => value > 1.9)", "the curves of the whole")
     page.until("document.querySelector('#hand-force').innerText !== '–'", "the force of the hand at the end")
-    assert page.page.locator("#summary tbody tr").count() == len(page.value("telenano.cockpit.document.about.holds"))
+    # the panel is written some times a second, and so a little after the answer has come
+    rows, holds = "document.querySelectorAll('#summary tbody tr')", "telenano.cockpit.document.about.holds"
+    page.until(f"{holds}.length > 0 && {rows}.length === {holds}.length", "a row for each hold")
     keyboard = page.page.keyboard
     keyboard.press("Home")
     page.until("telenano.cockpit.document.at(performance.now()) === 0", "the beginning")

@@ -55,8 +55,7 @@ function doingOf(store: Store): string {
   return words[String(store.fact("afm/state/slave", "mode") ?? "")] ?? "";
 }
 
-/** Whether the force of the tip at the hand's scale has been swinging for the last seconds. */
-/** How the force that the hand is shown swings now; undefined where it does not. */
+/** How the force of the tip at the hand's scale has been swinging for the last seconds; undefined where it has not. */
 export function swingOf(store: Store): ReturnType<typeof oscillationIn> {
   const ring = store.rings.get("command");
   const column = store.column("command", "tip_force");
