@@ -66,7 +66,7 @@ def _axis(text: str) -> tuple[str, list[str]]:
     found = [value.strip() for value in values.split(",")]
     if not sign or not key or not all(found):
         raise ConfigError(f"--sweep {text}: is not of the form KEY=V1,V2, such as controller.law=wave,smith")
-    if key not in (own := (*DELAY_OPTIONS, SEED)) and (near := probably_meant(key, own)):
+    if key not in (own := (_DELAY, SEED)) and (near := probably_meant(key, own)):
         raise ConfigError(f"--sweep {text}: no key of a scenario{near}")
     return key.strip(), found
 

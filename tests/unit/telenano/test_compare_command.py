@@ -100,7 +100,7 @@ def test_a_sweep_is_every_combination_of_its_values() -> None:
 @pytest.mark.parametrize(
     ("sweep_text", "reason"),
     [
-        ("roundtrip=1,2", "roundtrip: unknown key"),
+        ("roundtrip=1,2", "roundtrip=1,2: no key of a scenario; did you mean round_trip_ms?"),
         ("round_trip_ms=1,fast", "--round-trip-ms = fast: is not a number of milliseconds"),
         ("controller.law=wave,waves", "waves"),
     ],
