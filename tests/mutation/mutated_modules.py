@@ -37,6 +37,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "services/delay_node/direction.py": (
         "tests/unit/delay_node/test_link_order.py",
+        "tests/unit/delay_node/test_link_outages.py",
         "tests/unit/delay_node/test_link_state.py",
     ),
     "services/controller/hand_periods.py": ("tests/unit/controller/test_hand_periods.py",),
@@ -91,8 +92,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "DirectionEngine.restore: pipeline = self._pipeline = Pipeline(self._direction, settings, files, 0)"
         " [0 => 1]": "every time in the pipeline is restored a few lines later",
         "DirectionEngine._schedule: self._pushed += 1 [1 => 2]": "only the order of these numbers counts",
-        "DirectionEngine._delay: if delay_ns == 0 and not (heap and heap[0][0] <= now_ns): [0 => 1] (3)": "a message"
-        " without a delay goes out by way of the heap then, in the same call",
+        **{
+            f"DirectionEngine._delay: if delay_ns == 0 and not (heap and heap[0][0] <= now_ns): {change}": "a message"
+            " without a delay goes out by way of the heap then, in the same call"
+            for change in ("[0 => 1] (3)", "[delay_ns == 0 and (not (heap and heap[0][0] <= now_ns)) => False]")
+        },
     },
     "services/controller/hand_periods.py": {
         "module: ANEW = -1 [1 => 2]": "any negative number is no count",

@@ -76,6 +76,8 @@ def test_a_copy_that_comes_before_its_original_has_overtaken_nothing() -> None:
     release_ns = {(fate.seq, fate.copy): fate.release_ns or 0 for fate in fates}
     assert sum(release_ns[seq, 1] < release_ns[seq, 0] for seq in range(200)) > 50
     assert not any(fate.reordered for fate in fates)
+    # the original carries the mark, and its copy is told by its number
+    assert {(fate.copy, fate.duplicated) for fate in fates} == {(0, True), (1, False)}
     stats = link.stats()
     assert (stats.reordered, stats.duplicated, stats.messages_out) == (0, 200, 400)
 
@@ -219,6 +221,16 @@ def test_what_overtakes_is_marked_and_in_order_nothing_does(order: str) -> None:
         latest_ns = max(latest_ns, release_ns)
     assert (overtaking > 30) is (order == "any")
     assert (overtaking == 0) is (order == "topic")
+
+
+def test_a_link_in_order_keeps_the_order_of_all_its_topics() -> None:
+    link = engine(delay_s=0.02, jitter={"scale_s": 0.01, "distribution": "uniform"}, order="link")
+    released: list[Release] = []
+    for seq in range(300):
+        released += link.submit(START + seq * MS, "ab"[seq % 2], b"", seq)
+    assert [release.fate.seq for release in released + finish(link)] == list(range(300))
+    release_ns = [fate.release_ns or 0 for fate in link.take_fates()]
+    assert release_ns == sorted(release_ns)
 
 
 def test_flipped_bits_are_in_the_payload_that_is_sent_on() -> None:

@@ -202,6 +202,16 @@ def test_a_session_that_begins_in_a_stall_of_the_session_before_ends_it() -> Non
     assert [release.fate.seq for release in link.forward.submit(20 * MS, "a", bytes(100), 1)] == [0, 1]
 
 
+def test_settings_that_are_stamped_before_the_newest_message_count_from_that_message() -> None:
+    link = LinkEngine(parse_settings({"forward": {"delay_s": 0.001}}), 0)
+    link.forward.submit(10 * MS, "a", b"", 0)
+    link.reconfigure(
+        changed(link.settings, {"forward.outage.schedule": "0.0:0.01", "forward.outage.mode": "hold"}), 5 * MS
+    )
+    released = [*link.forward.submit(16 * MS, "a", b"", 1), *ended(link.forward)]
+    assert [release.fate.release_ns for release in released] == [11 * MS, 21 * MS]
+
+
 def test_an_overtaking_message_waits_in_a_stall_as_the_others_do() -> None:
     settings = {"outage": STALL, "reordering": {"probability": 1.0}, "delay_s": 0.02, "queue": {"limit_messages": 7}}
     fates = fates_of(parse_settings({"forward": settings}), "forward", "a", range(11 * MS, 400 * MS, MS), 100)

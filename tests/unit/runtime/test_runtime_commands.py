@@ -252,6 +252,19 @@ def test_a_launcher_leaves_a_device_in_emergency_stop_to_a_person(releases_stops
     assert (sender.client.failure, sender.client.void) == ("", False)
 
 
+def test_a_launcher_asks_once_a_second_whether_a_person_has_released_the_device() -> None:
+    sender = Sender(ARM_HAND, releases_stops=False, retry_ns=500 * MS)
+    for _ in range(3500):
+        sender.run_ms(1)
+        sender.answer(BOTH[1], "refused", latch="run-1", estop_age_s=60.0, latched=True)
+    assert sender.times_ms == [1, 1002, 2002, 3002]
+    assert (sender.client.latched, sender.client.failure) == (BOTH[1], "")
+    sender.run_ms(502)
+    sender.answer(BOTH[1])
+    assert sender.run_ms(1)
+    assert (sender.times_ms[4:], sender.client.latched) == ([4002], "")
+
+
 @pytest.mark.parametrize(("stop_age_s", "void"), [(0.4, True), (0.6, False)])
 def test_a_wish_is_as_old_as_whoever_had_it_says(stop_age_s: float, void: bool) -> None:
     # the wish came half a second before the client
