@@ -3,13 +3,13 @@
 from itertools import pairwise
 
 import pytest
+from telenano_microscopy.particle_bench import bench
 from virtual_rig import ARMED_S, VirtualRig
 
 from analysis.rerun import rerun
 from proto.instrument import AfmParticles
 from recording.reader import Recording
 from services.afm_node.physics.particles import layer
-from studies.loops.particle_bench import bench
 
 SCENARIO = {
     "name": "pushed",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from telenano_microscopy.program_view import LiveOption
 
 from presets import DEFAULT_SITE_FILE
 from proto.errors import ConfigError
@@ -14,7 +15,6 @@ from recording.whole_files import whole_file
 from services.runtime.settings.config import flag_overrides, merge, validate
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import print_document, report_errors
-from telenano.cli.program_view import LiveOption
 from telenano.cli.progress import progress
 from telenano.cli.sample_options import AfmOption, ChannelOption, results_in
 
@@ -167,8 +167,9 @@ def _true_error(bench: "ProgramBench", target: "Point") -> dict[str, float]:
 
 
 def _config(seed: int, overrides: list[str]) -> "AfmConfig":
+    from telenano_microscopy.particle_bench import DISTURBED, bench
+
     from services.afm_node.config import AfmConfig
-    from studies.loops.particle_bench import DISTURBED, bench
 
     given = flag_overrides(overrides)
     has_places = "places" in given.get("sample", {}).get("particles", {})

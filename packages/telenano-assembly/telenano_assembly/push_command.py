@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 from proto.errors import RigError
 from services.afm_node.programs.push import AT_GOAL, PushSettings
 from services.runtime.settings.config import merge, validate
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
 from telenano.cli.sample_options import AfmOption
 from telenano.extend.commands import (
     DEFAULT_SITE_FILE,
@@ -89,9 +89,10 @@ def _live(site_file: Path, keys: "dict[str, Scalar]", *, as_json: bool) -> dict[
 
 def _simulated(keys: "dict[str, Scalar]", overrides: list[str], *, as_json: bool) -> dict[str, Any]:
     """Push in simulated time: a particle that is where it is believed to be, or those that --afm names."""
+    from telenano_microscopy.particle_bench import DISTURBED, bench
+
     from services.afm_node.config import AfmConfig
     from services.afm_node.programs.settings import requested
-    from studies.loops.particle_bench import DISTURBED, bench
     from telenano_assembly.virtual import VirtualInstrument
 
     given = flag_overrides(overrides)

@@ -12,7 +12,6 @@ from services.afm_node.programs.curve import CurveSettings
 from services.runtime.settings.config import validate
 from services.signals import interrupts
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
 from telenano.cli.sample_options import AfmOption, results_in
 from telenano.extend.commands import (
     DEFAULT_SITE_FILE,
@@ -24,6 +23,7 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
     from proto.messages import Scalar

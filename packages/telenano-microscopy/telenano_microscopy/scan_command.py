@@ -11,7 +11,6 @@ from services.runtime.settings.config import validate
 from services.signals import interrupts
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.program_view import LiveOption, follow_program, refuse_foreign
 from telenano.cli.sample_options import (
     AfmOption,
     ChannelOption,
@@ -31,6 +30,7 @@ from telenano.extend.commands import (
     progress,
     report_errors,
 )
+from telenano_microscopy.program_view import LiveOption, follow_program, refuse_foreign
 
 if TYPE_CHECKING:
     import numpy as np

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
+from telenano_microscopy.particle_bench import bench
 
 from analysis.intervals import wilson
 from proto.errors import ConfigError, known_names
@@ -29,7 +30,6 @@ from services.runtime.settings.config import Settings, validate
 from studies.loops import push_hand as h
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Rig, build_rig, simulate
-from studies.loops.particle_bench import bench
 from studies.loops.simulation import instrument_params
 from telenano_studies.loops.cells import sources
 from telenano_studies.loops.links import symmetric_link
