@@ -113,9 +113,9 @@ export class Store {
     if (tick.origin_ns) this.originNs = tick.origin_ns;
   }
 
-  /** The number of the lease that this page has, 0 for none. */
+  /** The number of the lease that this page has taken, 0 for none: one of a single act is over before the page knows of it. */
   get ownLease(): number {
-    return this.me && this.lease.holder === this.me ? this.lease.number : 0;
+    return this.lease.kept && this.me && this.lease.holder === this.me ? this.lease.number : 0;
   }
 
   /** Nodes that have stopped reporting; those of a recording come at the pace of the recording. */

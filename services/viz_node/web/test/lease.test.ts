@@ -1,6 +1,7 @@
 import { describe, expect, test } from "vitest";
 import { leaseOffer } from "../src/lease";
 import type { LeaseFacts } from "../src/protocol";
+import { Store } from "../src/store";
 
 const ME = "me";
 const lease = (changes: Partial<LeaseFacts> = {}): LeaseFacts => ({ number: 7, holder: "", label: "", what: "", kept: false, asking: [], ...changes });
@@ -22,6 +23,16 @@ describe("the lease of the hand on the page", () => {
     // what lasts as long as an act is not taken
     expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["Nobody has the hand", "Take"]);
     expect(said(lease({ holder: "x", label: "the program at the rig", what: "program", kept: true }), "operator")).toEqual(["Hand: the program at the rig", "Take"]);
+  });
+  test("a command names the lease that was taken, and not that of the command before it", () => {
+    const store = new Store();
+    store.me = ME;
+    store.lease = lease({ holder: ME, kept: true });
+    expect(store.ownLease).toBe(7);
+    store.lease = lease({ holder: ME });
+    expect(store.ownLease).toBe(0);
+    store.lease = lease(paul);
+    expect(store.ownLease).toBe(0);
   });
   test("a pupil asks, a teacher takes and hands over", () => {
     expect(said(lease(), "pupil")).toEqual(["Nobody has the hand", "Ask"]);
