@@ -151,19 +151,15 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
         return []
     late_s = part.delay_s[here] - scale.median_s
     gaps_s = np.diff(part.sent_s[here] + part.delay_s[here], prepend=-np.inf)
-    held = (late_s > 0.5 * scale.stall_s).tolist()
-    together = (gaps_s < _TOGETHER * scale.period_s).tolist()
+    held = late_s > 0.5 * scale.stall_s
+    # Each run of messages that are late or come together, from its first late one on.
+    edges = np.diff((held | (gaps_s < _TOGETHER * scale.period_s)).astype(np.int8), prepend=0, append=0)
     found = []
-    begin = None
-    for place in range(len(here) + 1):
-        goes_on = place < len(here) and (held[place] or (begin is not None and together[place]))
-        if goes_on and begin is None:
-            begin = place
-        elif not goes_on and begin is not None:
-            most_s = float(late_s[begin:place].max())
-            if most_s > scale.stall_s:
-                found.append(Stall(int(here[begin]), int(here[place - 1]) + 1, most_s))
-            begin = None
+    for first, end in zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True):
+        begin = first + int(np.argmax(held[first:end]))
+        most_s = float(late_s[begin:end].max())
+        if most_s > scale.stall_s:
+            found.append(Stall(int(here[begin]), int(here[end - 1]) + 1, most_s))
     return found
 
 
@@ -236,11 +232,11 @@ def _correlation_time(pairs: Sequence[tuple[Column, Column]], delays: Column, pe
         return 0.0
     first, fresh = np.random.default_rng(0).standard_normal((2, _PAIRS))
     quantiles = np.quantile(delays, SHARES)
+    of_first = np.interp(special.ndtr(first), SHARES, quantiles)
 
     def correlation(rho: float) -> float:
         second = rho * first + math.sqrt(1.0 - rho * rho) * fresh
-        made = [np.interp(special.ndtr(scores), SHARES, quantiles) for scores in (first, second)]
-        return float(np.corrcoef(*made)[0, 1])
+        return float(np.corrcoef(of_first, np.interp(special.ndtr(second), SHARES, quantiles))[0, 1])
 
     low, high = 0.0, _MOST_CORRELATION
     for _ in range(_HALVINGS):
