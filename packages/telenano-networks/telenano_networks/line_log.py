@@ -28,7 +28,12 @@ _PAUSE_PERIODS, _PAUSE_S = 20.0, 1.0
 # Outside of these no median delay of a line lies, and a unit is wrong.
 _SHORTEST_DELAY_S, _LONGEST_DELAY_S = 1e-6, 100.0
 _HEADING = re.compile(r"^(?P<name>.*?)(?:[ _]*[\[(](?P<bracket>ns|us|µs|ms|s)[\])]|_(?P<suffix>ns|us|ms|s))?$")
-_SENT, _RECEIVED, _DELAY, _LOST = ("sent", "send", "pub", "tx"), ("rec", "sub", "rx", "arriv"), ("delay", "rtt"), "lost"
+_SENT, _RECEIVED = ("sent", "send", "pub", "tx"), ("rec", "sub", "rx", "arriv")
+_DELAY, _LOST = ("delay", "rtt", "latency"), "lost"
+# A step of one of two clocks is sought after each of so many parts of a log.
+_PARTS = 20
+# Rows that go back in time more often than in this share, and so many times, are not in the order of sending.
+_MOST_BACK_SHARE, _MOST_BACK = 0.01, 3
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ def read_log(
             elif is_delivery_trace(text):
                 sent_s, delay_s = through_delivery_trace(text, path.name, cuts)
             else:
-                sent_s, delay_s = _of_table(text, path.name, unit)
+                sent_s, delay_s = _of_table(text, path.name, unit, cuts)
         if pinged[-1] and not len(sent_s):
             cuts.append(f"{path.name}: no packet was answered; it is left out, and the line was gone meanwhile")
         else:
@@ -115,13 +120,18 @@ def _of_ping(text: str, name: str) -> tuple[Column, Column]:
     return np.array([row[0] for row in answers]), np.array([row[1] for row in answers])
 
 
-def _of_table(text: str, name: str, unit: str | None) -> tuple[Column, Column]:
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+def _of_table(text: str, name: str, unit: str | None, cuts: list[str]) -> tuple[Column, Column]:
+    # Some programs put the mark of the order of bytes in front of their tables.
+    lines = [line for line in text.removeprefix("\ufeff").splitlines() if line.strip() and not line.startswith("#")]
+    if len(lines) > 1 and not text.endswith("\n"):
+        cuts.append(f"{name}: its last line has no end and may be a part of one; it is left out")
+        del lines[-1]
     rows = list(_fields(lines))
     headings = [heading.strip() for heading in rows[0]] if rows else []
     if not headings or any(_number(heading) is not None for heading in headings):
         raise ConfigError(f"{name}, line 1: has no headings; name the columns, such as sent_s,received_s")
     sent = _column(headings, _SENT)
+    sent = _column(headings, ("time",)) if sent is None else sent
     received, delay = _column(headings, _RECEIVED), _column(headings, _DELAY)
     if sent is None or (received is None and delay is None):
         raise ConfigError(
@@ -206,6 +216,11 @@ def _cut(sent_s: Column, delay_s: Column, name: str, cuts: list[str]) -> list[Se
         )
     if paused.any():
         cuts.append(f"{name}: nothing was sent for more than {pause_s:.3g} s {int(paused.sum())} times; cut there")
+    if back.sum() > max(_MOST_BACK, _MOST_BACK_SHARE * len(sent_s)):
+        raise ConfigError(
+            f"{name}: the time of sending goes back {int(back.sum())} times; its rows are not in the order of sending, so"
+            " sort them by it"
+        )
     edges = [0, *(np.flatnonzero(back | paused) + 1).tolist(), len(sent_s)]
     return [
         Segment(sent_s[begin:end] - sent_s[begin], delay_s[begin:end])
@@ -227,7 +242,8 @@ def _check(log: LineLog) -> None:
     seconds = sum(float(part.sent_s[-1]) for part in log.segments)
     if count < FEWEST or seconds < SHORTEST_S:
         raise ConfigError(
-            f"{count} messages in {seconds:.3g} s are too few for a model, which needs {FEWEST} in {SHORTEST_S:g} s"
+            f"{count} messages in {seconds:.3g} s are too few for a model, which needs {FEWEST} in {SHORTEST_S:g} s;"
+            " is the unit of the times right?"
         )
     delays = np.concatenate([part.delay_s for part in log.segments])
     if np.isnan(delays).mean() > 0.5:
@@ -236,19 +252,22 @@ def _check(log: LineLog) -> None:
     if not _SHORTEST_DELAY_S <= median_s <= _LONGEST_DELAY_S:
         raise ConfigError(f"the median delay would be {median_s:.3g} s; is the unit of the column right?")
     for part in log.segments:
-        _check_level(part)
+        # One clock that steps is seen as a step of sending; of two, the delays step, wherever in the log that is.
+        for share in (0.5,) if log.round_trip else (0.5, *(n / _PARTS for n in range(1, _PARTS))):
+            _check_level(part, share)
 
 
-def _check_level(part: Segment) -> None:
-    """Refuse a part whose usual delays of the first and of the second half have nothing in common."""
-    middle = int(np.searchsorted(part.sent_s, 0.5 * part.sent_s[-1]))
-    halves = [half[~np.isnan(half)] for half in (part.delay_s[:middle], part.delay_s[middle:])]
+def _check_level(part: Segment, share: float) -> None:
+    """Refuse a part whose usual delays before this share of its time, and after it, have nothing in common."""
+    at_s = share * float(part.sent_s[-1])
+    place = int(np.searchsorted(part.sent_s, at_s))
+    halves = [half[~np.isnan(half)] for half in (part.delay_s[:place], part.delay_s[place:])]
     if min(len(half) for half in halves) < FEWEST:
         return
     (low, below, high), (other_low, other, other_high) = (np.quantile(half, (0.1, 0.5, 0.9)) for half in halves)
     if low > other_high or other_low > high:
         raise ConfigError(
-            f"the log is not stationary: its median delay is {1e3 * below:.4g} ms in the first half and"
-            f" {1e3 * other:.4g} ms in the second, and hardly a delay of the one occurs in the other. The line changed"
+            f"the log is not stationary: its median delay is {1e3 * below:.4g} ms in its first {at_s:.4g} s and"
+            f" {1e3 * other:.4g} ms after them, and hardly a delay of the one occurs in the other. The line changed"
             " (give the parts as logs of their own), or one of two clocks stepped"
         )

@@ -124,11 +124,11 @@ def read_histogram(path: Path, unit_s: float | None) -> Histogram:
         try:
             edge, count = (float(word) for word in words)
         except ValueError:
-            if edges or unit_s is not None or not words[0].endswith(("_ms", "_s", "_us")):
+            if edges or unit_s is not None or not words[0].endswith(("_s", "_ms", "_us", "_ns")):
                 if not edges and unit_s is not None:
                     continue
                 raise ConfigError(f"{path.name}, line {line}: {row!r} is not a bin and its count") from None
-            unit_s = {"ms": 1e-3, "us": 1e-6, "s": 1.0}[words[0].rsplit("_", 1)[1]]
+            unit_s = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[words[0].rsplit("_", 1)[1]]
             continue
         if count < 0.0 or (edges and edge <= edges[-1]):
             raise ConfigError(f"{path.name}, line {line}: the bins have to rise, and no count is below 0")
