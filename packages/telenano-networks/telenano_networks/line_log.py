@@ -218,8 +218,8 @@ def _cut(sent_s: Column, delay_s: Column, name: str, cuts: list[str]) -> list[Se
         cuts.append(f"{name}: nothing was sent for more than {pause_s:.3g} s {int(paused.sum())} times; cut there")
     if back.sum() > max(_MOST_BACK, _MOST_BACK_SHARE * len(sent_s)):
         raise ConfigError(
-            f"{name}: the time of sending goes back {int(back.sum())} times; its rows are not in the order of sending, so"
-            " sort them by it"
+            f"{name}: the time of sending goes back {int(back.sum())} times; its rows are not in the order of sending,"
+            " so sort them by it"
         )
     edges = [0, *(np.flatnonzero(back | paused) + 1).tolist(), len(sent_s)]
     return [

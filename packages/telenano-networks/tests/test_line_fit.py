@@ -139,7 +139,7 @@ def test_a_table_is_read_by_its_headings(tmp_path: Path, headings: str) -> None:
         (lambda text: text.replace("\n40.000,", "\n40.000,x", 1), "line 4: 'x.*is not a number"),
         (
             lambda text: "\n".join(text.split("\n")[:200]),
-            "198 messages in 3.9. s are too few.*is the unit of the times right",
+            "198 messages in 3.9. s are too few.* is the unit",
         ),
         (lambda text: text.replace("_ms", "_ns"), "3000 messages in 6e-05 s are too few"),
     ],

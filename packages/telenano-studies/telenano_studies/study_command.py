@@ -263,7 +263,8 @@ def validate(
 
 def _agreed(agreement: "Agreement") -> str:
     if not agreement.agree:
-        return "no"
+        late = f", a process was held up for {1e3 * agreement.stalled_s:.0f} ms" if agreement.stalled_s else ""
+        return f"no{late}"
     if agreement.near_an_edge:
         return "yes, near an edge"
     return "undecided" if agreement.undecided else "yes"

@@ -21,7 +21,7 @@ from telenano_studies.loops.validate import (
     scenario_of,
 )
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RecordingError
 from services.afm_node.config import AfmConfig
 from services.controller.config import ControllerConfig
 from services.delay_node.config import parse_settings
@@ -213,6 +213,47 @@ def test_rig_that_does_not_run_says_why(tmp_path: Path, monkeypatch: pytest.Monk
     assert asked[0][asked[0].index("--site-file") + 1] == str(tmp_path / "site.yaml")
     scenario = Path(asked[0][asked[0].index("--scenario") + 1])
     assert "virtual_impedance" in scenario.read_text()
+
+
+@pytest.mark.parametrize(("late_runs", "runs", "agrees"), [(0, 1, False), (1, 2, True), (5, 3, False)])
+def test_a_cell_that_the_machine_held_up_is_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late_runs: int, runs: int, agrees: bool
+) -> None:
+    # A cell that disagrees without a stall is not run again; with stalls it is, until it agrees, at most three times.
+    right, wrong = trajectory_of(cell()), trajectory_of(cell(round_trip_ms=60.0))
+    bus = Bus(None, tmp_path)
+    bus.recording_of(cell()).parent.mkdir()
+    bus.recording_of(cell()).touch()
+    done: list[int] = []
+
+    def run(one: Cell, given: Bus) -> Trajectory:
+        done.append(1)
+        return right if 0 < late_runs < len(done) else wrong
+
+    monkeypatch.setattr(study, "run_on_bus", run)
+    monkeypatch.setattr(study, "lacking_of", lambda one, path: "")
+    monkeypatch.setattr(study, "longest_stall_s", lambda path: 0.052 if len(done) <= late_runs else 0.0)
+    said: list[str] = []
+    (found,) = study.validate_cells([cell()], bus, said.append)
+    assert (found.runs, found.agree, len(done)) == (runs, agrees, runs)
+    assert found.stalled_s == (0.052 if runs == 3 else 0.0)
+    assert sum("held up for 52 ms by the machine" in text for text in said) == runs - 1
+
+
+def test_a_recording_that_lacks_what_crossed_the_link_agrees_with_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lacks(one: Cell, path: Path) -> Trajectory:
+        raise RecordingError("session.mcap: lacks messages of teleop/forward that crossed the link")
+
+    random = cell(loss=0.01)
+    course = trajectory_of(random)
+    monkeypatch.setattr(study, "run_on_bus", lambda one, bus: course)
+    monkeypatch.setattr(study, "lacking_of", lambda one, path: "")
+    monkeypatch.setattr(study, "over_recorded_link", lacks)
+    (found,) = study.validate_cells([random], Bus(None, tmp_path))
+    assert (found.bus, found.agree, found.recorded) == ("no_data", False, False)
+    assert "lacks messages of teleop/forward" in found.reason
 
 
 def test_lockstep_course_has_the_hands_grid() -> None:
