@@ -60,9 +60,10 @@ def lines_figure(lines: Mapping[str, LineLog], scale_log: LineLog | None = None)
     for axis in (course.yaxis, tail.xaxis, memory.xaxis, age.xaxis):
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
-    for axes in (course, tail, memory, lengths, runs, age):
+    # The colours of the course are those of the panel beside it; a legend would lie on its messages.
+    for axes in (tail, memory, lengths, runs, age):
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize="small")
+            axes.legend(fontsize="small", loc="lower left" if axes is tail else "upper right")
         else:
             axes.text(0.5, 0.5, "none", ha="center", transform=axes.transAxes)
     return figure
