@@ -63,17 +63,18 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
     shares, usual_s = np.array([pair.split(":") for pair in way["jitter"]["quantiles"].split(",")], dtype=float).T
     rest = {key: way[key] for key in ("queue", "outage", "gilbert_elliott", "order") if key in way}
     stalls = {key: way[key] for key in ("queue", "outage") if key in way}
-    constant = {"delay_s": float(np.interp(0.5, shares, usual_s))}
-    drawn = {"jitter": {key: value for key, value in way["jitter"].items() if key != "correlation_time_s"}}
+    constant: Way = {"delay_s": float(np.interp(0.5, shares, usual_s))}
+    drawn: Way = {"jitter": {key: value for key, value in way["jitter"].items() if key != "correlation_time_s"}}
     lost = {**constant, "outage": {**way.get("outage", {}), "mode": "drop"}}
-    for name, part in {
+    parts: dict[str, Way] = {
         "constant delay": constant,
         "usual delays, each by itself": drawn,
         "usual delays with memory": {"jitter": way["jitter"], "order": "link"},
         "constant delay, stalls that hold": {**constant, **stalls},
         "constant delay, stalls that lose": lost,
         "all of it": way,
-    }.items():
+    }
+    for name, part in parts.items():
         yield Variant("parts", name, part, part)
 
     whole_s = usual_s + (usual_s - usual_s[0])
