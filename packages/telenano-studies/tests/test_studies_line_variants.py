@@ -9,7 +9,7 @@ from telenano_studies.loops.line_variants import between, variants
 
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
-from services.delay_node.profiles import profile_named
+from telenano.extend.sessions import profile_named
 
 PERIOD_S, TIME_S = 0.2, 0.4
 

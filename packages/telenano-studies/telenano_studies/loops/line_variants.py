@@ -30,9 +30,9 @@ import numpy as np
 from scipy import special
 
 from services.delay_node.config import parse_settings
-from services.delay_node.profiles import profile_named
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import simulate
+from telenano.extend.sessions import profile_named
 from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settle_s, settle_ticks
 from telenano_studies.loops.network import CONTACT_N_PER_M
 

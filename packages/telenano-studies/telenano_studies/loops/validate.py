@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,6 @@ import yaml
 from analysis.holds import lacks_of
 from analysis.report import read_session
 from proto.errors import ConfigError, RecordingError, TelenanoError
-from proto.messages import SessionEvent
 from recording.arrays import columns, last_programme
 from recording.reader import Recording
 from recording.site_clock import Timeline
@@ -210,14 +209,13 @@ def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
 def longest_stall_s(path: Path) -> float:
     """Return for how long a process of a recorded session was held up at the longest while the programme ran [s]."""
     recording = Recording(path)
-    events = [cast(SessionEvent, event.decode()) for event in recording.messages(("session/event",))]
+    events = [event.fields() for event in recording.messages(("session/event",))]
     hand = columns(recording, "haptic/state", ("t_ns", "session_s"))
     running = hand["t_ns"][last_programme(hand["session_s"], hand["t_ns"])]
     # A rig that could not be started has no programme, and all of its time counts.
     start_ns = int(running[0]) if running.size else 0
-    stalls_s = [
-        cast(float, event.data["stalled_s"]) for event in events if "stalled_s" in event.data and event.t_ns >= start_ns
-    ]
+    of_programme = [event["data"] for event in events if event["t_ns"] >= start_ns]
+    stalls_s = [float(data["stalled_s"]) for data in of_programme if "stalled_s" in data]
     return max(stalls_s, default=0.0)
 
 
