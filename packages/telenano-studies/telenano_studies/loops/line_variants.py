@@ -37,7 +37,6 @@ from telenano_studies.loops.cells import Cell, CellResult, judged, rig_of, settl
 from telenano_studies.loops.network import CONTACT_N_PER_M
 
 _TICK_S = 1e-3
-_QUEUE = {"limit_messages": 20_000, "limit_bytes": 4 << 20}
 Way = dict[str, Any]
 
 
@@ -61,8 +60,8 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
         folder: Where the traces go.
     """
     shares, usual_s = np.array([pair.split(":") for pair in way["jitter"]["quantiles"].split(",")], dtype=float).T
-    rest = {key: way[key] for key in ("queue", "outage", "gilbert_elliott", "order") if key in way}
-    stalls = {key: way[key] for key in ("queue", "outage") if key in way}
+    rest: Way = {key: way[key] for key in ("queue", "outage", "gilbert_elliott", "order") if key in way}
+    stalls: Way = {key: way[key] for key in ("queue", "outage") if key in way}
     constant: Way = {"delay_s": float(np.interp(0.5, shares, usual_s))}
     drawn: Way = {"jitter": {key: value for key, value in way["jitter"].items() if key != "correlation_time_s"}}
     lost = {**constant, "outage": {**way.get("outage", {}), "mode": "drop"}}
