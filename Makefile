@@ -80,8 +80,10 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 	$(BIN)/telenano up --scenario fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
-# PACKAGE=lsl runs the tests of packages/telenano-lsl alone.
+# PACKAGE=lsl runs the tests of packages/telenano-lsl alone. A page that is older than its sources is built anew; what
+# needs one is skipped on a machine that cannot build it.
 test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 7 minutes on two cores.
+	-@$(MAKE) --no-print-directory page
 	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
 	mkdir -p out; failed=0; \
 	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
@@ -92,6 +94,7 @@ test: setup ## Run lint, the tests and one rig of real processes; before every c
 
 # deaths, stalls, two machines, containers, browsers, the lines of the documents, and the grids that one law stands for
 check: setup ## Run everything else that ends by itself, before a change is merged; some 15 minutes.
+	-@$(MAKE) --no-print-directory page
 	@failed=0; \
 	$(BIN)/pytest -m "check and not stack" -n 2 --dist loadfile --ignore tests/stack || failed=1; \
 	$(BIN)/pytest -m "check and stack" tests/stack || failed=1; \
@@ -99,6 +102,7 @@ check: setup ## Run everything else that ends by itself, before a change is merg
 
 # what takes minutes each: long faults, many kills, ten minutes of the whole rig
 endurance: setup ## Run the tests that take long, before a release; some hours.
+	-@$(MAKE) --no-print-directory page
 	$(BIN)/pytest -m endurance
 	$(BIN)/python benchmarks/soak.py
 
