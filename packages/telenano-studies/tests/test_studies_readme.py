@@ -1,4 +1,4 @@
-"""The figures of studies that README and docs/studies.md state are those that the studies give."""
+"""The figures of studies that docs/studies.md states are those that the studies give."""
 
 import re
 from pathlib import Path
@@ -13,10 +13,9 @@ from telenano_studies.option_values import Jitter
 
 from services.controller.config import OWN_LAWS as LAWS
 
-# the networks of the README: constant, with a little loss, and bad
+# the networks of the page: constant, with a little loss, and bad
 NETWORKS: tuple[dict[str, Any], ...] = ({}, {"loss": 0.03}, {"loss": 0.2, "jitter": Jitter(0.5, True)})
 ROOT = Path(__file__).resolve().parents[3]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
 STUDIES = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
 NAMES = {
     "virtual impedance": "virtual_impedance",
@@ -27,7 +26,7 @@ NAMES = {
 
 def rows_of(heading: str) -> list[list[str]]:
     """Return the cells of the table whose head begins with a text."""
-    lines = README[README.index(f"| {heading}") :].partition("\n\n")[0].splitlines()
+    lines = STUDIES[STUDIES.index(f"| {heading}") :].partition("\n\n")[0].splitlines()
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
@@ -36,7 +35,7 @@ def law_of(cell: str) -> str:
     return NAMES.get(name, name)
 
 
-def test_the_critical_delays_of_theory_are_those_of_the_readme() -> None:
+def test_the_critical_delays_of_theory_are_those_of_the_page() -> None:
     rows = {law_of(row[0]): row[1] for row in rows_of("critical round trip, ms")}
     for law in ("virtual_impedance", "position_force"):
         stated = [float(text) for text in rows[law].split("/")]
@@ -58,7 +57,7 @@ def test_the_critical_delays_of_theory_are_those_of_the_readme() -> None:
         ("position_force", False, "wall", (50.0, 120.0, 250.0), NETWORKS[:2], 0.99),
     ],
 )
-def test_laws_that_the_readme_recommends_hold_over_its_networks(
+def test_laws_that_the_page_recommends_hold_over_its_networks(
     law: str, clamp: bool, environment: str, delays_ms: tuple[float, ...], networks: Any, least: float
 ) -> None:
     for delay_ms in delays_ms:
@@ -91,7 +90,7 @@ def verdict_on_a_spring(law: str, stiffness_n_per_m: float, delay_ms: float) -> 
 
 
 @pytest.mark.check("compiles a law")
-def test_a_smith_predictor_strikes_the_springs_from_the_delays_of_the_readme_on() -> None:
+def test_a_smith_predictor_strikes_the_springs_from_the_delays_of_the_page_on() -> None:
     stated = re.search(r"from ([\d /]+)", dict((law_of(row[0]), row[2]) for row in rows_of("critical round"))["smith"])
     assert stated is not None
     for stiffness, text in zip((10.0, 20.0, 38.0), stated[1].split("/"), strict=True):
