@@ -177,33 +177,37 @@ def validate_cells(
     agreements = []
     for number, cell in enumerate(cells, start=1):
         report(f"{number}/{len(cells)}: {cell.law} at {cell.round_trip_ms:g} ms on real processes")
-        draws, path = draws_of(cell), bus.recording_of(cell)
-        for run in range(1, TRIES + 1):
-            found, failed = None, None
-            try:
-                found = _compared(cell, draws, bus)
-            except StudyError as error:
-                failed = error
-            stalled_s = longest_stall_s(path) if path.is_file() else 0.0
-            if stalled_s == 0.0 or run == TRIES or (found is not None and found.agree):
-                break
-            report(f"   a process was held up for {1e3 * stalled_s:.0f} ms by the machine: once more")
-        if found is None:
-            raise failed or StudyError(f"{path}: was not compared")
-        agreements.append(replace(found, stalled_s=stalled_s, runs=run))
+        agreements.append(_compared_anew(cell, bus, report))
     return agreements
+
+
+def _compared_anew(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agreement:
+    """Run a cell and compare it, and once more where that fails or disagrees while the machine held a process up."""
+    draws, path = draws_of(cell), bus.recording_of(cell)
+    for run in range(1, TRIES + 1):
+        found: Agreement | StudyError
+        try:
+            found = _compared(cell, draws, bus)
+        except StudyError as error:
+            found = error
+        stalled_s = longest_stall_s(path) if path.is_file() else 0.0
+        if stalled_s == 0.0 or run == TRIES or (isinstance(found, Agreement) and found.agree):
+            break
+        report(f"   a process was held up for {1e3 * stalled_s:.0f} ms by the machine: once more")
+    if isinstance(found, StudyError):
+        raise found
+    return replace(found, stalled_s=stalled_s, runs=run)
 
 
 def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
     """Run a cell on the bus and compare; a recording that lacks messages which crossed the link agrees with nothing."""
     course, path = run_on_bus(cell, bus), bus.recording_of(cell)
-    lacking, recorded = lacking_of(cell, path), None
     try:
         recorded = over_recorded_link(cell, path) if cell.has_random_link else None
     except RecordingError as error:
-        found = compare(cell, draws, course, lacking=lacking or str(error))
+        found = compare(cell, draws, course, lacking=str(error))
         return replace(found, agree=False, bus="no_data", reason=str(error))
-    return compare(cell, draws, course, recorded, lacking=lacking)
+    return compare(cell, draws, course, recorded, lacking=lacking_of(cell, path))
 
 
 def longest_stall_s(path: Path) -> float:
