@@ -83,7 +83,7 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 # PACKAGE=lsl runs the tests of packages/telenano-lsl alone. A page that is older than its sources is built anew; what
 # needs one is skipped on a machine that cannot build it.
 test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 7 minutes on two cores.
-	-@$(MAKE) --no-print-directory page
+	-@$(if $(PACKAGE),,$(MAKE) --no-print-directory page)
 	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
 	mkdir -p out; failed=0; \
 	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
