@@ -1,6 +1,8 @@
 """The file of an experiment: every key with its type, its bounds and a sentence."""
 
+import math
 import re
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, PlainValidator, model_validator
@@ -80,10 +82,49 @@ class Blocks(Settings):
     order: OrderKind = Field(default="shuffle", description="Order of the blocks")
 
 
+class Criterion(Settings):
+    """When a task has been practised enough: the mean of a measure over the last trials, where right counts as 1."""
+
+    measure: str = Field(description="Measure of the task, such as success")
+    last: int = Field(default=4, ge=1, le=1000, description="Over how many of the last practice trials it is the mean")
+    at_least: float | None = Field(default=None, description="The mean is not below this")
+    at_most: float | None = Field(default=None, description="The mean is not above this")
+
+    @model_validator(mode="after")
+    def _one_bound(self) -> Self:
+        if (self.at_least is None) == (self.at_most is None):
+            raise ValueError("give either at_least or at_most")
+        return self
+
+    def is_met(self, values: Sequence[float | bool | str | None]) -> bool:
+        """Return whether the practice trials so far meet it; one without a value does not."""
+        last = [value for value in values[-self.last :] if isinstance(value, bool | int | float)]
+        if len(last) < self.last:
+            return False
+        mean = math.fsum(last) / self.last
+        is_high, is_low = self.at_least is None or mean >= self.at_least, self.at_most is None or mean <= self.at_most
+        return is_high and is_low
+
+
 class Practice(Settings):
     """Trials that do not count, before the first block of each task in a session."""
 
-    trials: int = Field(default=0, ge=0, le=1000, description="How many, of the conditions of that block in turn")
+    trials: int = Field(
+        default=0, ge=0, le=1000, description="How many, of the conditions of that block in turn; with `until` at most"
+    )
+    until: dict[str, Criterion] = Field(default={}, description="Criterion that ends the practice of a task, by task")
+    missed: Literal["go_on", "exclude"] = Field(
+        default="go_on", description="What becomes of a participant who does not meet it in these trials"
+    )
+
+    @model_validator(mode="after")
+    def _can_be_met(self) -> Self:
+        for name, criterion in self.until.items():
+            if criterion.last > self.trials:
+                raise ValueError(
+                    f"until.{name}.last: {criterion.last} trials are more than the {self.trials} of practice"
+                )
+        return self
 
 
 class Breaks(Settings):
@@ -272,6 +313,8 @@ class Experiment(Settings):
         names = [task.name for task in self.tasks]
         if unknown := sorted(set(self.words.tasks) - set(names)):
             raise ValueError(f"words.tasks: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
+        if unknown := sorted(set(self.practice.until) - set(names)):
+            raise ValueError(f"practice.until: {unknown[0]} is no task of this file; {known_names(unknown[0], names)}")
         if self.words.agree == self.words.disagree:
             raise ValueError("words.agree and words.disagree are the same word")
         return self

@@ -9,6 +9,7 @@ The records, each with its kind in `record` and the time in `utc`:
 - `trial`: what came of it: the fields of Trial and TrialOutcome, and the attempt;
 - `interrupted`: an attempt that began and of which a killed run recorded nothing more; it does not count;
 - `asked`: the answers to an instrument such as NASA-TLX (participant, block, trial or -1, instrument, items);
+- `practice`: a practice with a criterion is over (participant, session, block, task, trials, met);
 - `break`: a rest and how long it took [s]; `excluded`, `included`: a participant does not count, or does again;
 - `stopped`: why a run ended before its plan did; `ended`: the plan is done; `published`: where results were copied to;
 - `erased`: the data of a participant are gone; the participant is not asked again.

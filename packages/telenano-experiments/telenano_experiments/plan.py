@@ -352,6 +352,10 @@ def _check_design(plan: Plan) -> None:
         if wanted and wanted not in measures:
             text = f"task {entry.name} has no measure {wanted!r}; {known_names(wanted, measures)}"
             raise ConfigError(f"{plan.path}: factors.{plan.adaptive}.measure, tasks.{number}: {text}")
+        criterion = experiment.practice.until.get(entry.name)
+        if criterion is not None and criterion.measure not in measures:
+            text = f"task {entry.name} has no measure {criterion.measure!r}; {known_names(criterion.measure, measures)}"
+            raise ConfigError(f"{plan.path}: practice.until.{entry.name}.measure: {text}")
 
 
 def _check_condition(plan: Plan, task: str, condition: Condition) -> None:

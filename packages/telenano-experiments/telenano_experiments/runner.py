@@ -69,6 +69,30 @@ def progress_of(records: Iterable[Record], participant: str) -> Progress:
     return Progress(outcomes, frozenset(sessions), erased, excluded)
 
 
+def still_open(plan: Plan, trials: Sequence[Trial], progress: Progress) -> list[Trial]:
+    """Return the trials that are not over: without those of a practice whose criterion is met."""
+    met: dict[int, bool] = {}
+    for trial in trials:
+        if trial.phase == "practice" and trial.block not in met:
+            met[trial.block] = practised_enough(plan, trial, trials, progress)
+    return [trial for trial in trials if not progress.finished(trial) and not met.get(trial.block)]
+
+
+def practised_enough(plan: Plan, trial: Trial, trials: Sequence[Trial], progress: Progress) -> bool:
+    """Return whether the practice that a trial belongs to meets the criterion of its task; False without one."""
+    criterion = plan.experiment.practice.until.get(trial.task)
+    if criterion is None:
+        return False
+    mine = [one.index for one in trials if one.block == trial.block and one.session == trial.session]
+    done = [
+        record["measures"].get(criterion.measure)
+        for index in mine
+        for record in progress.outcomes.get(index, ())
+        if record["status"] == "done"
+    ]
+    return criterion.is_met(done)
+
+
 class Tracks:
     """The tracks of the adaptive method of one participant: one for each combination of the other factors."""
 
@@ -187,6 +211,8 @@ class Runner:
         while True:
             progress = progress_of(self.journal.records, participant)
             trial = self._next(trials, progress)
+            if reason := self._practised(trials, progress, trial):
+                return reason
             if last is not None and (trial is None or trial.block != last.block):
                 self._ask("block", last)
             if trial is None:
@@ -205,6 +231,29 @@ class Runner:
         self.journal.write("session_over", participant=participant, session=session)
         return ""
 
+    def _practised(self, trials: Sequence[Trial], progress: Progress, following: Trial | None) -> str:
+        """Note once how each practice with a criterion ended; return why the session ends, empty where it goes on."""
+        practice = self.plan.experiment.practice
+        noted = {(r["participant"], r["session"], r["block"]) for r in self.journal.of("practice")}
+        for trial in trials:
+            key = (trial.participant, trial.session, trial.block)
+            is_over = following is None or trial.block < following.block
+            if trial.phase != "practice" or trial.task not in practice.until or key in noted or not is_over:
+                continue
+            noted.add(key)
+            met = practised_enough(self.plan, trial, trials, progress)
+            used = sum(progress.finished(one) for one in trials if one.block == trial.block)
+            names = dict(zip(("participant", "session", "block"), key, strict=True))
+            self.journal.write("practice", **names, task=trial.task, trials=used, met=met)
+            ending = "met" if met else "did not meet"
+            self._show(f"{trial.participant} {ending} the criterion of {trial.task} in {used} practice trials")
+            if not met and practice.missed == "exclude":
+                text = f"did not meet the criterion of {trial.task} in {used} practice trials"
+                self.people.change(trial.participant, excluded=text)
+                self.journal.write("excluded", participant=trial.participant, reason=text)
+                return f"{trial.participant} was excluded: {text}"
+        return ""
+
     def _agrees(self, participant: str, trials: Sequence[Trial]) -> bool:
         """Return whether a participant takes part: a simulated one does, a person agrees once, on paper or the page."""
         if self.plan.experiment.operator.kind == "simulated":
@@ -220,7 +269,7 @@ class Runner:
 
     def _next(self, trials: Sequence[Trial], progress: Progress) -> Trial | None:
         """Return the trial to be done next, with the level that an adaptive method chooses; None where all are over."""
-        open_ones = [trial for trial in trials if not progress.finished(trial)]
+        open_ones = still_open(self.plan, trials, progress)
         at_end = self.plan.experiment.disturbed.again == "end_of_block"
         while open_ones:
             block = open_ones[0].block
@@ -239,7 +288,8 @@ class Runner:
     def _attempt(self, trial: Trial, trials: Sequence[Trial], progress: Progress) -> TrialOutcome:
         attempt = len(progress.outcomes.get(trial.index, ()))
         done = sum(progress.finished(one) for one in trials)
-        self.desk.place = Place(done, len(trials))
+        total = done + len(still_open(self.plan, trials, progress))
+        self.desk.place = Place(done, total)
         self._lead(trial)
         self.journal.write("trying", participant=trial.participant, index=trial.index, attempt=attempt)
         tried = trial._replace(seed=attempt_seed(trial.seed, attempt))
@@ -250,7 +300,7 @@ class Runner:
         is_final = outcome.status == "done" or (outcome.status == "disturbed" and enough) or self.desk.action == "skip"
         self.journal.write("trial", **tried._asdict(), attempt=attempt, final=is_final, **outcome._asdict())
         self.desk.over(tried, attempt, outcome)
-        self._show(_line(trial, attempt, done + 1, len(trials), outcome))
+        self._show(_line(trial, attempt, done + 1, total, outcome))
         return outcome
 
     def _lead(self, trial: Trial) -> None:
@@ -318,9 +368,12 @@ def remaining(plan: Plan, records: Sequence[Record]) -> dict[str, int]:
         progress = progress_of(records, participant)
         if progress.erased or progress.excluded:
             continue
+        trials = plan.trials(participant)
+        by_session = ([one for one in trials if one.session == n + 1] for n in range(plan.experiment.sessions))
         count = sum(
-            trial.session not in progress.sessions and not progress.finished(trial)
-            for trial in plan.trials(participant)
+            len(still_open(plan, mine, progress))
+            for mine in by_session
+            if mine and mine[0].session not in progress.sessions
         )
         if count or len(progress.sessions) < plan.experiment.sessions:
             left[participant] = count

@@ -286,3 +286,86 @@ def test_a_simulated_participant_rates_within_the_scales(tmp_path: Path) -> None
     ]
     assert all(1.0 <= row["items"]["ease"] <= 7.0 and row["items"]["side"] in ("a", "b") for row in rows[:6])
     assert len(rows[-1]["items"]) == 6 and all(0.0 <= value <= 100.0 for value in rows[-1]["items"].values())
+
+
+UNTIL: dict[str, Any] = {"tiny": {"measure": "correct", "last": 3, "at_least": 2 / 3}}
+LEARNER: dict[str, Any] = {"participants": 1, "factors": {"law": ["wave", "passivity"]}}
+
+
+class Learner(Bench):
+    """A participant who is right in the practice trials of some indices only; nothing is known of `unknown`."""
+
+    right: tuple[int, ...] = ()
+    unknown: tuple[int, ...] = ()
+
+    def run(self, trial: Any, attempt: int) -> Any:
+        outcome = super().run(trial, attempt)
+        correct = None if trial.index in self.unknown else trial.index in self.right
+        return outcome._replace(measures={**outcome.measures, "correct": correct})
+
+
+@pytest.mark.parametrize(
+    ("right", "unknown", "used"),
+    [((0, 1, 2), (), 3), ((0, 3, 4), (), 5), ((2, 3), (4,), 4), ((0, 2), (1,), 8), ((1, 3), (2,), 8), ((), (), 8)],
+)
+def test_practice_ends_at_its_criterion_or_after_its_trials(
+    tmp_path: Path, right: tuple[int, ...], unknown: tuple[int, ...], used: int
+) -> None:
+    plan = plan_of(tmp_path, practice={"trials": 8, "until": UNTIL}, **LEARNER)
+    bench = Learner(plan)
+    bench.right, bench.unknown = right, unknown
+    assert run(plan, bench) == ""
+    rows = trials_in(tmp_path)
+    assert [row["index"] for row in rows] == [*range(used), 8, 9]
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        (record,) = journal.of("practice")
+        assert (record["trials"], record["met"], record["task"]) == (used, bool(used < 8), "tiny")
+        assert journal.records[-1]["record"] == "ended" and remaining(plan, journal.records) == {}
+
+
+def test_who_misses_the_criterion_is_excluded_where_the_file_says_so_and_can_be_taken_back(tmp_path: Path) -> None:
+    practice = {"trials": 4, "until": UNTIL, "missed": "exclude"}
+    plan = plan_of(tmp_path, practice=practice, **LEARNER)
+    text = "did not meet the criterion of tiny in 4 practice trials"
+    assert run(plan, Learner(plan)) == f"P01 was excluded: {text}"
+    assert [row["phase"] for row in trials_in(tmp_path)] == ["practice"] * 4
+    assert People(tmp_path).known["P01"].excluded == text
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        journal.write("included", participant="P01", reason="")
+    assert run(plan, Learner(plan)) == ""
+    assert [row["phase"] for row in trials_in(tmp_path)] == ["practice"] * 4 + ["main"] * 2
+
+
+@pytest.mark.parametrize("killed_after", [1, 3, 4])
+def test_a_practice_that_was_interrupted_ends_where_it_would_have(tmp_path: Path, killed_after: int) -> None:
+    plan = plan_of(tmp_path, practice={"trials": 8, "until": UNTIL}, **LEARNER)
+
+    class Dying(Learner):
+        def take(self, course: Any) -> Any:
+            if len(self.taken) == killed_after:
+                raise Killed
+            return super().take(course)
+
+    dying, whole = Dying(plan), Learner(plan)
+    dying.right = whole.right = (1, 2)
+    with pytest.raises(Killed):
+        run(plan, dying)
+    assert run(plan, whole) == ""
+    assert [row["index"] for row in trials_in(tmp_path)] == [0, 1, 2, 8, 9]
+
+
+@pytest.mark.parametrize(
+    ("until", "text"),
+    [
+        (
+            {"tiny": {"measure": "corect", "at_least": 1}},
+            "practice.until.tiny.measure: task tiny has no measure 'corect'",
+        ),
+        ({"tiney": {"measure": "correct", "at_least": 1}}, "practice.until: tiney is no task of this file"),
+        ({"tiny": {"measure": "correct"}}, "give either at_least or at_most"),
+        ({"tiny": {"measure": "correct", "last": 9, "at_least": 1}}, "until.tiny.last: 9 trials are more than the 8"),
+    ],
+)
+def test_a_criterion_that_cannot_be_met_is_named(tmp_path: Path, until: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        plan_of(tmp_path, practice={"trials": 8, "until": until})
