@@ -60,7 +60,7 @@ class SessionSeries:
 def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> "Figure":
     """Draw the three panels of Fig. 12: F_m and alpha_f F_s, x_mr and x_m, and F_s against h.
 
-    For paper it is one column wide and has no title, whose words belong into the caption.
+    For paper it is one column wide and has no title, whose words belong in the caption.
     """
     # the numbers of a session are read without what draws them
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -140,8 +140,10 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
             show(f"{name}: {address}")
     else:
         show(f"{what}: {base}")
-        text = "it opens with a token, which no pipe and no log is given: `telenano view --addresses` prints it"
-        show(f"{text}, and for its owner alone it is in the file: {file}")
+        text = (
+            "the address needs a token, which is written to no pipe and no log: `telenano view --addresses` prints it"
+        )
+        show(f"{text}, and only you can read it in the file {file}")
     try:
         yield
     finally:

@@ -11,6 +11,6 @@ COMMANDS = {
     ),
     "device probe": (
         "telenano_acceptance.look_commands:probe",
-        "Ask a handle, an instrument or what a driver drives who it is.",
+        "Identify a handle, an instrument or a driver's device.",
     ),
 }

@@ -62,7 +62,7 @@ def probe(
     settings: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ask a handle (--port), an instrument (--calibration) or what a driver drives (--device) who it is.
+    """Identify a handle (--port), an instrument (--calibration) or a driver's device (--device).
 
     An instrument is retracted; a device gets no force. The driver is that of a device that takes a force, or one of an
     installed package, for either node.
@@ -99,7 +99,7 @@ def monitor(
     duration: Annotated[float, typer.Option("--duration", min=0.1, metavar="S", help="How long to look [s].")] = 2.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Read a device a thousand times a second, undriven, and tell age of its samples, losses and bad frames."""
+    """Read a device at 1 kHz without driving it, and report age of its samples, losses and bad frames."""
     with report_errors(as_json):
         if (device is None) == (calibration is None) or (device is not None and port is not None):
             raise ConfigError(

@@ -292,9 +292,7 @@ def _on_one_grid(found: _Curves, wanted: Wanted, source: dict[str, Any]) -> Impo
     flat = [way for column in found.ways for curve in column for way in curve]
     for place, (z, _) in enumerate(flat):
         if len(z) < _LEAST_POINTS:
-            raise MapError(
-                f"value: way {place} of {len(flat)} has {len(z)} points that are numbers; it needs {_LEAST_POINTS}"
-            )
+            raise MapError(f"value: way {place} of {len(flat)} has {len(z)} valid points; it needs {_LEAST_POINTS}")
         if not z[-1] > z[0]:
             raise MapError(
                 f"z: way {place} of {len(flat)} stays at one height; a curve goes towards the sample or away"

@@ -279,7 +279,7 @@ def _agreement(ratio: float, share: float, known: Thermal) -> str:
         for name, error in (("the sensitivity", known.sensitivity_error_m_per_v), ("the size", known.size_error_m))
         if not error
     ]
-    return said + (f" (without that of {' and of '.join(unknown)}, which is not given)" if unknown else "")
+    return said + (f" (not counting that of {' and of '.join(unknown)}: not given)" if unknown else "")
 
 
 def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:

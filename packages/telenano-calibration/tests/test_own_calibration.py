@@ -78,7 +78,7 @@ def test_both_methods_agree_within_their_errors_and_a_wrong_sensitivity_is_told(
     apart = [abs(math.log(one.sader_over_thermal or 0.0)) / (one.sader_over_thermal_error or 0.0) for one in found]
     # the ratio moves from spectrum to spectrum as its error says
     assert 0.5 < float(np.sqrt(np.mean(np.square(apart)))) < 1.5
-    agree = "they agree within their errors (without that of the sensitivity and of the size, which is not given)"
+    agree = "they agree within their errors (not counting that of the sensitivity and of the size: not given)"
     assert sum(agree in (one.agreement or "") for one in found) >= 5
     wrong = known._replace(sensitivity_m_per_v=1.2 * M_PER_V)
     told = stiffness_of_spectrum(*spectrum(0), wrong)

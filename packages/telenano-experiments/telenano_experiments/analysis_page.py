@@ -86,8 +86,8 @@ def methods_paragraph(analysis: Analysis, about: Mapping[str, Any]) -> str:
     sentences = [
         f"{_many(counts['participants'], 'participant')} completed {_many(counts['trials'], 'trial')} of "
         f"{_listed(list(analysis.measures))}{excluded}.",
-        f"Not analysed are {_many(counts['practice'], 'attempt')} of practice, {counts['disturbed']} that were "
-        f"disturbed by what the settings of the link do not explain, and {counts['aborted']} that were aborted.",
+        f"The analysis leaves out {_many(counts['practice'], 'attempt')} of practice, {counts['disturbed']} disturbed "
+        f"by something that the settings of the link do not explain, and {counts['aborted']} aborted.",
     ]
     apparatus = about.get("apparatus")
     if apparatus:

@@ -142,7 +142,7 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
         for shift in _SHIFTS_NM
     ]
     found = min(fits, key=lambda fit: float(fit.cost))
-    refusal = f"the curve has no contact of reduced modulus {model.modulus_pa:.3g} Pa: give the one of this sample"
+    refusal = f"the reduced modulus {model.modulus_pa:.3g} Pa does not suit this curve: give the one of this sample"
     _refuse_bounds(found.x, refusal)
     if not found.success:
         raise ConfigError(refusal)

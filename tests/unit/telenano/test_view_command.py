@@ -51,8 +51,8 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
         file = runtime / "view-8650.addresses"
         assert shown == [
             "view: http://127.0.0.1:8650/",
-            "it opens with a token, which no pipe and no log is given: `telenano view --addresses` prints it, and for "
-            f"its owner alone it is in the file: {file}",
+            "the address needs a token, which is written to no pipe and no log: `telenano view --addresses` prints it, "
+            f"and only you can read it in the file {file}",
         ]
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
         assert file.read_text().splitlines() == [f"{name}: {address}" for name, address in addresses.items()]

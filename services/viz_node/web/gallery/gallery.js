@@ -1,7 +1,7 @@
 // What a delay does to a law: one slider, four pictures. The page of `telenano view` and the static page use this file.
 
 const WORDS = {
-  nyquist: ["Nyquist curve of the loop", "The loop is stable while −1 lies to the left of the curve, followed to higher frequencies. Delay turns each point clockwise, by its frequency times the delay."],
+  nyquist: ["Nyquist curve of the loop", "Follow the curve to higher frequencies: the loop is stable as long as −1 stays on its left. Delay turns each point clockwise, by its frequency times the delay."],
   roots: ["Roots of the closed loop", "Each root is a motion that grows where it lies right of zero. With more delay roots come from the left and cross."],
   force: ["Force at the tip, scaled to the hand", "The hand presses with 1 N. The course is that of the law's own steps."],
   energy: ["Energy that the two-port holds", "What the hand put in, less what the tip was given. Below zero the law has made energy."],
@@ -146,7 +146,7 @@ export class Gallery {
     const good = cell.verdict === "stable" ? "good" : "bad";
     this.delay.textContent = `${delay} ms`;
     this.slider.setAttribute("aria-valuetext", `${delay} ms round trip`);
-    const bears = !about.linear ? "" : about.critical_ms === null ? " Theory: it bears any constant delay." : ` Theory: it bears ${about.critical_ms.toFixed(1)} ms.`;
+    const bears = !about.linear ? "" : about.critical_ms === null ? " Theory: stable at any constant delay." : ` Theory: stable up to ${about.critical_ms.toFixed(1)} ms.`;
     this.said.replaceChildren(element("b", { class: good }, cell.verdict.replaceAll("_", " ")), `: ${cell.reason}.${bears}`);
     nyquist.clear(about.linear ? WORDS.nyquist[1] : NOT_LINEAR, about.linear);
     roots.clear(about.linear ? WORDS.roots[1] : NOT_LINEAR, about.linear);
