@@ -84,13 +84,10 @@ def practised_enough(plan: Plan, trial: Trial, trials: Sequence[Trial], progress
     if criterion is None:
         return False
     mine = [one.index for one in trials if one.block == trial.block and one.session == trial.session]
-    done = [
-        record["measures"].get(criterion.measure)
-        for index in mine
-        for record in progress.outcomes.get(index, ())
-        if record["status"] == "done"
-    ]
-    return criterion.is_met(done)
+    done = [record for index in mine for record in progress.outcomes.get(index, ()) if record["status"] == "done"]
+    # A disturbed trial is done again at the end of the block, after trials with a higher index.
+    done.sort(key=lambda record: (record["utc"], record["attempt"]))
+    return criterion.is_met([record["measures"].get(criterion.measure) for record in done])
 
 
 class Tracks:
@@ -212,6 +209,8 @@ class Runner:
             progress = progress_of(self.journal.records, participant)
             trial = self._next(trials, progress)
             if reason := self._practised(trials, progress, trial):
+                if last is not None:
+                    self.desk.finish()
                 return reason
             if last is not None and (trial is None or trial.block != last.block):
                 self._ask("block", last)
@@ -243,14 +242,16 @@ class Runner:
             noted.add(key)
             met = practised_enough(self.plan, trial, trials, progress)
             used = sum(progress.finished(one) for one in trials if one.block == trial.block)
-            names = dict(zip(("participant", "session", "block"), key, strict=True))
-            self.journal.write("practice", **names, task=trial.task, trials=used, met=met)
-            ending = "met" if met else "did not meet"
-            self._show(f"{trial.participant} {ending} the criterion of {trial.task} in {used} practice trials")
-            if not met and practice.missed == "exclude":
-                text = f"did not meet the criterion of {trial.task} in {used} practice trials"
+            text = f"{'met' if met else 'did not meet'} the criterion of {trial.task} in {used} practice trials"
+            is_out = not met and practice.missed == "exclude"
+            if is_out:
                 self.people.change(trial.participant, excluded=text)
                 self.journal.write("excluded", participant=trial.participant, reason=text)
+            # It is written last: a run that is killed before it excludes again.
+            names = dict(zip(("participant", "session", "block"), key, strict=True))
+            self.journal.write("practice", **names, task=trial.task, trials=used, met=met)
+            self._show(f"{trial.participant} {text}")
+            if is_out:
                 return f"{trial.participant} was excluded: {text}"
         return ""
 

@@ -92,6 +92,15 @@ def test_a_session_from_consent_to_thanks(tmp_path: Path) -> None:
         assert [len(record["items"]) for record in journal.of("asked")] == [6, 6]
 
 
+def test_who_is_excluded_after_practice_is_thanked_as_well(tmp_path: Path) -> None:
+    bus = Bus()
+    until = {"tiny": {"measure": "correct", "last": 2, "at_least": 1}}
+    reason, _ = session(tmp_path, bus, practice={"trials": 2, "until": until, "missed": "exclude"})
+    assert reason == "P01 was excluded: did not meet the criterion of tiny in 2 practice trials"
+    trial = ["countdown", "trial"]
+    assert [cue["stage"] for cue in bus.cues] == ["consent", "instruction", *trial, *trial, "end"]
+
+
 def test_nothing_that_is_shown_tells_of_the_condition(tmp_path: Path) -> None:
     bus = Bus()
     factors = {"law": ["wave", "passivity"], "delay_ms": [12.5, 77.25]}

@@ -336,6 +336,17 @@ def test_who_misses_the_criterion_is_excluded_where_the_file_says_so_and_can_be_
     assert [row["phase"] for row in trials_in(tmp_path)] == ["practice"] * 4 + ["main"] * 2
 
 
+def test_the_last_practice_trials_are_the_last_in_time_and_not_by_number(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, practice={"trials": 4, "until": UNTIL}, **LEARNER)
+    bench = Learner(plan)
+    # trial 0 is done again after 1, 2 and 3, so the last three are 2, 3 and 0, of which two are right
+    bench.disturbed["P01", 0, 0] = "a stall"
+    bench.right = (0, 3)
+    assert run(plan, bench) == ""
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        assert [record["met"] for record in journal.of("practice")] == [True]
+
+
 @pytest.mark.parametrize("killed_after", [1, 3, 4])
 def test_a_practice_that_was_interrupted_ends_where_it_would_have(tmp_path: Path, killed_after: int) -> None:
     plan = plan_of(tmp_path, practice={"trials": 8, "until": UNTIL}, **LEARNER)
