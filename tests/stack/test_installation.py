@@ -130,6 +130,8 @@ def test_the_packages_of_the_project_add_their_commands_and_formats_to_the_wheel
     assert made[folders.index(ROOT / "packages" / "telenano-lsl")].name in bare
     for one in made:
         installation.add(one)
+    listed = installation.telenano("--version").stdout.split()[1::2]
+    assert listed == sorted(folder.name for folder in folders)
     said = installation.telenano("bridge", "--help").stdout
     assert all(name in said for name in ("foxglove", "lsl", "ros2"))
     # pylsl is not there, and the doctor says so

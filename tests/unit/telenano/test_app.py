@@ -101,8 +101,19 @@ def test_help_lists_first_what_a_new_user_needs() -> None:
     assert "--attach" in more and "--help" in more
 
 
-def test_version() -> None:
-    assert run("--version")[:2] == (0, version("telenano") + "\n")
+def test_version_names_telenano_and_what_extends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, group in (("made-laws", "telenano.laws"), ("made-other", "other.laws")):
+        folder = tmp_path / f"{name.replace('-', '_')}-2.5.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 2.5\n")
+        (folder / "entry_points.txt").write_text(f"[{group}]\nmade = made:thing\n")
+    before = run("--version")[1].splitlines()
+    assert before[0] == version("telenano")
+    monkeypatch.syspath_prepend(tmp_path)
+    code, text, _ = run("--version")
+    after = text.splitlines()
+    assert code == 0 and after[0] == before[0]
+    assert after[1:] == sorted([*before[1:], "made-laws 2.5"])
 
 
 def test_a_missing_site_file_is_named(tmp_path: Path) -> None:
