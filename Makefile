@@ -82,7 +82,7 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=lsl runs the tests of packages/telenano-lsl alone. A page that is older than its sources is built anew; what
 # needs one is skipped on a machine that cannot build it.
-test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 7 minutes on two cores.
+test: setup ## Run lint, the tests and one rig of real processes; before every commit, some 6 minutes on two cores.
 	-@$(if $(PACKAGE),,$(MAKE) --no-print-directory page)
 	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
 	mkdir -p out; failed=0; \
