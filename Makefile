@@ -136,9 +136,9 @@ reliability: setup ## Inject faults into real rigs and renew the table of docs/r
 
 # what editors complete scenario and site files by, the schema of summary.json, and the pages of keys and commands
 schemas: setup ## Write the schemas of scenarios, sites and summary.json, and the pages of their keys and of the commands.
-	$(BIN)/telenano scenario schema --core >presets/schemas/scenario.json
+	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/telenano scenario schema >presets/schemas/scenario.json
 	$(BIN)/telenano scenario schema --site >presets/schemas/site.json
-	$(BIN)/python tests/doubles/scenario_page.py
+	TELENANO_WITHOUT_PACKAGES=1 $(BIN)/python tests/doubles/scenario_page.py
 	$(BIN)/python tests/doubles/command_page.py
 	$(BIN)/python -P -m analysis.summary >presets/schemas/summary.json
 	$(BIN)/python -P -m analysis.summary --markdown >docs/summary.md

@@ -6,17 +6,19 @@ A package names them in its `pyproject.toml`, and is found as soon as pip has in
     my_law = "my_package.law:MY_LAW"
 
 One that cannot be used is no harm to what does not use it: it is missing from the table, and its problem is reported to
-whoever asks for it. An installed package is code that runs as who started the program: one that ends the process or
-never returns when it is imported does so. What is recorded of one is its package, version and a digest of its files.
+whoever asks for it. With `TELENANO_WITHOUT_PACKAGES` set there is none. An installed package is code that runs as who
+started the program: one that ends the process or never returns when it is imported does so. What is recorded of one is
+its package, version and a digest of its files.
 """
 
 import contextlib
 import importlib.util
+import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points, version
+from importlib.metadata import EntryPoint, EntryPoints, entry_points, version
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -69,7 +71,8 @@ def installed(kind: str) -> dict[str, Plugin]:
 @cache
 def _installed() -> dict[str, dict[str, Plugin]]:
     # Both are read once, since their files are dear: the entries of all that is installed, and who each package is.
-    entries, packages, own = entry_points(), dict[int, tuple[str, str, str]](), version("telenano")
+    entries = EntryPoints() if os.environ.get("TELENANO_WITHOUT_PACKAGES") else entry_points()
+    packages, own = dict[int, tuple[str, str, str]](), version("telenano")
     found: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
     for kind, rows in found.items():
         for entry in sorted(entries.select(group=f"telenano.{kind}"), key=lambda entry: (entry.name, entry.value)):

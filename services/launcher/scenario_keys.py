@@ -6,10 +6,8 @@ from typing import Any, NamedTuple
 from presets import scenarios
 from proto.errors import ConfigError, known_names
 from proto.nodes import SERVICES
-from services.controller.config import PACKAGE_LAWS
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.settings.config import merge, read_yaml
-from services.runtime.settings.device_drivers import core_only
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from services.runtime.wiring.main import node_kind
 
@@ -27,11 +25,8 @@ class Key(NamedTuple):
     about: str
 
 
-def scenario_schema(*, core: bool = False) -> dict[str, Any]:
-    """Return the JSON Schema of a scenario file, the sections of all nodes included; core: nothing of a package."""
-    if core:
-        with core_only():
-            return _without_package_laws(scenario_schema())
+def scenario_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a scenario file, the sections of all nodes included."""
     schema = Scenario.model_json_schema()
     definitions: dict[str, Any] = dict(schema.pop("$defs", {}))
     for name in SERVICES:
@@ -43,14 +38,6 @@ def scenario_schema(*, core: bool = False) -> dict[str, Any]:
     return {**schema, **head, "$defs": dict(sorted(definitions.items()))}
 
 
-def _without_package_laws(schema: dict[str, Any]) -> dict[str, Any]:
-    keys, found = schema["properties"]["controller"]["properties"], PACKAGE_LAWS.found
-    keys["law"]["enum"] = [name for name in keys["law"]["enum"] if name not in found]
-    for name, law in found.items():
-        del keys[name], schema["$defs"][f"controller.{law.config.__name__}"]
-    return schema
-
-
 def site_schema() -> dict[str, Any]:
     """Return the JSON Schema of a site file."""
     schema = AddressBook.model_json_schema()
@@ -60,9 +47,9 @@ def site_schema() -> dict[str, Any]:
     return {**schema, "$schema": _DIALECT, "title": "Site file of telenano"}
 
 
-def all_keys(*, core: bool = False) -> list[Key]:
+def all_keys() -> list[Key]:
     """Return every key of a scenario that has a value of its own, in the order of its sections."""
-    schema = scenario_schema(core=core)
+    schema = scenario_schema()
     return list(_keys(schema, "", schema["$defs"]))
 
 

@@ -54,7 +54,6 @@ SiteOption = Annotated[
     typer.Option("--site", help="Site of two at which this is typed: from the slave the nodes there are reached."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout, nothing else.")]
-CoreOption = Annotated[bool, typer.Option("--core", help="As an installation without packages has it.")]
 CountOption = Annotated[
     int | None, typer.Option("--count", min=1, metavar="N", help="End after this number of messages; default: no end.")
 ]

@@ -1,4 +1,4 @@
-"""The page docs/scenarios.md, from the models of the settings: `python tests/doubles/scenario_page.py` rewrites it."""
+"""The page docs/scenarios.md, from the models of the settings: which `make schemas` rewrites."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,7 +23,7 @@ with everything in it. Quantities are in SI units. A line with `*` holds for the
 def page() -> str:
     """Return the keys of the core as Markdown, each described once."""
     sections: dict[str, list[Key]] = {}
-    for key in all_keys(core=True):
+    for key in all_keys():
         sections.setdefault(key.name.partition(".")[0] if "." in key.name else "the experiment", []).append(key)
     parts = [_HEAD]
     for section, keys in sections.items():

@@ -4,9 +4,7 @@ Their names come from the metadata of the packages; a package is imported when a
 """
 
 import json
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -129,19 +127,6 @@ def missing_driver(name: object) -> str:
     return f"the driver {name} is in the package {package}: {how_to_add_package(package)}" if package else ""
 
 
-_core_only: ContextVar[bool] = ContextVar("core_only", default=False)
-
-
-@contextmanager
-def core_only() -> Iterator[None]:
-    """Let the schemas that are made meanwhile be those of an installation without packages."""
-    token = _core_only.set(True)
-    try:
-        yield
-    finally:
-        _core_only.reset(token)
-
-
 @dataclass(frozen=True)
 class _Name:
     """The rule of the key `driver`."""
@@ -158,7 +143,7 @@ class _Name:
         raise PydanticKnownError("literal_error", {"expected": f"{', '.join(known)} or {last}"})
 
     def _known(self) -> tuple[str, ...]:
-        return self.own if _core_only.get() else (*self.own, *self.drivers.all().found)
+        return (*self.own, *self.drivers.all().found)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.no_info_after_validator_function(self._checked, handler(source))
@@ -189,7 +174,7 @@ class _Section:
         return core_schema.with_info_plain_validator_function(self._checked)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        driver = None if _core_only.get() else self.drivers.all().found.get(self.name)
+        driver = self.drivers.all().found.get(self.name)
         if driver is None:
             raise PydanticOmit
         return {"anyOf": [handler(driver.config.__pydantic_core_schema__), {"type": "null"}]}

@@ -12,7 +12,7 @@ from proto.errors import ConfigError
 from recording.whole_files import whole_file
 from services.runtime.settings.config import read_yaml
 from telenano.cli.completion import scenario_names
-from telenano.cli.options import CoreOption, JsonOption, SettingsOption, command_group
+from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
 
 app = command_group()
@@ -93,10 +93,9 @@ def new(
 @app.command()
 def schema(
     site: Annotated[bool, typer.Option("--site", help="The schema of site files instead.")] = False,
-    core: CoreOption = False,
 ) -> None:
     """Print the JSON Schema of scenario files, with the laws, devices and samples that are installed here."""
     with report_errors(as_json=False):
         from services.launcher.scenario_keys import scenario_schema, site_schema
 
-        typer.echo(json.dumps(site_schema() if site else scenario_schema(core=core), indent=2))
+        typer.echo(json.dumps(site_schema() if site else scenario_schema(), indent=2))

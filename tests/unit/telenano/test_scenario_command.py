@@ -30,14 +30,35 @@ def run(*arguments: str) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def core_schema() -> dict[str, Any]:
-    return scenario_schema(core=True)
+@pytest.fixture(scope="module")
+def core() -> dict[str, Any]:
+    """Return what an installation without packages has: the schema of a scenario, its page, and commands of others."""
+    program = """
+import json, scenario_page
+from presets.plugins import all_installed
+from services.launcher.scenario_keys import scenario_schema
+found = {"schema": scenario_schema(), "page": scenario_page.page(), "installed": all_installed()}
+print(json.dumps(found))
+"""
+    folders = [str(Path(scenario_page.__file__).parent), str(SCHEMA_DIRECTORY.parents[1])]
+    environment = {**os.environ, "TELENANO_WITHOUT_PACKAGES": "1", "PYTHONPATH": os.pathsep.join(folders)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120, check=True
+    )
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
 
 
-@pytest.mark.parametrize(("name", "made"), [("scenario", core_schema), ("site", site_schema)])
-def test_the_schema_in_the_repository_is_that_of_the_models(name: str, made: Any) -> None:
-    text = (SCHEMA_DIRECTORY / f"{name}.json").read_text()
-    assert json.loads(text) == json.loads(json.dumps(made())), "renew it: make schemas"
+def test_the_schemas_in_the_repository_are_those_of_the_models(core: dict[str, Any]) -> None:
+    for name, made in (("scenario", core["schema"]), ("site", site_schema())):
+        assert json.loads((SCHEMA_DIRECTORY / f"{name}.json").read_text()) == made, "renew it: make schemas"
+
+
+def test_an_installation_without_packages_has_nothing_of_them(core: dict[str, Any]) -> None:
+    assert core["installed"] == []
+    controller = core["schema"]["properties"]["controller"]["properties"]
+    assert "wave" in controller["law"]["enum"] and "two_layer" not in controller["law"]["enum"]
+    assert "two_layer" not in controller and "two_layer" in scenario_schema()["properties"]["controller"]["properties"]
 
 
 def test_the_schema_has_every_key_that_the_files_of_the_project_have() -> None:
@@ -53,9 +74,9 @@ def test_the_schema_has_every_key_that_the_files_of_the_project_have() -> None:
         assert set(read_yaml(path)) <= set(site_schema()["properties"])
 
 
-def test_the_page_of_all_keys_is_that_of_the_models() -> None:
+def test_the_page_of_all_keys_is_that_of_the_models(core: dict[str, Any]) -> None:
     page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
-    assert page == scenario_page.page(), "renew it: make schemas"
+    assert page == core["page"], "renew it: make schemas"
 
 
 def test_every_reference_of_a_schema_leads_somewhere() -> None:
