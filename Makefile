@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 OUT ?= out/fig12
 # the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in docker-compose.yml
 IMAGES := haptic_node:haptic:telenano-haptic-devices controller:controller delay_node:delay \
-  afm_node:afm:telenano-afm-controllers recorder:recorder \
+  afm_node:afm:telenano-afm-controllers recorder \
   session:launcher,haptic,afm,controller,delay:telenano-afm-controllers viz_node:launcher,view,controller,delay \
   study:studies,dask:telenano-studies,telenano-microscopy
 # A rig with its page needs these extras.

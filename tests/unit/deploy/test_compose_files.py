@@ -46,8 +46,11 @@ def pins(lock: Path) -> dict[tuple[str, str], frozenset[str]]:
 
 def makefile_images() -> dict[str, tuple[list[str], list[str]]]:
     """Give the extras and the packages of each image as `make image-locks` has them."""
-    rows = [[*word.split(":"), ""][:3] for word in makefile_words("IMAGES")]
-    return {image: (extras.split(","), packages.split(",") if packages else []) for image, extras, packages in rows}
+    rows = [[*word.split(":"), "", ""][:3] for word in makefile_words("IMAGES")]
+    return {
+        image: ([*filter(None, extras.split(","))], [*filter(None, packages.split(","))])
+        for image, extras, packages in rows
+    }
 
 
 def compose(path: Path) -> dict[str, Any]:
