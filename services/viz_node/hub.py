@@ -408,7 +408,8 @@ class Hub:
             is_ok, text = False, f"not carried out: {type(error).__name__}: {error}"
         if session.role is Role.PARTICIPANT:
             text = self._picture.said(is_ok=is_ok)
-        session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text}))
+        lease = {"lease": self.desk.facts()} if is_ok and isinstance(request, LeaseRequest) else {}
+        session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text, **lease}))
 
     async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
         """Return the answer to a page that reads in a recording, which every role may."""
@@ -537,8 +538,7 @@ class Hub:
                 wish.check(time.monotonic())
                 issued_ns = round(wish.arrived_s * 1e9)
                 names = request.command, request.target, request.parameters
-                by = session.party.name
-                send = partial(commander.send, *names, wish.is_wanted, issued_ns, by)
+                send = partial(commander.send, *names, wish.is_wanted, issued_ns, session.party.name)
                 return await asyncio.wrap_future(_in_thread(send))
         finally:
             self._wishes.remove(wish)

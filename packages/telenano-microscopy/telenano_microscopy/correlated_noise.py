@@ -3,8 +3,12 @@
 The covariance of two points at the indices i and j is v (1 [i = j] + r exp(-|i - j| / T)): white noise, and one of
 Ornstein and Uhlenbeck. The ratio r and the correlation T are weighted by the restricted likelihood (H. D. Patterson, R.
 Thompson, Biometrika 58 (1971) 545), which counts what the regression itself takes out of the noise. A drift slower than
-the record looks like a wander whose T is as long. A residual alone would be believed to be white, and the errors be too
-small by the square root of how many points hang together.
+the record looks like a wander whose T is as long, and a random walk like one whose T is many records. A residual alone
+would be believed to be white, and the errors be too small by the square root of how many points hang together.
+
+One record hardly tells how strong its slowest wander is. So an error is the mean over what the noise may be, and no
+less than that of the least favourable noise whose likelihood is within exp(2) of the greatest (the support of A. W. F.
+Edwards, Likelihood, 1972, ch. 5).
 
 A wander of this kind remembers its last value only. So each point less what those before it tell of it, over its own
 deviation (the innovations of R. E. Kalman, J. Basic Eng. 82 (1960) 35), is white, and takes one pass over the points.
@@ -19,9 +23,11 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 # Correlation as shares of the record, in points no less than _LEAST_POINTS, and ratio of the variances.
-_SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+_SHARES = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 _LEAST_POINTS = 2.0
-_RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0)
+_RATIOS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+# noise is believed possible whose log likelihood is so much less than the greatest
+_SUPPORT = 2.0
 
 
 class Noise(NamedTuple):
@@ -67,12 +73,16 @@ def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
     weights /= weights.sum()
     mean = np.tensordot(weights, coefficients[:, :, 0], 1)
     apart = coefficients[:, :, 0] - mean
-    spread = variance[:, None, None] * inverse + apart[:, :, None] * apart[:, None, :]
+    each = variance[:, None, None] * inverse
+    covariance = np.tensordot(weights, each + apart[:, :, None] * apart[:, None, :], 1)
     best = int(np.argmax(gains))
+    worst = np.diagonal(each[gains >= gains[best] - _SUPPORT], axis1=1, axis2=2).max(axis=0)
+    # one factor for each coefficient, so that the covariance stays positive definite
+    grown = np.sqrt(np.maximum(worst / np.diagonal(covariance), 1.0)) / size
     deviation = math.sqrt(float(variance[best]))
     return Noise(
         mean / size,
-        np.tensordot(weights, spread, 1) / np.outer(size, size),
+        covariance * np.outer(grown, grown),
         deviation,
         deviation * math.sqrt(float(ratio[best])),
         float(points[best]) if best else 0.0,

@@ -126,10 +126,26 @@ def rig_noise(count: int, seed: int, config: AfmConfig) -> "tuple[np.ndarray, np
     return force_n, base_m - base_m[0]
 
 
-def disturbed(curve: Curve, kind: str, seed: int) -> Curve:
+# Other samples: modulus [Pa] and radius [m] in a curve of 20 nN from so high [m]; the transition parameter is 0.53 to 7.
+OTHERS = {"stiff": (8e9, 10e-9, 20e-9), "soft": (1e9, 10e-9, 20e-9), "blunt": (1e9, 40e-9, 60e-9),
+          "soft and blunt": (2.5e8, 25e-9, 60e-9)}  # fmt: skip
+
+
+def other(sample: str) -> tuple[AfmConfig, Curve]:
+    modulus_pa, radius_m, height_m = OTHERS[sample]
+    config = AfmConfig.model_validate(
+        {
+            "cantilever": {"stiffness_n_per_m": 8.0},
+            "tip_sample": {"sample_modulus_pa": modulus_pa, "tip_radius_m": radius_m},
+        }
+    )
+    return config, force_curve(config, 20e-9, height_m)
+
+
+def disturbed(curve: Curve, kind: str, seed: int, size: float = 1.0) -> Curve:
     half, k = curve.retract, curve.stiffness_n_per_m
     count, moved = len(half.force_n), np.zeros(len(half.force_n))
-    noise, moved = rig_noise(count, seed, SOFT) if kind == "rig" else (noise_of(kind, count, seed), moved)
+    noise, moved = rig_noise(count, seed, SOFT) if kind == "rig" else (size * noise_of(kind, count, seed), moved)
     return replace(
         curve,
         retract=replace(
@@ -138,11 +154,18 @@ def disturbed(curve: Curve, kind: str, seed: int) -> Curve:
     )
 
 
-def covered(curve: Curve, kind: str, seeds: int) -> tuple[float, float]:
-    """Return the shares of the intervals of 95 % that have the radius, and the work of adhesion, in them."""
-    found = [fit_adhesion(disturbed(curve, kind, seed), SOFT) for seed in range(seeds)]
-    radius = sum(abs(one.radius_m - 10e-9) < 1.96 * one.radius_error_m for one in found)
-    work = sum(abs(one.work_of_adhesion_j_per_m2 - 0.072) < 1.96 * one.work_of_adhesion_error_j_per_m2 for one in found)
+def covered(curve: Curve, config: AfmConfig, kind: str, seeds: int, size: float = 1.0) -> tuple[float, float]:
+    """Return the shares of the intervals of 95 % that have the radius, and the work of adhesion, in them.
+
+    The intervals are those of the logarithms, as docs/instrument.md gives them.
+    """
+
+    def holds(value: float, error: float, truth: float) -> bool:
+        return abs(math.log(value / truth)) < 1.96 * error / value
+
+    found = [fit_adhesion(disturbed(curve, kind, seed, size), config) for seed in range(seeds)]
+    radius = sum(holds(one.radius_m, one.radius_error_m, config.tip_sample.tip_radius_m) for one in found)
+    work = sum(holds(one.work_of_adhesion_j_per_m2, one.work_of_adhesion_error_j_per_m2, 0.072) for one in found)
     return radius / seeds, work / seeds
 
 
@@ -150,9 +173,31 @@ def covered(curve: Curve, kind: str, seeds: int) -> tuple[float, float]:
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize("kind", KINDS)
 def test_of_1000_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: str) -> None:
-    shares = covered(curve, kind, 1000)
+    shares = covered(curve, SOFT, kind, 1000)
     # what docs/instrument.md states
     assert all(0.93 <= share <= 0.975 if kind == "white" else share >= 0.9 for share in shares), shares
+
+
+@pytest.mark.endurance
+@pytest.mark.timeout(3000)
+@pytest.mark.parametrize("kind", ["walk", "flicker"])
+@pytest.mark.parametrize("sample", OTHERS)
+def test_the_intervals_cover_on_other_samples(sample: str, kind: str) -> None:
+    config, curve = other(sample)
+    # what docs/instrument.md states
+    shares = covered(curve, config, kind, 200, 1.6)
+    assert min(shares) >= 0.9, shares
+
+
+def missed(kind: str, seeds: int) -> int:
+    """Return in how many seeds a line's interval of 95 % has not its coefficient, which is nothing, in it."""
+    index = np.arange(250.0)
+    columns = np.stack([np.ones(250), index / 250.0, np.sin(index / 50.0)], axis=1)
+    count = 0
+    for seed in range(seeds):
+        found = correlated_noise(1e9 * noise_of(kind, 250, seed), columns, index)
+        count += abs(found.coefficients[2]) > 1.96 * math.sqrt(found.covariance[2, 2])
+    return count
 
 
 @pytest.mark.parametrize(
@@ -160,13 +205,13 @@ def test_of_1000_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: st
 )
 def test_a_line_in_noise_that_may_wander_is_covered(kind: str) -> None:
     """The regression by itself, over 100 seeds: 5 misses are expected, and more than 14 by chance never."""
-    index = np.arange(250.0)
-    columns = np.stack([np.ones(250), index / 250.0, np.sin(index / 50.0)], axis=1)
-    missed = 0
-    for seed in range(100):
-        found = correlated_noise(1e9 * noise_of(kind, 250, seed), columns, index)
-        missed += abs(found.coefficients[2]) > 1.96 * math.sqrt(found.covariance[2, 2])
-    assert missed <= 14
+    assert missed(kind, 100) <= 14
+
+
+@pytest.mark.check("regressions in 300 random walks")
+def test_a_line_in_a_random_walk_is_covered() -> None:
+    """Errors that do not allow for the least favourable of the likely walks miss 42 of these 300."""
+    assert missed("walk", 300) <= 30
 
 
 def test_the_innovations_are_those_of_the_whole_covariance() -> None:

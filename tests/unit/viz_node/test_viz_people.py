@@ -162,8 +162,12 @@ def test_the_hand_goes_from_one_to_the_other_and_what_was_held_is_let_go(
     assert pupil.lease("ask")["text"] == "lease: nobody has the hand"
     asking = teacher.told("")["asking"]
     assert asking == [[pupil.snapshot["me"], PAUL]]
-    assert teacher.lease("take")["text"] == f"lease: {TINA} has the hand"
-    number = teacher.told(TINA)["number"]
+    taken = teacher.lease("take")
+    assert taken["text"] == f"lease: {TINA} has the hand"
+    # a command that is given before any tick has told of the lease
+    number = taken["lease"]["number"]
+    assert teacher.ask(**command(lease=number))["ok"] is True
+    rig.commander.sent.clear()
     assert teacher.lease("hand_over", number, asking[0][0])["text"] == f"lease: {PAUL} has the hand"
     number = pupil.told(PAUL)["number"]
     pupil.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})

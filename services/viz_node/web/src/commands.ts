@@ -70,6 +70,7 @@ export class Commands {
   async ask(about: string, fields: Facts): Promise<boolean> {
     const note = this.pending(about);
     const answer = await this.connection.ask(fields);
+    this.store.takeLease(answer.lease);
     this.settle(note, about, answer.ok, answer.text);
     return answer.ok;
   }

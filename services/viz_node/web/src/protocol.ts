@@ -121,6 +121,8 @@ export interface Answer {
   text: string;
   /** What was asked for, where something was. */
   found?: unknown;
+  /** The lease as it became, where it was asked for. */
+  lease?: LeaseFacts;
 }
 
 export interface Refused {

@@ -50,7 +50,7 @@ function open(url: string): void {
       here();
     }
     if (frame.k === "snapshot") me = frame.me ?? "";
-    if ((frame.k === "snapshot" || frame.k === "tick") && frame.lease) lease = me && frame.lease.holder === me ? frame.lease.number : 0;
+    if ((frame.k === "snapshot" || frame.k === "tick" || frame.k === "answer") && frame.lease) lease = me && frame.lease.holder === me ? frame.lease.number : 0;
     tell({ k: "frame", frame: data }, [data]);
   };
 }

@@ -108,9 +108,14 @@ export class Store {
     for (const [name, data] of Object.entries(tick.streams ?? {})) this.push(name, data);
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
-    if (tick.lease) this.lease = tick.lease;
+    this.takeLease(tick.lease);
     if (tick.age) this.age = tick.age;
     if (tick.origin_ns) this.originNs = tick.origin_ns;
+  }
+
+  /** Take what the lease has become, and not what it was before: a tick may arrive after the answer that is newer. */
+  takeLease(lease: LeaseFacts | undefined): void {
+    if (lease && lease.number >= this.lease.number) this.lease = lease;
   }
 
   /** The number of the lease that this page has taken, 0 for none: one of a single act is over before the page knows of it. */

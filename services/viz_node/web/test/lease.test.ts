@@ -34,6 +34,15 @@ describe("the lease of the hand on the page", () => {
     store.lease = lease(paul);
     expect(store.ownLease).toBe(0);
   });
+  test("the lease that an answer names holds at once, and an older tick that comes after it does not", () => {
+    const store = new Store();
+    store.me = ME;
+    store.takeLease(lease({ number: 8, holder: ME, kept: true }));
+    store.take({ k: "tick", lease: lease({ number: 7, ...paul }) });
+    expect(store.ownLease).toBe(8);
+    store.take({ k: "tick", lease: lease({ number: 9, ...paul }) });
+    expect(store.ownLease).toBe(0);
+  });
   test("a pupil asks, a teacher takes and hands over", () => {
     expect(said(lease(), "pupil")).toEqual(["Nobody has the hand", "Ask"]);
     expect(said(lease(paul), "teacher")).toEqual(["Hand: Paul", "Take"]);
