@@ -536,9 +536,8 @@ class Hub:
         try:
             async with self._turn:
                 wish.check(time.monotonic())
-                issued_ns = round(wish.arrived_s * 1e9)
                 names = request.command, request.target, request.parameters
-                send = partial(commander.send, *names, wish.is_wanted, issued_ns, session.party.name)
+                send = partial(commander.send, *names, wish.is_wanted, round(wish.arrived_s * 1e9), session.party.name)
                 return await asyncio.wrap_future(_in_thread(send))
         finally:
             self._wishes.remove(wish)

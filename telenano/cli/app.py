@@ -47,8 +47,9 @@ def _main() -> None:
         from telenano.cli.root import app
 
         app()
-    except SystemExit:
-        raise
+    except SystemExit as end:
+        # The libraries end a command whose reader, such as `head`, has closed the pipe: it has what it wanted.
+        raise (SystemExit(0) if isinstance(end.__context__, BrokenPipeError) else end) from None
     except BaseException:
         # It is an interruption, whatever a library makes of it.
         if not interrupts.received():

@@ -46,8 +46,7 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         )
         fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
     except BrokenPipeError:
-        # the reader of the pipe, such as `head`, has closed it: nothing more can be printed
-        _discard_output()
+        raise
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
     except KeyboardInterrupt as error:

@@ -115,6 +115,26 @@ def test_output_that_cannot_be_written_is_one_sentence(
     assert done.stderr.count("\n") == 1 + ("estop" in arguments)
 
 
+@pytest.mark.check("a process for each of thirteen commands")
+@pytest.mark.parametrize(
+    "words",
+    ["--help", "--help-all", "up --help", "device list", "device list --json", "law list", "scenario list", "doctor",
+     "scenario schema", "param list", "param get", "bag info SESSION", "bag info SESSION --full", "bag cat SESSION",
+     "experiment check delay_and_law"],
+)  # fmt: skip
+def test_a_reader_that_has_what_it_wanted_ends_a_command_without_a_word(
+    words: str, recording_of: Callable[[str], Path], tmp_path: Path
+) -> None:
+    environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(tmp_path)}
+    arguments = words.replace("SESSION", str(recording_of("fig12_wave"))).split()
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as closed:
+        command = [sys.executable, "-m", "telenano", *arguments]
+        done = subprocess.run(command, env=environment, stdout=closed, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 class FullDisk(io.StringIO):
     """A file of which nothing can be written."""
 
