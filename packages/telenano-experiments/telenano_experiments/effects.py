@@ -168,7 +168,8 @@ def _tested(
 ) -> Effects:
     people = data["participant"].nunique()
     if people < 2 or not factors:
-        why = "one participant" if people < 2 else "no factor with two levels"
+        lack = ("no trial has a value", "one participant has values")
+        why = lack[people] if people < 2 else "no factor has values at two levels"
         return Effects("none", (*remarks, f"{why}: nothing is tested"))
     values = data[measure].to_numpy(float)
     if float(np.ptp(values)) <= 1e-12 * float(np.abs(values).max(initial=0.0)):

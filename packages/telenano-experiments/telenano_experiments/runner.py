@@ -176,7 +176,7 @@ class Runner:
             ConfigError: A participant may not take part.
             RigError: The apparatus cannot go on; everything until then is in the journal.
         """
-        is_person = self.plan.experiment.operator.kind == "person"
+        is_person, ended = self.plan.experiment.operator.kind == "person", ""
         for participant in participants:
             progress = progress_of(self.journal.records, participant)
             if progress.erased or progress.excluded:
@@ -187,15 +187,18 @@ class Runner:
                 mine = [trial for trial in trials if trial.session == session]
                 if session in progress.sessions:
                     continue
-                reason = self._session(participant, session, mine)
+                reason = ended = self._session(participant, session, mine)
                 if reason:
                     self.journal.write("stopped", participant=participant, reason=reason)
+                    # Who missed the criterion of a practice is no reason for the next one not to begin.
+                    if progress_of(self.journal.records, participant).excluded and self.desk.action != "exclude":
+                        break
                     return Stopped(reason)
                 if is_person:
                     break
         if not remaining(self.plan, self.journal.records):
             self.journal.write("ended")
-        return Stopped("")
+        return Stopped(ended)
 
     def _session(self, participant: str, session: int, trials: list[Trial]) -> str:
         """Run a session, and return why it ended before its plan did; empty if it did not."""

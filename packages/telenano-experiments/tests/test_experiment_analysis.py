@@ -190,7 +190,7 @@ def test_the_cells_describe_every_condition() -> None:
 
 def test_one_participant_is_described_and_not_tested() -> None:
     found = of_time(demo(1, participants=1))
-    assert not found.terms and found.remarks == ("one participant: nothing is tested",)
+    assert not found.terms and found.remarks == ("one participant has values: nothing is tested",)
 
 
 def test_a_difference_without_any_scatter_is_said_and_not_tested() -> None:

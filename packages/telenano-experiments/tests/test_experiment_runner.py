@@ -336,6 +336,23 @@ def test_who_misses_the_criterion_is_excluded_where_the_file_says_so_and_can_be_
     assert [row["phase"] for row in trials_in(tmp_path)] == ["practice"] * 4 + ["main"] * 2
 
 
+def test_after_one_who_misses_the_criterion_the_next_begins(tmp_path: Path) -> None:
+    class Mixed(Learner):
+        """Of whom the first participant is never right and the others always are."""
+
+        def run(self, trial: Any, attempt: int) -> Any:
+            self.right = () if trial.participant == "P01" else tuple(range(100))
+            return super().run(trial, attempt)
+
+    practice = {"trials": 4, "until": UNTIL, "missed": "exclude"}
+    plan = plan_of(tmp_path, practice=practice, **{**LEARNER, "participants": 2})
+    assert run(plan, Mixed(plan)) == ""
+    rows = [(row["participant"], row["phase"]) for row in trials_in(tmp_path)]
+    assert rows == [("P01", "practice")] * 4 + [("P02", "practice")] * 3 + [("P02", "main")] * 2
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        assert remaining(plan, journal.records) == {}
+
+
 def test_the_last_practice_trials_are_the_last_in_time_and_not_by_number(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, practice={"trials": 4, "until": UNTIL}, **LEARNER)
     bench = Learner(plan)
