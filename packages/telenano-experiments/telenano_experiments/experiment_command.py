@@ -19,6 +19,7 @@ from telenano_experiments.plans import find_experiment
 
 if TYPE_CHECKING:
     from telenano_experiments.apparatus.base import Apparatus
+    from telenano_experiments.apparatus.marks import Marks
     from telenano_experiments.desk import Desk
     from telenano_experiments.plan import Plan
 
@@ -38,6 +39,13 @@ ParticipantOption = Annotated[
     list[str] | None,
     typer.Option("--participant", metavar="ID", help="Only this participant (repeatable); default: all, in turn."),
 ]
+
+
+MarksOption = Annotated[
+    Path | None,
+    typer.Option("--marks", metavar="PORT", help="Mark both ends of a trial on this serial or parallel port."),
+]
+BaudOption = Annotated[int, typer.Option("--baud", min=50, metavar="N", help="Rate of a serial port of --marks [1/s].")]
 
 
 @app.command()
@@ -99,6 +107,8 @@ def run(
     apparatus: Annotated[
         ApparatusName | None, typer.Option("--apparatus", help="Run on this, in place of what the file says.")
     ] = None,
+    marks: MarksOption = None,
+    baud: BaudOption = 115200,
     as_json: JsonOption = False,
 ) -> None:
     """Run an experiment: all simulated participants, or a session of a person at the page of the rig."""
@@ -108,18 +118,26 @@ def run(
         folder = out or Path("experiments") / plan.experiment.name
         if (folder / "journal.jsonl").exists():
             raise ConfigError(f"{folder}: has an experiment already; `telenano experiment resume {folder}` goes on")
-        _copy(plan, source, folder, apparatus)
-        _run(folder, participant, as_json=as_json)
+        with _marks(marks, baud, apparatus or plan.experiment.apparatus, plan) as port:
+            _copy(plan, source, folder, apparatus)
+            _run(folder, participant, port, as_json=as_json)
 
 
 @app.command()
-def resume(folder: FolderArgument, participant: ParticipantOption = None, as_json: JsonOption = False) -> None:
+def resume(
+    folder: FolderArgument,
+    participant: ParticipantOption = None,
+    marks: MarksOption = None,
+    baud: BaudOption = 115200,
+    as_json: JsonOption = False,
+) -> None:
     """Go on with an experiment after a break or a crash: no trial is lost, and none is done twice."""
     with report_errors(as_json, _INTERRUPTED):
         from telenano_experiments.runner import folder_plan
 
-        folder_plan(folder)
-        _run(folder, participant, as_json=as_json)
+        plan = _load(folder_plan(folder))
+        with _marks(marks, baud, plan.experiment.apparatus, plan) as port:
+            _run(folder, participant, port, as_json=as_json)
 
 
 @app.command()
@@ -270,7 +288,23 @@ def _copy(plan: "Plan", source: Path, folder: Path, apparatus: ApparatusName | N
         part.write_text(text, encoding="utf-8")
 
 
-def _run(folder: Path, participants: list[str] | None, *, as_json: bool) -> None:
+@contextlib.contextmanager
+def _marks(port: Path | None, baud: int, apparatus: ApparatusName, plan: "Plan") -> Iterator["Marks | None"]:
+    """Open the port of the marks before anything starts, and let it go after the block."""
+    if port is None:
+        yield None
+        return
+    from telenano_experiments.apparatus.marks import PRACTICE, Marks
+
+    if apparatus != "live":
+        raise ConfigError(f"--marks {port}: simulated time has nothing to mark; take apparatus live")
+    if (count := len(plan.block_conditions) * len(plan.within_block)) >= PRACTICE:
+        raise ConfigError(f"--marks {port}: {count} conditions are more than the {PRACTICE - 1} numbers of a byte")
+    with contextlib.closing(Marks(port, baud)) as found:
+        yield found
+
+
+def _run(folder: Path, participants: list[str] | None, marks: "Marks | None", *, as_json: bool) -> None:
     """Run what is left of the experiment in a folder, and print how far it is."""
     from telenano_experiments.journal import NAME, Journal
     from telenano_experiments.people import People
@@ -285,7 +319,7 @@ def _run(folder: Path, participants: list[str] | None, *, as_json: bool) -> None
         if journal.torn:
             show(f"note: {journal.path}: the last record was not whole and is dropped: {journal.torn}")
         wanted = _participants(plan, participants, list(remaining(plan, journal.records)))
-        with _apparatus(plan, folder, show) as (apparatus, desk):
+        with _apparatus(plan, folder, show, marks) as (apparatus, desk):
             runner = Runner(plan, journal, People(folder), apparatus, desk, show)
             runner.begin()
             stopped = runner.run(wanted)
@@ -306,7 +340,7 @@ def _participants(plan: "Plan", given: list[str] | None, left: list[str]) -> lis
 
 
 @contextlib.contextmanager
-def _apparatus(plan: "Plan", folder: Path, show: Any) -> Iterator[tuple["Apparatus", "Desk"]]:
+def _apparatus(plan: "Plan", folder: Path, show: Any, marks: "Marks | None") -> Iterator[tuple["Apparatus", "Desk"]]:
     """Yield what the trials run on, and who is told and asked; a rig ends with the block."""
     from telenano_experiments.apparatus.lockstep import Lockstep
     from telenano_experiments.desk import BusDesk, Desk, PersonDesk
@@ -321,5 +355,5 @@ def _apparatus(plan: "Plan", folder: Path, show: Any) -> Iterator[tuple["Apparat
     from telenano_experiments.apparatus.live import Live
 
     desk = PersonDesk(plan) if is_person else BusDesk(plan)
-    with contextlib.closing(Live(plan, folder, desk, show)) as apparatus:
+    with contextlib.closing(Live(plan, folder, desk, show, marks)) as apparatus:
         yield apparatus, desk

@@ -164,6 +164,16 @@ class Plan:
         """The conditions within a block, as the file has them."""
         return self.conditions(self.trial_factors)
 
+    def number(self, trial: Trial) -> int:
+        """Return the number of the condition of a trial, from 1: by blocks as the file has them, then within them.
+
+        What an adaptive method chooses has no part in it.
+        """
+        held = {name: trial.condition[name] for name in self.block_factors}
+        within = {name: trial.condition[name] for name in self.trial_factors}
+        block = self.block_conditions.index((trial.task, held))
+        return 1 + block * len(self.within_block) + self.within_block.index(within)
+
     @property
     def rounds(self) -> int:
         """How often each condition comes in a block, at most so often where a method decides."""

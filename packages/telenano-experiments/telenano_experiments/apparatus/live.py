@@ -30,6 +30,7 @@ from services.runtime.bus.address_book import load_site
 from services.runtime.loop.commands import Command, CommandName
 from services.runtime.wiring.observer import Observer
 from telenano_experiments.apparatus.base import Apparatus, Course, Take
+from telenano_experiments.apparatus.marks import END, Marks, code_of
 from telenano_experiments.apparatus.page_hand import PageHand
 from telenano_experiments.apparatus.rig_process import RigProcess, wait_for_others
 from telenano_experiments.apparatus.wanted import (
@@ -62,6 +63,7 @@ _AFTER_S = 0.3
 _SAME_PLACE_M = 2e-9
 # They are coupled anew so often before the trial is given up.
 _COUPLINGS = 3
+_NO_MARKS: Mapping[int, int | str] = {}
 
 
 class Live(Apparatus):
@@ -72,11 +74,19 @@ class Live(Apparatus):
         folder: The folder of the experiment.
         desk: Tells and asks participant and experimenter.
         show: Called with what a person has to know.
+        marks: The port to which trials are marked; None for none.
     """
 
-    def __init__(self, plan: Plan, folder: Path, desk: Desk, show: Callable[[str], None] = lambda text: None) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        folder: Path,
+        desk: Desk,
+        show: Callable[[str], None] = lambda text: None,
+        marks: Marks | None = None,
+    ) -> None:
         super().__init__(plan, desk)
-        self._folder, self._show = folder.resolve(), show
+        self._folder, self._show, self._marks = folder.resolve(), show, marks
         self._site_file = DEFAULT_SITE_FILE
         self._rig: RigProcess | None = None
         self._kept = ""
@@ -116,12 +126,16 @@ class Live(Apparatus):
         self._split(rig).unlink()
         self._command("mark", RECORDER, {**mark, "state": "begin", "task": trial.task, "phase": trial.phase})
         self.desk.begin(trial, course.attempt, first=course.interval == 0)
+        marked: dict[int, int | str] = {}
         with self._pushing(course):
             self._command("start", HAND)
+            begun_s = time.monotonic()
+            self._mark(code_of(self.plan, trial), marked)
             try:
-                answers = list(self._wait(course.duration_s, time.monotonic()))
+                answers = list(self._wait(course.duration_s, begun_s))
             finally:
                 self._command("stop", HAND)
+                self._mark(END, marked)
         self._watch(_AFTER_S)
         self._command("mark", RECORDER, {**mark, "state": "end"})
         path = self._folder / "recordings" / trial.participant / f"{place}.mcap"
@@ -129,7 +143,15 @@ class Live(Apparatus):
         self._split(rig).replace(path)
         # The hand comes to rest while the trial is judged.
         self._command("set", LINK, _CLEAN)
-        return self._judged(course, path, verified, answers)
+        return self._judged(course, path, verified, answers, marked)
+
+    def _mark(self, code: int, marked: dict[int, int | str]) -> None:
+        """Mark the trial, and note when [ns], or in words why it was not: it is disturbed then."""
+        if self._marks is not None:
+            try:
+                marked[code] = self._marks.send(code)
+            except RigError as error:
+                marked[code] = str(error)
 
     def document(self, trial: Trial, parameters: Any, interval: Mapping[str, Any]) -> dict[str, Any]:
         document, hand = super().document(trial, parameters, interval), self.simulated(trial)
@@ -147,7 +169,14 @@ class Live(Apparatus):
         hand = section_of(course.document, "haptic_node", HapticConfig).lateral
         return self._page.pushing(steers, section_of(course.document, "controller", ControllerConfig), hand)
 
-    def _judged(self, course: Course, path: Path, verified: dict[str, Any], answers: list[Mapping[str, Any]]) -> Take:
+    def _judged(
+        self,
+        course: Course,
+        path: Path,
+        verified: dict[str, Any],
+        answers: list[Mapping[str, Any]],
+        marked: Mapping[int, int | str] = _NO_MARKS,
+    ) -> Take:
         name = str(path.relative_to(self._folder))
         try:
             recorded = RecordedTrial(path)
@@ -155,7 +184,11 @@ class Live(Apparatus):
             return Take(None, f"the recording cannot be read: {error}", name, verified)
         band = section_of(course.document, "controller", ControllerConfig).deadband
         evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
-        found = disturbances(evidence, self.plan.experiment.disturbed.stall_s)
+        found = [what for what in marked.values() if isinstance(what, str)]
+        found += disturbances(evidence, self.plan.experiment.disturbed.stall_s)
+        for code, sent_ns in marked.items():
+            if not isinstance(sent_ns, str):
+                verified[f"mark_{code}_s"] = round(1e-9 * (sent_ns - recorded.start_ns), 6)
         if recorded.duration_s < 0.9 * course.duration_s:
             found.append(f"it lasted {recorded.duration_s:.2f} s instead of {course.duration_s:.2f} s")
         timed = [{**answer, "time_s": 1e-9 * (answer["given_ns"] - recorded.start_ns)} for answer in answers]

@@ -1,0 +1,92 @@
+"""Marks for what records beside the rig, such as an amplifier for EEG: a byte on a port at both ends of a trial.
+
+A byte is the number of the trial's condition, PRACTICE or END, and a pulse: PULSE_S later the byte 0 follows. A serial
+port gets bytes, as boxes for triggers take them; a parallel port (`/dev/parport0` of Linux) has the byte on its eight
+data lines; a file or a pipe gets the bytes, to try it out.
+"""
+
+import fcntl
+import os
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from proto.errors import ConfigError, RigError
+from proto.extras import how_to_install
+from services.runtime.clock import SystemClock
+from telenano_experiments.plan import Plan
+from telenano_experiments.types import Trial
+
+PRACTICE, END, PULSE_S = 254, 255, 0.01
+# The major number of Linux's parallel ports, and its requests: nobody else, claim, and write the data lines.
+_PARALLEL, _EXCLUSIVE, _CLAIM, _DATA = 99, 0x708F, 0x708B, 0x40017086
+
+Write = Callable[[int], object]
+
+
+def code_of(plan: Plan, trial: Trial) -> int:
+    """Return the byte of a trial: PRACTICE, or the number of its condition, from 1, as `experiment check` counts."""
+    return PRACTICE if trial.phase == "practice" else plan.number(trial)
+
+
+class Marks:
+    """A port to which marks are written.
+
+    Args:
+        port: Its path.
+        baud: The rate of a serial port [1/s].
+
+    Raises:
+        ConfigError: It cannot be opened; the message says why.
+    """
+
+    def __init__(self, port: Path, baud: int) -> None:
+        self._port, self._clock = port, SystemClock()
+        try:
+            self._write, self.close = _opened(port, baud)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--marks {port}: cannot be opened: {_reason(error)}") from error
+
+    def send(self, code: int) -> int:
+        """Write a byte, and 0 after PULSE_S; return when it was written, on the clock of recordings [ns].
+
+        Raises:
+            RigError: It could not be written; the message says where and why.
+        """
+        try:
+            self._write(code)
+            now_ns = self._clock.now_ns()
+            time.sleep(PULSE_S)
+            self._write(0)
+        except OSError as error:
+            raise RigError(f"the mark {code} was not written to {self._port}: {_reason(error)}") from error
+        return now_ns
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+def _opened(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
+    """Return what writes a byte to a port without waiting for who reads it, and what lets the port go."""
+    descriptor = os.open(port, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK | os.O_NOCTTY)
+    found = os.fstat(descriptor)
+    if os.isatty(descriptor):
+        os.close(descriptor)
+        return _serial(port, baud)
+    write: Write = lambda code: os.write(descriptor, bytes([code]))  # noqa: E731
+    if stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) == _PARALLEL:
+        fcntl.ioctl(descriptor, _EXCLUSIVE)
+        fcntl.ioctl(descriptor, _CLAIM)
+        write = lambda code: fcntl.ioctl(descriptor, _DATA, bytes([code]))  # noqa: E731
+    return write, lambda: os.close(descriptor)
+
+
+def _serial(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
+    try:
+        import serial
+    except ImportError as error:
+        raise ConfigError(f"--marks {port}: a serial port needs pyserial: {how_to_install('haptic')}") from error
+    line = serial.Serial(str(port), baud, timeout=0, write_timeout=0.1, exclusive=True)
+    return lambda code: line.write(bytes([code])), line.close
