@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import yaml
 from pydantic import Field
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, find_scenario, site_file_named
+from presets import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, TWO_SITES_FILE, find_scenario, site_file_named
 from proto.errors import ConfigError, RigError, known_names
 from proto.nodes import (
     FAR_RECORDER,
@@ -360,7 +360,7 @@ def _anchored_value(key: str, value: Any, folder: Path) -> Any:
     if not isinstance(value, str) or not (key == "file" or key.endswith("_file")):
         return value
     beside, here = folder / value, Path(value).absolute()
-    return str(here if here.exists() and not beside.exists() else beside)
+    return str(here if (here.exists() or folder == SCENARIO_DIRECTORY) and not beside.exists() else beside)
 
 
 def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
