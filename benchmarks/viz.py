@@ -95,7 +95,7 @@ def address_of(view: "subprocess.Popen[str]") -> str:
     """Return the operator's address, which is not written to a pipe but to the file that the output names."""
     assert view.stdout is not None
     lines = [view.stdout.readline() for _ in range(2)]
-    addresses = Path(lines[1].rpartition(": ")[2].strip()).read_text()
+    addresses = Path(lines[1].split()[-1]).read_text()
     return next(line.split()[1] for line in addresses.splitlines() if line.startswith("operator"))
 
 

@@ -80,7 +80,7 @@ class View:
         assert self._process.stdout is not None
         # the addresses end with tokens, which are not written to a pipe
         lines = [self._process.stdout.readline() for _ in range(2)]
-        file = Path(lines[1].rpartition(": ")[2].strip())
+        file = Path(lines[1].split()[-1])
         self.operator, self.observer, self.participant = (line.split()[1] for line in file.read_text().splitlines())
 
     @property

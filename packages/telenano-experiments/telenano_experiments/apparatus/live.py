@@ -22,7 +22,7 @@ from recording.reader import Recording
 from services.console.command_client import send_control
 from services.console.coupling import couple_anew
 from services.console.lease import EXPERIMENT
-from services.console.lease_register import holding
+from services.console.lease_register import Hold, holding
 from services.controller.config import ControllerConfig
 from services.delay_node.config import LinkSettings, changed, network_name
 from services.haptic_node.config import HapticConfig
@@ -97,6 +97,8 @@ class Live(Apparatus):
         # A simulated hand that steers the tip pushes at the place of a page.
         self._page: PageHand | None = None
         self._hold = ExitStack()
+        self._lease: Hold | None = None
+        self._was_lost = False
         self._observer: Observer | None = None
         # the newest report by topic and source, and when it came
         self._newest: dict[tuple[str, str], tuple[float, Message]] = {}
@@ -104,6 +106,7 @@ class Live(Apparatus):
 
     def close(self) -> None:
         self._hold.close()
+        self._lease = None
         if self._observer is not None:
             self._observer.close()
             self._observer = None
@@ -117,7 +120,7 @@ class Live(Apparatus):
 
     def take(self, course: Course) -> Take:
         trial = course.trial
-        wanted = wanted_of(course.document, trial.seed)
+        wanted, self._was_lost = wanted_of(course.document, trial.seed), False
         rig = self._rig_in(trial, course.document, wanted)
         verified = self._verified(wanted)
         place = f"t{trial.index:04d}-{course.attempt}" + (f"-{course.interval}" if course.intervals > 1 else "")
@@ -185,6 +188,7 @@ class Live(Apparatus):
         band = section_of(course.document, "controller", ControllerConfig).deadband
         evidence = recorded.evidence(course.duration_s, band.keep_alive_s if band.enabled else 0.0)
         found = [what for what in marked.values() if isinstance(what, str)]
+        found += ["the experiment stood still for a second and lost the hand"] if self._was_lost else []
         found += disturbances(evidence, self.plan.experiment.disturbed.stall_s)
         for code, sent_ns in marked.items():
             if not isinstance(sent_ns, str):
@@ -226,7 +230,7 @@ class Live(Apparatus):
         is_person = self.plan.experiment.operator.kind == "person"
         self._show(f"starting the rig of {trial.participant}")
         # Participants press, and nobody else commands, while the experiment has the hand.
-        self._hold.enter_context(holding(EXPERIMENT))
+        self._lease = self._hold.enter_context(holding(EXPERIMENT))
         self._rig = RigProcess(folder, started, () if is_person else ("--headless",), self._show)
         self._kept, self._newest = kept, {}
         self._set = wanted_of(started, trial.seed)._replace(operator="", link={})
@@ -480,6 +484,7 @@ class Live(Apparatus):
 
     def _command(self, name: CommandName, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
         """Send a command; RigError where a node refuses it. What was reported before counts no more."""
+        self._keep_hand()
         answers = send_control(
             Command(name, target, parameters=parameters or {}), self._site_file, "master", lambda event: None
         )
@@ -487,6 +492,18 @@ class Live(Apparatus):
         if refused:
             raise RigError(f"{name} {target}: {'; '.join(refused)}")
         self._newest = {}
+
+    def _keep_hand(self) -> None:
+        """Take the hand again where a machine that was held up has lost it, which disturbs the trial.
+
+        Raises:
+            RefusedError: Another has it now; the sentence names whose.
+        """
+        if self._lease is None or self._lease.is_held():
+            return
+        self._hold.close()
+        self._lease, self._was_lost = self._hold.enter_context(holding(EXPERIMENT)), True
+        self._show("the experiment stood still for a second and lost the hand: it has taken it again")
 
     def _split(self, rig: RigProcess) -> Path:
         """Have the recorder begin a new file; return the one that it has finished."""
