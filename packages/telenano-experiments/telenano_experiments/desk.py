@@ -191,8 +191,8 @@ class PersonDesk(BusDesk):
         self._wait("pause", self.words.pause, "", answered=False)
 
     def finish(self) -> None:
-        words, place = self.words, self.place
-        self._bus().cue("end", words.end, words.end_text, done=place.done, total=place.total, labels=words.labels)
+        # Without a place: a bar that is not full would say that something is left.
+        self._bus().cue("end", self.words.end, self.words.end_text, labels=self.words.labels)
 
     def during(self, elapsed_s: float) -> Sequence[Mapping[str, Any]]:
         found = super().during(elapsed_s)

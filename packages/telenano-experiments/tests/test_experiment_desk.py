@@ -99,6 +99,8 @@ def test_who_is_excluded_after_practice_is_thanked_as_well(tmp_path: Path) -> No
     assert reason == "P01 was excluded: did not meet the criterion of tiny in 2 practice trials"
     trial = ["countdown", "trial"]
     assert [cue["stage"] for cue in bus.cues] == ["consent", "instruction", *trial, *trial, "end"]
+    # a bar that is not full would say that something is left
+    assert not bus.cues[-1].get("total")
 
 
 def test_nothing_that_is_shown_tells_of_the_condition(tmp_path: Path) -> None:
