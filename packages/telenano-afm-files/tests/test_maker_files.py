@@ -3,6 +3,7 @@
 import json
 import os
 import stat
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +199,18 @@ def test_a_force_curve_of_bruker_is_read_by_what_is_in_the_file(tmp_path: Path) 
     (tmp_path / "other.spm").write_text("no curve")
     with pytest.raises(ConfigError, match=r"of no format of force curves that is known here; these are \.csv"):
         read_measured(tmp_path / "other.spm")
+
+
+def test_what_has_the_ending_and_no_curves_is_refused_with_a_way_out_and_not_in_the_words_of_a_library(
+    tmp_path: Path,
+) -> None:
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("table.csv", "1,2\n")
+    for path in (tmp_path / "other.zip", write_nsid(tmp_path / "image.h5")):
+        for read in (read_measured, lambda path: import_map(path, Wanted({}))):
+            with pytest.raises(ConfigError, match=r"holds no force curves .*docs/fit\.md \(My file\)") as caught:
+                read(path)
+            assert "Could not" not in str(caught.value)
 
 
 def test_images_of_jpk_and_nsid_in_hdf5_have_their_size_and_unit(tmp_path: Path) -> None:
