@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plugins import recorded_plugins
+from analysis.plugins import differences, recorded_plugins
 from proto.nodes import LINK
 from recording.arrays import columns
 from recording.messages import readable
@@ -42,9 +42,12 @@ def conditions(
         other packages brought to it; versions.
 
     Raises:
-        ConfigError: A section of the scenario cannot be read; the message names it.
+        ConfigError: A section of the scenario cannot be read, or needs a package; the message names it.
     """
     origin = f"{recording.path}: scenario.yaml"
+    plugins = recorded_plugins(recording, scenario.model_dump())
+    # a law that is not here is named with its package
+    differences({key: facts for key, facts in plugins.items() if key.startswith("laws.")})
     controller = validate(ControllerConfig, scenario.controller_in_force, origin, "controller")
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
     laws, loop_ms = _law_status(recording, start_ns, end_ns)
@@ -59,7 +62,7 @@ def conditions(
         "loop_round_trip_ms": loop_ms,
         "link_profile": network_name(link),
         "link_seed": link.seed,
-        "plugins": recorded_plugins(recording, scenario.model_dump()),
+        "plugins": plugins,
         "version": versions.get("package telenano", "unknown"),
         "commit": versions.get("commit", "unknown"),
     }

@@ -33,9 +33,8 @@ def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
         row = installed(kind).get(name)
         what = f"{kind.removesuffix('s')} {name} of {facts['package']}"
         if row is None:
-            package = facts["package"]
-            own = package in KNOWN_PACKAGES.values()
-            how = how_to_add_package(package) if own else f"pip install {package}=={facts['version']}"
+            name, own = facts["package"], facts["package"] in KNOWN_PACKAGES.values()
+            how = how_to_add_package(name) if own else f"pip install {name}=={facts['version']}"
             raise ConfigError(f"the session used the {what} {facts['version']}, which is not installed here: {how}")
         if row.digest != facts["digest"]:
             texts.append(f"the {what} was {facts['version']} with other files, and is {row.version} here")

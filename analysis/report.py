@@ -629,11 +629,9 @@ def _within(series: dict[str, Series], start_ns: int, end_ns: int) -> dict[str, 
 
 def scenario_in(recording: RecordingSource) -> Scenario:
     """Return the scenario that is attached to a recording; RecordingError where there is none."""
-    try:
-        content = recording.attachments["scenario.yaml"]
-    except KeyError as error:
-        raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown") from error
     origin = f"{recording.path}: scenario.yaml"
+    if (content := recording.attachments.get("scenario.yaml")) is None:
+        raise RecordingError(f"{recording.path}: has no scenario attached, so its scales are unknown")
     return validate(Scenario, parse_yaml(content, origin), origin)
 
 

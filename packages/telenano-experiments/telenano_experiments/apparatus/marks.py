@@ -14,7 +14,6 @@ from pathlib import Path
 
 from proto.errors import ConfigError, RigError
 from proto.extras import how_to_install
-from services.runtime.clock import SystemClock
 from telenano_experiments.plan import Plan
 from telenano_experiments.types import Trial
 
@@ -42,21 +41,21 @@ class Marks:
     """
 
     def __init__(self, port: Path, baud: int) -> None:
-        self._port, self._clock = port, SystemClock()
+        self._port = port
         try:
             self._write, self.close = _opened(port, baud)
         except (OSError, ValueError) as error:
             raise ConfigError(f"--marks {port}: cannot be opened: {_reason(error)}") from error
 
     def send(self, code: int) -> int:
-        """Write a byte, and 0 after PULSE_S; return when it was written, on the clock of recordings [ns].
+        """Write a byte, and 0 after PULSE_S; return when it was written, since the epoch [ns].
 
         Raises:
             RigError: It could not be written; the message says where and why.
         """
         try:
             self._write(code)
-            now_ns = self._clock.now_ns()
+            now_ns = time.time_ns()
             time.sleep(PULSE_S)
             self._write(0)
         except OSError as error:
