@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from proto.errors import ConfigError, RigError
-from proto.extras import how_to_install
 from telenano_experiments.plan import Plan
 from telenano_experiments.types import Trial
 
@@ -86,6 +85,6 @@ def _serial(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
     try:
         import serial
     except ImportError as error:
-        raise ConfigError(f"--marks {port}: a serial port needs pyserial: {how_to_install('haptic')}") from error
+        raise ConfigError(f"--marks {port}: a serial port needs pyserial: pip install pyserial") from error
     line = serial.Serial(str(port), baud, timeout=0, write_timeout=0.1, exclusive=True)
     return lambda code: line.write(bytes([code])), line.close
