@@ -51,10 +51,9 @@ def info(
     full: Annotated[bool, typer.Option("--full", help="Read every message, also of a long recording.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show what a recording contains; of a long one that was closed, by its index, which names no people."""
+    """Show what a recording contains; of a long one that was closed, by its index."""
     with report_errors(as_json):
-        by_index = _by_index(file, full=full)
-        found = _read(file) if by_index is None else by_index.model_dump(mode="json")
+        found = _read(file, _by_index(file, full=full))
     if not as_json:
         # A table of all columns is wider and longer than a screen.
         found["channels"] = [{key: row[key] for key in _CHANNEL_COLUMNS} for row in found["channels"]]
@@ -74,12 +73,13 @@ def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
     return quick_info(file) if is_long and not full else None
 
 
-def _read(file: Path) -> dict[str, Any]:
+def _read(file: Path, by_index: "RecordingInfo | None") -> dict[str, Any]:
+    from recording.indexed import open_indexed
     from recording.people import people_in
     from recording.reader import Recording
 
-    recording = Recording(file)
-    return {**recording.info().model_dump(mode="json"), "people": people_in(recording)}
+    recording = Recording(file) if by_index is None else open_indexed([file])
+    return {**(by_index or recording.info()).model_dump(mode="json"), "people": people_in(recording)}
 
 
 @app.command("list")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from typer.testing import CliRunner
 
 from proto import encode
@@ -13,6 +14,7 @@ from recording.people import people_in
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.loop.commands import CommandHandler
+from telenano.cli.commands import bag
 from telenano.cli.commands.bag import app
 
 T_NS = 10**18
@@ -31,7 +33,9 @@ def event(seq: int, text: str, answer_to: str = "", **data: Any) -> SessionEvent
     return SessionEvent.model_validate({**header, "id": answer_to, "level": "info", "text": text, "data": data})
 
 
-def test_a_recording_says_who_gave_each_command_and_who_had_the_hand(tmp_path: Path) -> None:
+def test_a_recording_says_who_gave_each_command_and_who_had_the_hand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     messages: list[Message] = [
         # a command is sent again until it is answered, and the answer repeats the name
         control(0, "arm", "Paul"),
@@ -55,6 +59,9 @@ def test_a_recording_says_who_gave_each_command_and_who_had_the_hand(tmp_path: P
     run = CliRunner().invoke
     assert json.loads(run(app, ["info", str(writer.path), "--json"]).output)["people"] == wanted
     assert "Ms Tina Ås" in run(app, ["info", str(writer.path)]).output
+    # a long one, which is read by its index
+    monkeypatch.setattr(bag, "_LONG_BYTES", 0)
+    assert json.loads(run(app, ["info", str(writer.path), "--json"]).output)["people"] == wanted
 
 
 def test_a_node_repeats_in_its_answer_who_gave_the_command() -> None:
