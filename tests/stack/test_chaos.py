@@ -53,7 +53,13 @@ def recover(rig: Rig, kill: Kill) -> None:
 
 
 def coupled(rig: Rig) -> bool:
-    """Return whether both devices are in their modes for the last second that is recorded, so that a kill ends them."""
+    """Return whether both devices are in their modes for the last second that is recorded, so that a kill ends them.
+
+    A tip that was armed while it held, and withdrew as its hold ended, is armed again as an operator would.
+    """
+    newest = rig.recording().messages("afm/state", time.time_ns() - SOON_NS)
+    if newest and newest[-1].decode().mode == "retracted":
+        rig.telenano("session", "arm", "--target", "afm_node")
     for topic, mode in (("haptic/state", "position"), ("afm/state", "follow")):
         found = rig.recording().messages(topic, time.time_ns() - 3 * SOON_NS)
         if not found or found[-1].publish_ns - found[0].publish_ns < SOON_NS:
