@@ -140,9 +140,7 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
             show(f"{name}: {address}")
     else:
         show(f"{what}: {base}")
-        text = (
-            "the address needs a token, which is written to no pipe and no log: `telenano view --addresses` prints it"
-        )
+        text = "the address needs a token, written to no pipe and no log: `telenano view --addresses` prints it"
         show(f"{text}, and only you can read it in the file {file}")
     try:
         yield

@@ -74,6 +74,8 @@ def _by_index(file: Path, *, full: bool) -> "RecordingInfo | None":
 
 
 def _read(file: Path, by_index: "RecordingInfo | None") -> dict[str, Any]:
+    if by_index is not None and not any(row.topic.startswith("session/") for row in by_index.channels):
+        return {**by_index.model_dump(mode="json"), "people": {}}
     from recording.indexed import open_indexed
     from recording.people import people_in
     from recording.reader import Recording

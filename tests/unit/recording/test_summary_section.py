@@ -137,7 +137,7 @@ def test_a_summary_of_any_length_unpacks_the_chunks_at_both_ends_alone(
         assert len(unpacked) == 2
 
 
-def test_the_command_of_a_long_recording_does_not_import_what_only_messages_need(tmp_path: Path) -> None:
+def test_a_long_recording_in_which_nobody_acted_is_shown_without_what_only_messages_need(tmp_path: Path) -> None:
     path = written(tmp_path, list(range(450)))
     code = f"""
 import atexit, sys

@@ -51,7 +51,7 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
         file = runtime / "view-8650.addresses"
         assert shown == [
             "view: http://127.0.0.1:8650/",
-            "the address needs a token, which is written to no pipe and no log: `telenano view --addresses` prints it, "
+            "the address needs a token, written to no pipe and no log: `telenano view --addresses` prints it, "
             f"and only you can read it in the file {file}",
         ]
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
