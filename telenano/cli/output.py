@@ -46,7 +46,7 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         )
         fail(str(error), interrupts.exit_code() if interrupts.received() else code, as_json=as_json)
     except BrokenPipeError:
-        raise
+        raise  # its reader has what it wanted, which `telenano.cli.app` says by the code 0
     except OSError as error:
         fail(system_error_text(error), as_json=as_json)
     except KeyboardInterrupt as error:

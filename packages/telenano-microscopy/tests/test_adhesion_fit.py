@@ -219,6 +219,21 @@ def test_a_line_in_a_random_walk_is_covered() -> None:
     assert missed("walk", 300) <= 30
 
 
+def test_an_interval_is_not_much_wider_than_with_the_walk_known() -> None:
+    """The regression by itself, in a walk whose size and kind are told to the other."""
+    index = np.arange(250.0)
+    columns = np.stack([np.ones(250), index / 250.0, np.sin(index / 50.0)], axis=1)
+    # white noise of one and a walk of the same size: its mean square about its mean is a sixth of what it goes
+    known = np.eye(250) + 6.0 / 250.0 * np.minimum(index[:, None], index[None, :])
+    least = np.sqrt(np.diag(np.linalg.inv(columns.T @ np.linalg.solve(known, columns))))[2]
+    widths = []
+    for seed in range(50):
+        random = np.random.default_rng(seed)
+        values = random.standard_normal(250) + np.cumsum(random.normal(0.0, math.sqrt(6.0 / 250.0), 250))
+        widths.append(math.sqrt(correlated_noise(values, columns, index).covariance[2, 2]))
+    assert 1.0 < np.median(widths) / least < 2.0
+
+
 def test_the_innovations_are_those_of_the_whole_covariance() -> None:
     random = np.random.default_rng(1)
     index, values = np.cumsum(random.integers(1, 5, 40)).astype(float), random.standard_normal((40, 3))

@@ -29,8 +29,8 @@ UNEVEN: list[dict[str, Any]] = [
 # feels the surface, for a longer time where the line is longer, and bounded_model has a store that it may spend.
 LEAST_J, LEAST_WHILE_LEARNING_J = -1e-6, {60.0: -2e-4, 200.0: -4e-4}
 MOST_N = 1.5
-# behind the clamp: the hand's force, F_0 and the ripple of the devices
-MOST_CLAMPED_N = 1.15
+# behind the clamp: the hand's force and F_0; what the law makes of the line is its own
+MOST_CLAMPED_N, LEAST_CLAMPED_J = 1.105, -2e-4
 
 
 def at_share(
@@ -81,4 +81,5 @@ def test_behind_the_clamp_nine_tenths_of_its_limit_are_pressed_no_harder_than_th
     short = [line for line in LOSSY if line["round_trip_ms"] < 200.0]
     lines = [(line, seed) for line in short for seed in SEEDS] + [(line, 0) for line in UNEVEN]
     results = [at_share(law, 0.9, line, seed, settings=(("clamp.enabled", True),)) for line, seed in lines]
-    assert [result for result in results if result.peak_n is None or result.peak_n > MOST_CLAMPED_N] == []
+    assert [each for each in results if each.peak_n is None or each.peak_n > MOST_CLAMPED_N] == []
+    assert [each for each in results if each.lowest_energy_j < LEAST_CLAMPED_J] == []

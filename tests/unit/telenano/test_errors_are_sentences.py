@@ -115,7 +115,7 @@ def test_output_that_cannot_be_written_is_one_sentence(
     assert done.stderr.count("\n") == 1 + ("estop" in arguments)
 
 
-@pytest.mark.check("a process for each of thirteen commands")
+@pytest.mark.check("a process for each of fifteen commands")
 @pytest.mark.parametrize(
     "words",
     ["--help", "--help-all", "up --help", "device list", "device list --json", "law list", "scenario list", "doctor",
