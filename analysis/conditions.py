@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from analysis.plugins import differences, recorded_plugins
+from analysis.plugins import recorded_plugins, require_installed
 from proto.nodes import LINK
 from recording.arrays import columns
 from recording.messages import readable
@@ -46,8 +46,7 @@ def conditions(
     """
     origin = f"{recording.path}: scenario.yaml"
     plugins = recorded_plugins(recording, scenario.model_dump())
-    # a law that is not here is named with its package
-    differences({key: facts for key, facts in plugins.items() if key.startswith("laws.")})
+    require_installed({key: facts for key, facts in plugins.items() if key.startswith("laws.")})
     controller = validate(ControllerConfig, scenario.controller_in_force, origin, "controller")
     link = validate(LinkSettings, scenario.delay_node, origin, LINK)
     laws, loop_ms = _law_status(recording, start_ns, end_ns)

@@ -21,21 +21,29 @@ def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) ->
     return found
 
 
+def require_installed(recorded: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise ConfigError for the first package that is not installed; the message names it and says what adds it."""
+    for key, facts in recorded.items():
+        kind, _, name = key.partition(".")
+        if name not in installed(kind):
+            package, version = facts["package"], facts["version"]
+            own = package in KNOWN_PACKAGES.values()
+            how = how_to_add_package(package) if own else f"pip install {package}=={version}"
+            what = f"{kind.removesuffix('s')} {name} of {package} {version}"
+            raise ConfigError(f"the session used the {what}, which is not installed here: {how}")
+
+
 def differences(recorded: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Return a sentence for each package whose files are not those of the recording.
 
     Raises:
         ConfigError: A package is not installed; the message names it.
     """
+    require_installed(recorded)
     texts = []
     for key, facts in recorded.items():
         kind, _, name = key.partition(".")
-        row = installed(kind).get(name)
-        what = f"{kind.removesuffix('s')} {name} of {facts['package']}"
-        if row is None:
-            name, own = facts["package"], facts["package"] in KNOWN_PACKAGES.values()
-            how = how_to_add_package(name) if own else f"pip install {name}=={facts['version']}"
-            raise ConfigError(f"the session used the {what} {facts['version']}, which is not installed here: {how}")
+        row, what = installed(kind)[name], f"{kind.removesuffix('s')} {name} of {facts['package']}"
         if row.digest != facts["digest"]:
             texts.append(f"the {what} was {facts['version']} with other files, and is {row.version} here")
     return texts

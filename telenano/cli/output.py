@@ -69,8 +69,9 @@ def print_error(text: str, *, as_json: bool, **facts: Any) -> None:
             print_json({"error": text, **facts})
         sys.stdout.flush()
     except OSError:
-        # Output that was printed before could not be written either.
-        _discard_output()
+        # Output that was printed before could not be written either, nor could Python when it ends: it goes nowhere.
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def system_error_text(error: OSError) -> str:
@@ -100,12 +101,6 @@ def _suggested(message: str) -> str:
         unusable = (text for text in known_problems() if text.startswith(f"{choice[1]} of the package "))
         return "; ".join([message + meant, *dict.fromkeys(unusable)])
     return message
-
-
-def _discard_output() -> None:
-    """Send what is still printed nowhere, or Python would fail to write it when it ends."""
-    with contextlib.suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """The root of all commands. Each one is a module of `telenano.cli.commands`, imported when it runs."""
 
-from importlib.metadata import distributions, version
+from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -25,12 +25,6 @@ def _whole_help(ctx: typer.Context, asked: bool) -> None:
         raise typer.Exit
 
 
-def _extensions() -> list[str]:
-    """Return name and version of each installed distribution that extends telenano, sorted by name."""
-    own = (one for one in distributions() if any(e.group.startswith("telenano.") for e in one.entry_points))
-    return sorted({f"{one.name} {one.version}" for one in own})
-
-
 @app.callback(invoke_without_command=True)
 def root(
     show_version: Annotated[bool, typer.Option("--version", help="Print versions and exit.", is_eager=True)] = False,
@@ -40,5 +34,8 @@ def root(
 ) -> None:
     """Run a rig, inspect its bus, read its recordings."""
     if show_version:
-        typer.echo("\n".join([version("telenano"), *_extensions()]))
+        from presets.plugins import all_installed
+
+        packages = sorted({f"{row.package} {row.version}" for row in all_installed()})
+        typer.echo("\n".join([version("telenano"), *packages]))
         raise typer.Exit

@@ -1,4 +1,4 @@
-"""The page docs/scenarios.md, from the models of the settings: which `make schemas` rewrites."""
+"""The page docs/scenarios.md, made from the models of the settings; `make schemas` rewrites it."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A pupil whose page was changed attacks a rig that runs: what is refused is counted, and the loop goes on."""
+"""A pupil whose page was changed attacks a rig that runs: all that it asks is refused, and the loop goes on."""
 
 import time
 from contextlib import ExitStack, closing, suppress
@@ -122,10 +122,10 @@ def test_a_pupil_that_attacks_is_refused_and_the_loop_is_not_disturbed(
         assert not replayed["ok"] and "an earlier lease" in replayed["text"]
         gone = rig.telenano("view", "--revoke", "Paul")
         assert gone.returncode == 0, gone.stderr
-        with pytest.raises((ConnectionClosed, TimeoutError)):
+        with pytest.raises(ConnectionClosed):
             while True:
                 pupil.ask(k="lease", action="ask")
-        with pytest.raises((ConnectionClosed, TimeoutError)):
+        with pytest.raises(ConnectionClosed):
             Client(stack, address)
         forces = [each.fields() for each in rig.recording().messages("operator/force")]
         assert not any(each.get("by") == "Paul" for each in forces)

@@ -102,7 +102,10 @@ def test_a_recording_says_which_package_is_missing_or_not_as_it_was(rig: Rig) ->
     rig.run("--duration", "3", "--set", "controller.law=filtered")
     recording = str(rig.out / "session.mcap")
     without = {**rig.environment, "PYTHONPATH": str(ROOT)}
-    for words in (("bag", "rerun", recording, "--node", "controller@master"), ("report", recording)):
+    for words in (
+        ("bag", "rerun", recording, "--node", "controller@master"),
+        ("report", recording, "--out", str(rig.folder / "report")),
+    ):
         code, _, err = telenano(without, *words)
         assert code == 2
         assert "the law filtered of telenano-filtered 0.1.0, which is not installed here" in err

@@ -343,7 +343,7 @@ def test_a_person_does_a_planned_experiment(tmp_path: Path) -> None:
             log.close()
     journal = read_journal(folder / "journal.jsonl")
     attempts = [record for record in journal if record["record"] == "trial"]
-    # where the machine held the experiment up for a second, a trial is done again
+    # A trial is done again where the machine held the experiment up for a second.
     rows = [row for row in attempts if row["status"] == "done"]
     assert [row["phase"] for row in rows] == ["practice"] + ["main"] * TRIALS
     assert trials == len(attempts)

@@ -50,7 +50,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value if isinstance(value, str) else str(value)
 
 
-_OTHER = (
+_NO_CURVES = (
     "holds no force curves of the kinds that are known with this ending; docs/fit.md (My file) has what is read of "
     "each maker: export it as one of these"
 )
@@ -83,10 +83,10 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
                 # The library knows two kinds of pause of JPK's; a file with another is of no format to it.
                 if (count := _segments_of(path)) > 2:
                     raise ValueError(refusal_of_pause(f"{count} segments")) from error
-                raise ValueError(_OTHER) from error
+                raise ValueError(_NO_CURVES) from error
             # an archive of something else, or one line of a grid
             except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
-                raise ValueError(_OTHER) from error
+                raise ValueError(_NO_CURVES) from error
 
     blocks = parts()
     first, share = next(blocks)

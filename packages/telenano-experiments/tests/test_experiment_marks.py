@@ -48,7 +48,7 @@ def test_a_parallel_port_has_the_byte_on_its_lines(monkeypatch: pytest.MonkeyPat
     port = Marks(null, 115200)
     port.send(7)
     port.close()
-    # of linux/ppdev.h: PPEXCL, PPCLAIM and PPWDATA
+    # linux/ppdev.h calls the requests PPEXCL, PPCLAIM and PPWDATA
     assert asked == [(0x708F, None), (0x708B, None), (0x40017086, b"\x07"), (0x40017086, b"\x00")]
 
 

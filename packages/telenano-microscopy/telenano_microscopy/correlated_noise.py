@@ -77,7 +77,7 @@ def correlated_noise(values: Array, columns: Array, index: Array) -> Noise:
     covariance = np.tensordot(weights, each + apart[:, :, None] * apart[:, None, :], 1)
     best = int(np.argmax(gains))
     worst = np.diagonal(each[gains >= gains[best] - _SUPPORT], axis1=1, axis2=2).max(axis=0)
-    # one factor for each coefficient, so that the covariance stays positive definite
+    # Each coefficient has one factor, so that the covariance stays positive definite.
     grown = np.sqrt(np.maximum(worst / np.diagonal(covariance), 1.0)) / size
     deviation = math.sqrt(float(variance[best]))
     return Noise(

@@ -180,7 +180,7 @@ def covered(curve: Curve, config: AfmConfig, kind: str, seeds: int, size: float 
 def test_of_300_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: str) -> None:
     shares = covered(curve, SOFT, kind, 300)
     # what docs/instrument.md states
-    assert all(0.92 <= share <= 0.99 if kind == "white" else share >= 0.9 for share in shares), shares
+    assert all(0.93 <= share <= 0.975 if kind == "white" else share >= 0.9 for share in shares), shares
 
 
 @pytest.mark.endurance
@@ -189,7 +189,7 @@ def test_of_300_seeds_the_intervals_cover_in_every_noise(curve: Curve, kind: str
 @pytest.mark.parametrize("sample", OTHERS)
 def test_the_intervals_cover_on_other_samples(sample: str, kind: str) -> None:
     config, curve = other(sample)
-    # what docs/instrument.md states
+    # docs/instrument.md states these shares
     shares = covered(curve, config, kind, 200, 1.6)
     assert min(shares) >= 0.9, shares
 

@@ -58,7 +58,7 @@ def bursts(ticks: int, pause_ms: int, apart_ns: int) -> Schedule:
     return schedule_from(forward, sent, backward, np.arange(ticks, dtype=np.int64), ticks, PERIOD_NS)
 
 
-# nine tenths of what each law states to bear over such a line [N/m]
+# These are nine tenths of what each law states to bear over such a line [N/m].
 AT_LIMIT = {"wave": 175.0, "passivity": 315.0, "model_mediated": 157.0}
 
 
@@ -70,6 +70,7 @@ AT_LIMIT = {"wave": 175.0, "passivity": 315.0, "model_mediated": 157.0}
 def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     law: str, apart_us: int, stiffness: float | None, pause_ms: int
 ) -> None:
+    wave_j = -4e-6 if stiffness else -1e-5
     stiffness = stiffness or AT_LIMIT[law]
     # as a node gets them that waits for them: at 80 N/m, 20 us apart, wave made -21 mJ and passivity -11 mJ, and
     # model_mediated -60 mJ after pauses of 240 ms
@@ -79,7 +80,7 @@ def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
     result = judged(cell, simulate(rig, bursts(ticks, pause_ms, 1000 * apart_us), settle))
     # `model_mediated` lets the hand go in a pause of more than 50 ms, and what the tip then does no hand has paid
-    assert result.lowest_energy_j > {"wave": -1e-5, "passivity": LEAST_J, "model_mediated": -2e-4}[law]
+    assert result.lowest_energy_j > {"wave": wave_j, "passivity": LEAST_J, "model_mediated": -2e-4}[law]
     assert result.peak_n is not None
     # after a pause of the guard the base lags by what counts as followed, which it makes up for at once
     lag_n = scales_of(cell.controller()).force_scale * stiffness * FOLLOWED_M if pause_ms > 50 else 0.0

@@ -10,7 +10,7 @@ from telenano_studies.loops.cells import Cell, CellResult, run_cell
 from studies.loops import lockstep
 
 LAWS = ("wave", "passivity", "model_mediated")
-# of telenano-laws, where it is installed
+# These come with telenano-laws, and are tried where it is installed.
 PACKAGE_LAWS = ("bounded_model", "fractal_impedance", "matched_wave")
 CLAMPED = ("position_force", "virtual_impedance", "smith")
 SEEDS = (101, 102, 103, 201, 202, 203)
@@ -26,10 +26,10 @@ UNEVEN: list[dict[str, Any]] = [
     for kind, size_ms in product(KINDS, (10.0, 20.0, 30.0))
 ]
 # Passivity needs nothing of what it was granted. Over a line whose delay varies model_mediated presses before its hand
-# feels the surface, for a longer time where the line is longer, and bounded_model has a store that it may spend.
-LEAST_J, LEAST_WHILE_LEARNING_J = -1e-6, {60.0: -2e-4, 200.0: -4e-4}
+# feels the surface, the longer the more it varies [ms], and bounded_model has a store that it may spend.
+LEAST_J, LEAST_WHILE_LEARNING_J, BOUNDED_MODEL_J = -1e-6, {15.0: -2e-4, 50.0: -4e-4}, -4e-4
 MOST_N = 1.5
-# behind the clamp: the hand's force and F_0; what the law makes of the line is its own
+# Behind the clamp these are the hand's force and F_0, and what such laws make of a line by themselves.
 MOST_CLAMPED_N, LEAST_CLAMPED_J = 1.105, -2e-4
 
 
@@ -44,10 +44,8 @@ def at_share(
 
 
 def is_borne(result: CellResult) -> bool:
-    law, round_trip_ms = result.cell.law, result.cell.round_trip_ms
-    least_j = LEAST_WHILE_LEARNING_J.get(round_trip_ms, LEAST_J) if law == "model_mediated" else LEAST_J
-    if law == "bounded_model":
-        least_j = LEAST_WHILE_LEARNING_J[200.0]
+    learning_j = LEAST_WHILE_LEARNING_J.get(result.cell.jitter_ms, LEAST_J)
+    least_j = {"model_mediated": learning_j, "bounded_model": BOUNDED_MODEL_J}.get(result.cell.law, LEAST_J)
     return result.lowest_energy_j >= least_j and result.peak_n is not None and result.peak_n <= MOST_N
 
 

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
+from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
 from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import RigError
 from services.runtime.wiring.main import node_kind, parse_arguments, run_node
@@ -110,7 +110,9 @@ def test_version_names_telenano_and_what_extends_it(tmp_path: Path, monkeypatch:
     before = run("--version")[1].splitlines()
     assert before[0] == version("telenano")
     monkeypatch.syspath_prepend(tmp_path)
+    plugins._installed.cache_clear()
     code, text, _ = run("--version")
+    plugins._installed.cache_clear()
     after = text.splitlines()
     assert code == 0 and after[0] == before[0]
     assert after[1:] == sorted([*before[1:], "made-laws 2.5"])

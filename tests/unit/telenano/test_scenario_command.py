@@ -32,7 +32,7 @@ def run(*arguments: str) -> tuple[int, str, str]:
 
 @pytest.fixture(scope="module")
 def core() -> dict[str, Any]:
-    """Return what an installation without packages has: the schema of a scenario, its page, and commands of others."""
+    """Return what an installation without packages has: the schema of a scenario, its page, and no entries."""
     program = """
 import json, scenario_page
 from presets.plugins import all_installed

@@ -10,6 +10,7 @@ import os
 import stat
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from proto.errors import ConfigError, RigError
@@ -24,7 +25,7 @@ Write = Callable[[int], object]
 
 
 def code_of(plan: Plan, trial: Trial) -> int:
-    """Return the byte of a trial: PRACTICE, or the number of its condition, from 1, as `experiment check` counts."""
+    """Return the byte of a trial: PRACTICE, or the number of its condition, from 1 in the order of the file."""
     return PRACTICE if trial.phase == "practice" else plan.number(trial)
 
 
@@ -69,16 +70,15 @@ def _reason(error: Exception) -> str:
 def _opened(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
     """Return what writes a byte to a port without waiting for who reads it, and what lets the port go."""
     descriptor = os.open(port, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK | os.O_NOCTTY)
-    found = os.fstat(descriptor)
+    found, close = os.fstat(descriptor), partial(os.close, descriptor)
     if os.isatty(descriptor):
-        os.close(descriptor)
+        close()
         return _serial(port, baud)
-    write: Write = lambda code: os.write(descriptor, bytes([code]))  # noqa: E731
     if stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) == _PARALLEL:
         fcntl.ioctl(descriptor, _EXCLUSIVE)
         fcntl.ioctl(descriptor, _CLAIM)
-        write = lambda code: fcntl.ioctl(descriptor, _DATA, bytes([code]))  # noqa: E731
-    return write, lambda: os.close(descriptor)
+        return lambda code: fcntl.ioctl(descriptor, _DATA, bytes([code])), close
+    return lambda code: os.write(descriptor, bytes([code])), close
 
 
 def _serial(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
