@@ -157,11 +157,11 @@ site: setup ## Build the documents as a site in out/site.
 pictures: setup ## Draw the pictures of the documents again.
 	TELENANO_PICTURES=docs $(BIN)/pytest -m endurance tests/stack/test_pictures.py
 
-# wheel, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist
-dist: page ## Build wheel, source distribution, SBOM and licences, and try the wheel, in out/dist.
+# wheels, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist;
+# BEFORE=WHEEL upgrades from an older one too
+dist: page ## Build wheels, source distribution, SBOM and licences, and try them as strangers get them, in out/dist.
 	$(call install,--require-hashes -r deploy/locks/release.lock)
-	$(BIN)/telenano up --scenario fig12 --duration 2 --headless --overwrite --out out/release
-	$(BIN)/python tests/releases/release.py out/release/session.mcap
+	$(BIN)/python tests/releases/release.py $(if $(BEFORE),--before $(BEFORE))
 
 lock: setup ## Renew requirements.lock and the locks of the images.
 	$(COMPILE) pyproject.toml $(addsuffix /pyproject.toml,$(PACKAGES)) --all-extras --no-emit-package telenano \

@@ -12,6 +12,8 @@ NETWORK_DIRECTORY = _FOLDER / "networks"
 SCHEMA_DIRECTORY = _FOLDER / "schemas"
 DEFAULT_SITE_FILE = SITE_DIRECTORY / "local.yaml"
 TWO_SITES_FILE = SITE_DIRECTORY / "two_sites.yaml"
+# a session of Fig. 12, for who wants to see one before anything runs
+DEMO_RECORDING = _FOLDER / "demo.mcap"
 
 
 def scenarios() -> dict[str, Path]:

@@ -1,11 +1,10 @@
 """Make what a release consists of, and try it: `make dist` runs this with the Python of `.venv`.
 
-In the folder that is given: wheel and source distribution, a wheel of each of packages/, an inventory of all packages
-that the extra `rig` brings (CycloneDX), the list of their licences, and SHA256SUMS. Each is made from the commit, dated
-by it, so that the same commit gives the same bytes; the wheel is made from the source distribution alone. The recording
-that is given is left beside them, for `tests/releases`. The wheel is then installed without an extra, from the index
-that pip knows, with every Python from 3.11 to 3.14 that the machine has, and has to read that recording and to
-simulate.
+In the folder that is given: wheel and source distribution, a wheel of each of packages/, how they are installed
+(docs/install.md), an inventory of all that they and the extra `rig` bring (CycloneDX), the list of their licences, and
+SHA256SUMS. Each is made from the commit, dated by it, so that the same commit gives the same bytes; the wheel is made
+from the source distribution alone. Then `rehearsal.py` does what docs/install.md says with every Python from 3.11 to
+3.14 that the machine has.
 """
 
 import argparse
@@ -21,31 +20,31 @@ from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+REHEARSAL = Path(__file__).with_name("rehearsal.py")
 PYTHONS = ("python3.11", "python3.12", "python3.13", "python3.14")
 # Words of the licences that ask something of who passes the package on, beside naming it.
 COPYLEFT = ("GPL", "MPL", "EPL", "CDDL", "GNU")
-# in every environment, and not brought by an extra
-APART = ("telenano", "pip", "setuptools")
+# in every environment
+APART = ("pip", "setuptools")
 # A wheel has no tests and none of what the page is built from.
 FORBIDDEN = ("tests/", "docs/", "services/viz_node/web/src/", "benchmarks/")
-WANTED = ("telenano/py.typed", "presets/scenarios/fig12.yaml", "services/viz_node/web/dist/index.html")
+WANTED = (
+    "telenano/py.typed",
+    "presets/demo.mcap",
+    "presets/scenarios/fig12.yaml",
+    "services/viz_node/web/dist/index.html",
+)
 # A source distribution has what its tests need and nothing that is made from it.
 FORBIDDEN_IN_SOURCE = ("out/", ".venv/", "services/viz_node/web/node_modules/", "services/viz_node/web/dist/")
 WANTED_IN_SOURCE = (
     "pyproject.toml",
     "requirements.lock",
+    "deploy/Dockerfile",
+    "deploy/docker-compose.yml",
     "Makefile",
     "tests/conftest.py",
     "services/viz_node/web/package-lock.json",
 )
-TRIAL = """
-import sys, telenano
-session, simulated = telenano.open(sys.argv[1]), telenano.simulate("fig12")
-rows = len(session.table("afm/state")["time_s"])
-assert rows > 100
-print(f"{telenano.__version__} opens, verifies and judges the recording ({rows} samples of the tip, "
-      f"{session.summary['verdict']}) and simulates fig12 ({simulated.verdict})")
-"""
 
 
 class ReleaseError(Exception):
@@ -55,40 +54,43 @@ class ReleaseError(Exception):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make and try a release; return 1 with the reason on stderr where it cannot go out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recording", type=Path, help="a recording that the installed wheel has to read")
+    parser.add_argument("--before", type=Path, help="the wheel of an earlier version, to upgrade from and go back to")
     parser.add_argument("--out", type=Path, default=Path("out/dist"), help="folder for the release; replaced")
     given = parser.parse_args(arguments)
     try:
-        release(given.out, given.recording)
+        release(given.out, given.before)
     except (ReleaseError, subprocess.CalledProcessError) as error:
         print(f"release: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def release(out: Path, recording: Path) -> None:
-    """Write the files of a release into a folder, and try them."""
+def release(out: Path, before: Path | None) -> None:
+    """Write the files of a release into a folder and try them, with an upgrade from the wheel of before, if any."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     wheel = built(out)
-    check_wheel(wheel)
+    for one in sorted(out.glob("*.whl")):
+        check_wheel(one, WANTED if one == wheel else ())
     (source,) = out.glob("telenano-*.tar.gz")
     check_source(source)
     run([sys.executable, "-P", "-m", "twine", "check", "--strict", *map(str, sorted(out.glob("telenano*")))])
-    rig = installed("rig", Path(sys.executable), wheel, out, "[rig]")
+    rig = installed(out)
     inventory = [str(Path(sys.executable).parent / "cyclonedx-py"), "environment", str(rig), "--output-reproducible"]
     run([*inventory, "--of", "JSON", "-o", str(out / "sbom.json")])
-    packages = [one for one in distributions(path=[site_of(rig)]) if one.metadata["Name"] not in APART]
+    found = distributions(path=[site_of(rig)])
+    packages = [one for one in found if is_brought(one.metadata["Name"])]
     (out / "licences.md").write_text(licences(packages), encoding="utf-8")
-    brought = brought_by_rig(packages)
+    brought = brought_with(packages)
     shutil.rmtree(out / "rig")
-    shutil.copy(recording, out / f"{wheel.name.split('-py3')[0]}.mcap")
-    tried = [tried_with(python, wheel, out, recording) for python in PYTHONS if starts(python)]
+    shutil.copy(ROOT / "docs" / "install.md", out)
     names = sorted(path for path in out.iterdir() if path.is_file())
     sums = "".join(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in names)
     (out / "SHA256SUMS").write_text(sums, encoding="utf-8")
-    print(*tried, sep="\n")
-    if missing := [python for python in PYTHONS if not starts(python)]:
+    there = [python for python in PYTHONS if starts(python)]
+    for python in there:
+        print(run([python, "-P", str(REHEARSAL), str(out), *(["--before", str(before)] if before else [])]), end="")
+    if missing := [python for python in PYTHONS if python not in there]:
         print(f"not tried, because they are not on this machine: {', '.join(missing)}")
     print(brought)
     print(f"in {out}, each with its SHA-256 in SHA256SUMS: {', '.join(path.name for path in names)}")
@@ -105,13 +107,13 @@ def built(out: Path) -> Path:
     return wheel
 
 
-def check_wheel(wheel: Path) -> None:
-    """Raise ReleaseError if a wheel lacks a part, or has one that is for developers."""
+def check_wheel(wheel: Path, wanted: Sequence[str]) -> None:
+    """Raise ReleaseError if a wheel lacks a part that is wanted, or has one that is for developers."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-    if lacks := [name for name in WANTED if name not in names]:
+    if lacks := [name for name in wanted if name not in names]:
         raise ReleaseError(f"{wheel.name}: lacks {', '.join(lacks)}")
-    if extra := [name for name in names if name.startswith(FORBIDDEN)]:
+    if extra := [name for name in names if name.startswith(FORBIDDEN) or "/tests/" in name]:
         raise ReleaseError(f"{wheel.name}: has {extra[0]} and {len(extra) - 1} more that do not belong into it")
 
 
@@ -125,12 +127,12 @@ def check_source(source: Path) -> None:
         raise ReleaseError(f"{source.name}: has {extra[0]} and {len(extra) - 1} more that are made from the others")
 
 
-def installed(name: str, python: Path | str, wheel: Path, out: Path, extra: str = "") -> Path:
-    """Install a wheel into an environment of its own; return the interpreter there."""
-    folder = out / name
-    run([str(python), "-P", "-m", "venv", str(folder)])
-    interpreter = (folder / "bin" / "python").absolute()
-    run([str(interpreter), "-P", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{wheel}{extra}"])
+def installed(out: Path) -> Path:
+    """Install all wheels of a folder and the extra `rig` into an environment; return the interpreter there."""
+    run([sys.executable, "-P", "-m", "venv", str(out / "rig")])
+    interpreter = (out / "rig" / "bin" / "python").absolute()
+    wheels = [f"{wheel}[rig]" if wheel.name.startswith("telenano-") else str(wheel) for wheel in out.glob("*.whl")]
+    run([str(interpreter), "-P", "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *sorted(wheels)])
     return interpreter
 
 
@@ -140,15 +142,6 @@ def starts(python: str) -> bool:
     return (
         found is not None and subprocess.run([found, "-P", "-c", ""], capture_output=True, check=False).returncode == 0
     )
-
-
-def tried_with(python: str, wheel: Path, out: Path, recording: Path) -> str:
-    """Install the wheel without an extra, let it read a recording and simulate, and return a line about it."""
-    interpreter = installed(python, python, wheel, out)
-    said = run([str(interpreter), "-P", "-c", TRIAL, str(recording.absolute())], cwd=out)
-    run([str(interpreter.parent / "telenano"), "bag", "verify", str(recording.absolute())], cwd=out)
-    shutil.rmtree(out / python)
-    return f"{python}: {said.strip()}"
 
 
 def site_of(interpreter: Path) -> str:
@@ -161,23 +154,27 @@ def licences(found: Iterable[Distribution]) -> str:
     rows = sorted(
         {(one.metadata["Name"], one.version, licence_of(one)) for one in found}, key=lambda row: row[0].lower()
     )
-    rows = [row for row in rows if row[0] not in APART]
+    rows = [row for row in rows if is_brought(row[0])]
     rows.sort(key=lambda row: not asks_more(row[2]))
     lines = [
         f"| {name} | {version} | {licence}{' **(copyleft)**' if asks_more(licence) else ''} |"
         for name, version, licence in rows
     ]
-    head = "# Licences of what the extra `rig` installs\n\nAs each package states it.\n\n"
+    head = "# Licences of what the extra `rig` and the packages install\n\nAs each package states it.\n\n"
     head += "| package | version | licence |\n|---|---|---|\n"
     return head + "\n".join(lines) + "\n"
 
 
-def brought_by_rig(packages: Sequence[Distribution]) -> str:
+def brought_with(packages: Sequence[Distribution]) -> str:
     """Return in a sentence how many packages there are, and which ask more than to be named."""
     found = [f"{one.metadata['Name']} ({licence_of(one)})" for one in packages if asks_more(licence_of(one))]
-    return (
-        f"the extra rig brings {len(packages)} packages; more than to be named is asked by {', '.join(found) or 'none'}"
-    )
+    asking = ", ".join(found) or "none"
+    return f"rig and packages bring {len(packages)} distributions; more than to be named is asked by {asking}"
+
+
+def is_brought(name: str) -> bool:
+    """Return whether a distribution comes from somebody else, and with ours."""
+    return name not in APART and not name.startswith("telenano")
 
 
 def asks_more(licence: str) -> bool:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from presets import DEFAULT_SITE_FILE
+from presets import DEFAULT_SITE_FILE, DEMO_RECORDING
 from proto.errors import ConfigError, TelenanoError
 from proto.nodes import PAGE
 from recording.indexed import open_indexed
@@ -63,6 +63,7 @@ def view(
         list[Path] | None,
         typer.Argument(metavar="FILE", help="Recording to show, in its parts; without it the running rig."),
     ] = None,
+    demo: Annotated[bool, typer.Option("--demo", help="Show the recording of Fig. 12 that comes with telenano.")] = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     host: HostOption = LOOPBACK,
     port: Annotated[
@@ -120,6 +121,10 @@ def view(
             allow=tuple(allow or ()),
         )
         tls, access = config.tls(), config.access()
+        if demo:
+            if files:
+                raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
+            files = [DEMO_RECORDING]
         recordings = open_indexed(files) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.

@@ -26,11 +26,12 @@ def wheel(folder: Path, *names: str) -> Path:
 
 
 def test_a_wheel_without_its_page_or_with_tests_does_not_go_out(tmp_path: Path) -> None:
-    release.check_wheel(wheel(tmp_path, *release.WANTED))
+    release.check_wheel(wheel(tmp_path, *release.WANTED), release.WANTED)
     with pytest.raises(release.ReleaseError, match=r"lacks services/viz_node/web/dist/index\.html"):
-        release.check_wheel(wheel(tmp_path, *release.WANTED[:-1]))
-    with pytest.raises(release.ReleaseError, match=r"has tests/a\.py and 0 more that do not belong"):
-        release.check_wheel(wheel(tmp_path, *release.WANTED, "tests/a.py"))
+        release.check_wheel(wheel(tmp_path, *release.WANTED[:-1]), release.WANTED)
+    for name in ("tests/a.py", "telenano_laws/tests/a.py"):
+        with pytest.raises(release.ReleaseError, match=f"has {name} and 0 more that do not belong"):
+            release.check_wheel(wheel(tmp_path, name), ())
 
 
 def source(folder: Path, *names: str) -> Path:
@@ -72,14 +73,15 @@ def test_licences_are_listed_as_stated_and_copyleft_first() -> None:
             package("gamma", "Classifier: License :: OSI Approved :: GNU Lesser General Public License v3 (LGPLv3)"),
             package("delta"),
             package("telenano", "License-Expression: none"),
+            package("telenano-laws", "License-Expression: none"),
         ]
     )
     assert [line.split(" | ")[0] for line in found.splitlines()[6:]] == ["| gamma", "| alpha", "| beta", "| delta"]
     assert "LGPLv3) **(copyleft)**" in found
     lesser = package("gamma", "License-Expression: LGPL-3.0-or-later")
-    said = release.brought_by_rig([lesser, package("beta", "License-Expression: MIT")])
-    assert said == "the extra rig brings 2 packages; more than to be named is asked by gamma (LGPL-3.0-or-later)"
-    assert release.brought_by_rig([]).endswith("asked by none")
+    said = release.brought_with([lesser, package("beta", "License-Expression: MIT")])
+    assert said == "rig and packages bring 2 distributions; more than to be named is asked by gamma (LGPL-3.0-or-later)"
+    assert release.brought_with([]).endswith("asked by none")
     assert "| delta | 1 | not stated |" in found
 
 
