@@ -24,7 +24,8 @@ class _Command:
     node: str
     first_ns: int
     t_ns: int
-    phase: Literal["silent", "refused", "acknowledged", "ended"] = "silent"
+    # The first ack has a key that the client does not know; the second one, if it is needed, is plain.
+    phase: Literal["silent", "refused", "acknowledged", "acknowledged plainly", "ended"] = "silent"
     phase_ns: int = 0
     copies: int = 1
     told_ns: int = 0
@@ -64,8 +65,11 @@ class CommandsOfClient:
             account.hold("repetition")
         elif known.phase == "refused":
             self._quotations(identifier, known, fields)
+        elif now_ns - known.phase_ns > ENDED_NS and known.phase == "acknowledged":
+            self._acknowledge(identifier, known, now_ns, plainly=True)
         elif now_ns - known.phase_ns > ENDED_NS:
             account.fail("end of repetition", f"{identifier} is sent again after its ack")
+            known.phase = "ended"
 
     def tick(self, now_ns: int) -> None:
         """Answer what is due at a time [ns since 1970]."""
@@ -79,7 +83,11 @@ class CommandsOfClient:
             elif known.phase == "refused" and (self._is_quoted(known) or now_ns - known.phase_ns >= QUOTED_NS):
                 self._miss_quotations(identifier, known)
                 self._acknowledge(identifier, known, now_ns)
-            elif known.phase == "acknowledged" and now_ns - known.phase_ns >= 2 * ENDED_NS:
+            elif known.phase.startswith("acknowledged") and now_ns - known.phase_ns >= 2 * ENDED_NS:
+                if known.phase == "acknowledged":
+                    self._account.hold("unknown keys")
+                else:
+                    self._account.fail("unknown keys", f"the ack of {identifier} was taken without further_k alone")
                 known.phase = "ended"
                 self._account.hold("end of repetition", "identifiers")
 
@@ -96,11 +104,11 @@ class CommandsOfClient:
         known.told_ns = self._answers(known.node, answer)
         known.phase, known.phase_ns = "refused", now_ns
 
-    def _acknowledge(self, identifier: str, known: _Command, now_ns: int) -> None:
+    def _acknowledge(self, identifier: str, known: _Command, now_ns: int, *, plainly: bool = False) -> None:
         if self._answers is not None:
             answer = {"id": identifier, "kind": "ack", "level": "info", "text": "done", "data": {}}
-            self._answers(known.node, answer)
-        known.phase, known.phase_ns = "acknowledged", now_ns
+            self._answers(known.node, answer if plainly else answer | {"further_k": 295.0})
+        known.phase, known.phase_ns = "acknowledged plainly" if plainly else "acknowledged", now_ns
 
     def _wanted(self, known: _Command) -> dict[str, tuple[str, Any]]:
         """Return what is to be quoted by its rule: the key, and the value for the node."""

@@ -39,6 +39,7 @@ RULES = (
     Rule("last message", "Sequence", "the last of all is a session/event of kind node, state ended, with sent.TOPIC"),
     Rule("identifiers", "Commands", "each command has an id of its own, and a repetition is the same command"),
     Rule("repetition", "Commands", "without an answer it comes again each 100 ms: same id, next seq, t_ns of now"),
+    Rule("unknown keys", "Rules of change", "a key that is not known is ignored, and the message with it is taken"),
     Rule("end of repetition", "Commands", "a command that was answered by ack is not sent again"),
     Rule("quoted clock", "Commands", "after a refusal with expired it comes again, same id, with node_t_ns"),
     Rule("quoted stop", "Commands", "after a refusal with latch it comes again, same id, with that node_latch"),

@@ -218,7 +218,8 @@ def commanded(quote: bool = True, **mistakes: Any) -> dict[str, tuple[str, str]]
     examiner = CommandsOfClient(account, answers)
     for step in range(300):
         now_ns = NOW_NS + step * 10 * _MS
-        is_taken = bool(answered) and answered[-1]["kind"] == "ack"
+        is_strict = mistakes.get("strict", False)
+        is_taken = any(a["kind"] == "ack" and not (is_strict and "further_k" in a) for a in answered)
         if step % 10 == 0 and (not is_taken or mistakes.get("goes_on")) and not (step and mistakes.get("once")):
             quoted: dict[str, Any] = {}
             if answered and answered[0]["kind"] == "refused" and quote:
@@ -236,7 +237,7 @@ def commanded(quote: bool = True, **mistakes: Any) -> dict[str, tuple[str, str]]
 def test_a_client_that_commands_as_the_specification_says_breaks_no_rule() -> None:
     found = commanded()
     assert not broken(found)
-    rules = ("identifiers", "repetition", "end of repetition", "quoted clock", "quoted stop")
+    rules = ("identifiers", "repetition", "unknown keys", "end of repetition", "quoted clock", "quoted stop")
     assert {found[rule][0] for rule in rules} == {"passed"}
 
 
@@ -245,6 +246,7 @@ def test_a_client_that_commands_as_the_specification_says_breaks_no_rule() -> No
     [
         ({"once": True}, "repetition", "a-1 has no answer for 0.5 s, and is not sent again"),
         ({"same_time": True}, "repetition", "a-1 comes again with the t_ns of before"),
+        ({"strict": True}, "unknown keys", "the ack of a-1 was taken without further_k alone"),
         ({"goes_on": True}, "end of repetition", "a-1 is sent again after its ack"),
         ({"changes": True}, "identifiers", "the id a-1 is that of two commands"),
         ({"quote": False}, "quoted clock", "a-1 was refused by afm_node@slave, and does not come with node_t_ns"),
