@@ -71,10 +71,9 @@ def accept(topic: str, payload: bytes) -> Message:
         return quick
     form, fields = _read(topic, payload)
     try:
-        message = form.model.model_validate(fields)
+        message = form.model.model_validate(fields, extra=form.unknown)
     except ValidationError as error:
-        fault = _first_fault(error)
-        raise WireError(fault[0], f"{topic}: {fault[1]}") from error
+        raise _first_fault(topic, error) from error
     if typed is not None:
         typed.note(message)
     return message
@@ -116,10 +115,9 @@ def decode(topic: str, payload: bytes) -> Message:
             raise
     form, fields = _read(topic, payload)
     try:
-        return any_range(form.model, fields)
+        return any_range(form.model, fields, form.unknown)
     except ValidationError as error:
-        fault = _first_fault(error)
-        raise WireError(fault[0], f"{topic}: {fault[1]}") from error
+        raise _first_fault(topic, error) from error
 
 
 def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dict[str, Any]]:
@@ -208,16 +206,18 @@ class _Form:
     plain: bool
     most_bytes: int
     most_pairs: int
+    unknown: Literal["ignore", "forbid"]
 
 
 def _form_of(row: Topic) -> _Form:
     keys = len(row.model.model_fields)
     nested = sum(_most_pairs(field.annotation) for field in row.model.model_fields.values())
     head = bytes(msgpack.Packer().pack_map_header(keys))
-    most_bytes = MAX_MESSAGE_BYTES if nested else MAX_PLAIN_BYTES
+    most_bytes, most_pairs = MAX_MESSAGE_BYTES if nested else MAX_PLAIN_BYTES, 1 + keys + nested
     if row.model is SessionControl:
-        most_bytes = MAX_COMMAND_BYTES
-    return _Form(row.model, row.model.version, keys, head, not nested, most_bytes, 1 + keys + nested)
+        # who commands is told of every word that is not understood, because half a command is another command
+        return _Form(row.model, row.model.version, keys, head, False, MAX_COMMAND_BYTES, most_pairs, "forbid")
+    return _Form(row.model, row.model.version, keys, head, not nested, most_bytes, most_pairs + MAX_KEYS, "ignore")
 
 
 def _most_pairs(annotation: Any) -> int:
@@ -347,20 +347,17 @@ def _reject_newer(topic: str, fields: dict[str, Any], known: int) -> None:
     if isinstance(version, int) and not isinstance(version, bool) and version > known:
         src = fields.get("src")
         sender = repr(src[:64]) if isinstance(src, str) else "an unnamed source"
-        raise WireError(
-            "newer_version",
-            f"{topic}: schema version {version} from {sender} is newer than version {known} known here: "
-            "update this node",
-        )
+        text = f"schema version {version} from {sender} is newer than version {known} known here: update this node"
+        raise WireError("newer_version", f"{topic}: {text}")
 
 
-def _first_fault(error: ValidationError) -> tuple[Reason, str]:
+def _first_fault(topic: str, error: ValidationError) -> WireError:
     fault = error.errors(include_url=False, include_input=False)[0]
     # an unknown key is the sender's text: no more of it than a log line holds
     key = ".".join(str(part) for part in fault["loc"])[:200] or "message"
     more = error.error_count() - 1
     text = f"{key}: {fault['msg']}" + (f" (and {more} more)" if more else "")
-    return ("range" if is_out_of_range(fault) else "schema"), text
+    return WireError("range" if is_out_of_range(fault) else "schema", f"{topic}: {text}")
 
 
 def _size_text(name: str, size: int, most: int) -> str:

@@ -82,7 +82,7 @@ _DTYPES: dict[str, npt.DTypeLike] = {"u1": "u1", "i2": "<i2", "i4": "<i4", "i8":
 
 
 class Record(BaseModel):
-    """A checked, immutable part of a message: unknown keys, NaN and infinity are refused."""
+    """A checked, immutable part of a message: NaN, infinity and, where it is made, unknown keys are refused."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
@@ -91,7 +91,7 @@ class Message(Record):
     """The header that every message carries."""
 
     version: ClassVar[int] = 1
-    # optional keys, with the version that added each: None stands for a key that is absent on the wire
+    # optional keys, with the version that a message with each has: None stands for a key that is absent on the wire
     additions: ClassVar[Mapping[str, int]] = {}
 
     seq: Count = Field(description="Number of this message on its topic from this source, counted from 0")
@@ -104,8 +104,7 @@ class Message(Record):
         """Return the version of a message with these keys: older readers take one without the newer keys."""
         if not cls.additions:
             return cls.version
-        first = min(cls.additions.values()) - 1
-        return max((added for key, added in cls.additions.items() if key in keys), default=first)
+        return max((added for key, added in cls.additions.items() if key in keys), default=1)
 
 
 class _Extended(Message):

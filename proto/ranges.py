@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from annotated_types import Ge
 from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError, create_model
@@ -144,15 +144,13 @@ def is_out_of_range(fault: Mapping[str, Any]) -> bool:
     return isinstance(bound, float)
 
 
-def any_range(model: type[M], fields: Mapping[str, Any]) -> M:
+def any_range(model: type[M], fields: Mapping[str, Any], unknown: Literal["ignore", "forbid"] = "forbid") -> M:
     """Return a message of any finite quantities: for recordings and examples, not for who acts on them.
 
-    Raises pydantic.ValidationError when anything but a range is violated.
-
     Raises:
-        pydantic.ValidationError: The fields violate anything but a range.
+        pydantic.ValidationError: The fields violate anything but a range, or have others where those are forbidden.
     """
-    return _construct(model, _unlimited(model).model_validate(fields))
+    return _construct(model, _unlimited(model).model_validate(fields, extra=unknown))
 
 
 def limited(model: type[M], fields: Mapping[str, Any], report: Callable[[str], None] = lambda text: None) -> M:

@@ -21,6 +21,8 @@ from proto.errors import RecordingError
 Bytes = bytes | mmap.mmap
 
 MAGIC: bytes = MCAP0_MAGIC
+# The format of a recording is in its metadata record `recording`; the first had none written there.
+FORMAT = "1"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
@@ -236,7 +238,7 @@ def add_other(data: Bytes, position: int, end: int, opcode: int, layout: Layout)
     """Add what is not in a chunk to the layout, or its damage.
 
     Raises:
-        RecordingError: There are more channels and schemas than any recording has.
+        RecordingError: There are more channels and schemas than any recording has, or it is of a later format.
     """
     body = data[position + RECORD_HEAD.size : end]
     try:
@@ -253,7 +255,7 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
     """Add an attachment, metadata, a channel, a schema or the place of a chunk to the layout.
 
     Raises:
-        RecordingError: There are more channels and schemas than any recording has.
+        RecordingError: There are more channels and schemas than any recording has, or it is of a later format.
     """
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.ATTACHMENT:
@@ -262,6 +264,9 @@ def add_record(opcode: int, body: bytes, layout: Layout) -> None:
     elif opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
         layout.metadata[metadata.name] = metadata.metadata
+        if metadata.name == "recording" and (found := metadata.metadata.get("format", FORMAT)) != FORMAT:
+            text = f"is a recording of format {found[:20]}, and format {FORMAT} is known here: update telenano"
+            raise RecordingError(f"{layout.path}: {text}")
     elif opcode == Opcode.CHANNEL:
         channel = Channel.read(stream)
         layout.summary_channels[channel.id] = channel

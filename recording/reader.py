@@ -72,11 +72,9 @@ class Recording:
         except OSError as error:
             kind = NoRecordingError if isinstance(error, FileNotFoundError) else RecordingError
             raise kind(f"{self.path}: cannot be read: {error.strerror}") from error
-        if not start:
-            raise RecordingError(f"{self.path}: is empty")
         if start != MAGIC:
             what = "ends before its first record" if MAGIC.startswith(start) else "is not an MCAP file"
-            raise RecordingError(f"{self.path}: {what}")
+            raise RecordingError(f"{self.path}: {what if start else 'is empty'}")
         with self._open() as data:
             self._layout = self._read_layout(data)
 

@@ -12,6 +12,7 @@ from presets.plugins import in_scenarios
 from presets.regular_files import read_regular
 from proto import TOPICS
 from proto.errors import RecordingError
+from recording.mcap_scan import FORMAT
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
 from services.runtime.untrusted.yaml_text import LARGEST_BYTES
@@ -53,7 +54,8 @@ def write_provenance(
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
         writer.attach(f"{name}.yaml", "application/yaml", data, now_ns)
     settings = {f"recorder {key}": str(value) for key, value in config.model_dump(mode="json").items()}
-    writer.add_metadata("recording", {"node": writer.node, "started_ns": str(now_ns), **files, **settings})
+    facts = {"format": FORMAT, "node": writer.node, "started_ns": str(now_ns)}
+    writer.add_metadata("recording", facts | files | settings)
     writer.add_metadata("versions", versions())
     if plugins := plugin_facts():
         writer.add_metadata("plugins", plugins)

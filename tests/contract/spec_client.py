@@ -135,11 +135,11 @@ class Account:
 
 
 def _object_conforms(value: dict[str, Any], schema: dict[str, Any], root: dict[str, Any]) -> bool:
-    known, extra = schema.get("properties", {}), schema["additionalProperties"]
+    known, extra = schema.get("properties", {}), schema.get("additionalProperties", {})
     if not set(schema.get("required", ())) <= set(value) or len(value) > schema.get("maxProperties", math.inf):
         return False
     unknown = [key for key in value if key not in known]
-    if unknown and (extra is False or not all(conforms(value[key], extra, root) for key in unknown)):
+    if unknown and (extra is False or (extra and not all(conforms(value[key], extra, root) for key in unknown))):
         return False
     return all(conforms(value[key], part, root) for key, part in known.items() if key in value)
 

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic.json_schema import GenerateJsonSchema
 
 from proto.codec import encode, largest_bytes
-from proto.messages import Array, Message
+from proto.messages import Array, Message, SessionControl
 from proto.ranges import RANGES, any_range
 from proto.topics import TOPICS, Topic
 
@@ -76,13 +76,21 @@ CASES = (
 
 
 def schema_of(topic: Topic) -> dict[str, Any]:
-    """Return the JSON Schema of a topic's message; `x-topic` and `x-version` are its topic and version."""
+    """Return the JSON Schema of a topic's message; `x-topic` and `x-version` are its topic and version.
+
+    `x-added` has the version of a message with each of the keys that may be absent.
+    """
     schema = topic.model.model_json_schema(schema_generator=_PlainSchema)
     schema["properties"]["v"]["maximum"] = topic.model.version
+    if topic.model is not SessionControl:
+        # A reader ignores the keys that it does not know; a command with one is refused.
+        for record in (schema, *schema.get("$defs", {}).values()):
+            record.pop("additionalProperties")
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "x-topic": topic.name,
         "x-version": topic.model.version,
+        "x-added": dict(topic.model.additions),
         **schema,
     }
 

@@ -126,7 +126,9 @@ def test_valid_messages_with_bytes_changed(topic: str, data: st.DataObject) -> N
 @given(TOPIC, TOPIC, st.data())
 def test_a_message_on_the_topic_of_another_and_two_spliced(topic: str, other: str, data: st.DataObject) -> None:
     a, b = data.draw(st.sampled_from(GOLDEN[topic])), data.draw(st.sampled_from(GOLDEN[other]))
-    if topic != other:
+    needed = {key for key, field in TOPICS[topic].model.model_fields.items() if field.is_required()}
+    # a message that has all that another needs is read as one with keys that are not known; its source tells them apart
+    if topic != other and not needed <= msgpack.unpackb(b).keys():
         assert isinstance(outcome(topic, b), WireError)
     check(topic, a[: data.draw(st.integers(0, len(a)))] + b[data.draw(st.integers(0, len(b))) :])
 
@@ -297,8 +299,8 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
         ("haptic/state", {"v": 0}, "schema", "v"),
         ("haptic/state", {"v": 4}, "newer_version", "version 4 from 'haptic_node@master'"),
         ("haptic/state", {"v": 2**64 - 1}, "newer_version", "update this node"),
-        ("haptic/state", {"force_lbf": 1.0}, "schema", "force_lbf"),
-        ("haptic/state", {b"seq": 1}, "schema", "Keys should be strings"),
+        ("session/control", {"validty_s": 1.0}, "schema", "validty_s"),
+        ("session/control", {b"seq": 1}, "schema", "Keys should be strings"),
         ("haptic/state", {"t_ns": msgpack.Timestamp(1, 0)}, "malformed", "not msgpack"),
         ("haptic/state", {"position_m": msgpack.ExtType(5, b"")}, "schema", "position_m"),
         ("haptic/state", {7: 1}, "malformed", "not msgpack"),
@@ -319,7 +321,7 @@ def test_a_wrong_field_is_named(topic: str, change: dict[Any, Any], reason: str,
 
 
 def test_a_long_unknown_key_is_named_in_brief() -> None:
-    error = refused("haptic/state", msgpack.packb({**fields_of("haptic/state"), "k" * 3000: 1.0}))
+    error = refused("session/control", msgpack.packb({**fields_of("session/control"), "k" * 3000: 1.0}))
     assert error.reason == "schema"
     assert "kkkk" in str(error)
     assert len(str(error)) < 300
@@ -518,7 +520,6 @@ def _scanline(**array: Any) -> bytes:
         ({"data": bytes(15)}, "needs 16"),
         ({"data": struct.pack("<2d", 0.0, math.nan)}, "NaN"),
         ({"data": struct.pack("<2d", -math.inf, 0.0)}, "infinity"),
-        ({"strides": (8,)}, "strides"),
     ],
 )
 def test_an_array_that_does_not_fit_itself_is_refused(array: dict[str, Any], named: str) -> None:

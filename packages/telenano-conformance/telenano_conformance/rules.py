@@ -1,0 +1,96 @@
+"""The rules that a client is examined by, each with its section of proto/SPEC.md and what would be right."""
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+Outcome = Literal["passed", "failed", "not seen"]
+# So many faults of one rule are told; the others are counted.
+_MOST_TOLD = 3
+
+
+class Rule(NamedTuple):
+    """A rule: its name, the section of proto/SPEC.md that has it, and what would be right."""
+
+    name: str
+    section: str
+    right: str
+
+
+RULES = (
+    Rule("connection", "Transport", "bind a PUB socket of ZMTP 3 at the address, and end the handshake within 5 s"),
+    Rule("encryption", "Between machines", "a tcp:// endpoint is CURVE, unless the site file has insecure: true"),
+    Rule("strangers", "Between machines", "a key that is not in the list is refused in the handshake"),
+    Rule("frames", "A message", "send exactly two frames: the topic, then one msgpack map"),
+    Rule("topic", "Topics", "send on a topic of the table, by its whole name, in UTF-8"),
+    Rule("publisher", "Topics", "src is a node that the table has for the topic, node@site"),
+    Rule("size", "A message, Limits", "keep below the most bytes that the table has for the topic"),
+    Rule("msgpack", "A message", "one msgpack map of text keys, each once, without extension types"),
+    Rule("required keys", "A message", "every key that the schema requires is there"),
+    Rule("further keys", "A message", "no key is there that the schema does not know"),
+    Rule("types", "A message", "each value has its type; text is text, bytes are bin"),
+    Rule("words", "A message", "a text is one of the words of its schema, or has its pattern"),
+    Rule("ranges", "Ranges", "each quantity is finite, in SI units, and within its range"),
+    Rule("version", "Rules of change", "v is that of the newest key in the message, x-added of its schema"),
+    Rule("sequence", "Sequence", "seq goes up by 1 from 0, for each topic and source by itself"),
+    Rule("order of time", "A message", "t_ns never goes back"),
+    Rule("clock", "A message", "t_ns is in ns since 1970, and at most 1 s from this machine's clock"),
+    Rule("rate", "Topics", "no pause is longer than the topic's `stale after`"),
+    Rule("health", "Topics", "a node sends node/health twice a second"),
+    Rule("last message", "Sequence", "the last of all is a session/event of kind node, state ended, with sent.TOPIC"),
+    Rule("identifiers", "Commands", "each command has an id of its own, and a repetition is the same command"),
+    Rule("repetition", "Commands", "without an answer it comes again each 100 ms: same id, next seq, t_ns of now"),
+    Rule("unknown keys", "Rules of change", "a key that is not known is ignored, and the message with it is taken"),
+    Rule("end of repetition", "Commands", "a command that was answered by ack is not sent again"),
+    Rule("quoted clock", "Commands", "after a refusal with expired it comes again, same id, with node_t_ns"),
+    Rule("quoted stop", "Commands", "after a refusal with latch it comes again, same id, with that node_latch"),
+    Rule("answer", "Commands", "a command to a node by its name is answered by ack or refused, with its id"),
+    Rule("same answer", "Commands", "the same id is answered again with the same words"),
+    Rule("expired command", "Commands", "a command that is too old is refused, with expired true in data"),
+    Rule("unknown command key", "Rules of change", "a command with a key that is not known is never acknowledged"),
+    Rule("others' commands", "Commands", "a command to another node is not answered"),
+    Rule("robustness", "A message", "what breaks the rules, or is of a later version, does not stop a client"),
+)  # fmt: skip
+_BY_NAME = {rule.name: rule for rule in RULES}
+
+
+class Finding(NamedTuple):
+    """What came of a rule: its outcome, and for one that failed what was seen."""
+
+    rule: str
+    outcome: Outcome
+    section: str
+    right: str
+    seen: str = ""
+
+    def line(self) -> str:
+        """Return the finding as a line for a person."""
+        text = f"{self.outcome:8}  {self.rule}"
+        if self.outcome != "failed":
+            return text
+        return f"{text}: {self.seen}. Right: {self.right} (SPEC.md, {self.section})"
+
+
+@dataclass
+class Account:
+    """The rules that were seen to hold, and those that were broken, with what was seen."""
+
+    held: set[str] = field(default_factory=set)
+    broken: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def hold(self, *names: str) -> None:
+        """Note that something kept these rules."""
+        self.held.update(names)
+
+    def fail(self, name: str, seen: str, about: str = "") -> None:
+        """Note what broke a rule, once for each thing that it is about; KeyError for a rule that there is not."""
+        self.broken.setdefault(_BY_NAME[name].name, {}).setdefault(about or seen, seen)
+
+    def findings(self) -> list[Finding]:
+        """Return what came of each rule."""
+        found = []
+        for rule in RULES:
+            told = list(self.broken.get(rule.name, {}).values())
+            outcome: Outcome = "failed" if told else "passed" if rule.name in self.held else "not seen"
+            more = f" (and {len(told) - _MOST_TOLD} more)" if len(told) > _MOST_TOLD else ""
+            found.append(Finding(rule.name, outcome, rule.section, rule.right, "; ".join(told[:_MOST_TOLD]) + more))
+        return found
