@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from analysis.published import PANELS, Published, nearest
-from analysis.report import Session, read_session, read_traffic, scenario_in, summarise
+from analysis.report import Session, read_session, scenario_in, summarise
 from proto.errors import ConfigError
 from recording.multi_file import open_recordings
 from services.viz_node.fig12 import SessionSeries
@@ -90,8 +90,8 @@ def compare(paths: Sequence[Path]) -> list[Compared]:
     for name, path in zip(names_of(paths), paths, strict=True):
         recording = open_recordings(recordings_of(path))
         session = read_session(recording)
-        summary = summarise(session, recording.info(), read_traffic(recording, session))
-        found.append(Compared(name, session, summary, scenario_in(recording).model_dump(mode="json")))
+        scenario = scenario_in(recording).model_dump(mode="json")
+        found.append(Compared(name, session, summarise(session, recording), scenario))
     return found
 
 

@@ -41,7 +41,7 @@ from proto.nodes import LAUNCHER, LINK, RECORDER, START_ORDER, name_of
 from recording.arrays import columns, last_session
 from recording.indexed import open_indexed
 from recording.info import RecordingInfo
-from recording.messages import readable
+from recording.messages import LeftOut, RecordedMessage, readable
 from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
@@ -71,6 +71,7 @@ _LEAST_SHARE, _LEAST_N = 0.1, 0.1
 _EXIT_WITHIN_S = 2.0
 _NOT_ANEW = "its programme was not started anew, which `telenano session start` does"
 _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
+_ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
 
@@ -123,32 +124,6 @@ class Session:
         return np.asarray((series["t_ns"] - self.start_ns) * 1e-9, dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class Traffic:
-    """Traffic on the bus while the session ran: messages by channel, and deadlines missed."""
-
-    messages: dict[str, int]
-    overruns: int
-    loop_rate_hz: float = _DECLARED_LOOP_HZ
-
-    def rates_hz(self, duration_s: float) -> dict[str, float]:
-        return {name: round(count / duration_s, 3) for name, count in sorted(self.messages.items())}
-
-    def completeness(self, duration_s: float) -> dict[str, float]:
-        """Return the recorded share of the declared number of messages, for channels of one source and a rate.
-
-        The topics of the loop are declared at 1 kHz, and have the rate of the scenario.
-        """
-        shares = {}
-        for name, count in sorted(self.messages.items()):
-            topic = TOPICS.get(name.partition("@")[0])
-            if topic is not None and topic.rate_hz is not None and "*" not in topic.publishers:
-                # Both ends of the session may fall between two messages.
-                loop = topic.rate_hz == _DECLARED_LOOP_HZ
-                shares[name] = min(1.0, round(count / ((self.loop_rate_hz if loop else topic.rate_hz) * duration_s), 5))
-        return shares
-
-
 def write_report(
     path: Path | Sequence[Path],
     out: Path,
@@ -176,13 +151,11 @@ def write_report(
     paths = [path] if isinstance(path, Path) else path
     # What is missing is found by reading the whole; the session by the index, which takes half of the time.
     recording, indexed = open_recordings(paths), open_indexed(paths)
-    show("1 of 4: reading the session")
+    show("1 of 3: reading the session")
     session = read_session(indexed)
-    show(f"2 of 4: counting the messages of its {session.duration_s:.0f} s")
-    traffic = read_traffic(indexed, session)
-    show("3 of 4: looking for what is missing, and judging")
-    summary = summarise(session, recording.info(), traffic, [*missing, *indexed.left_out.sentences()])
-    show("4 of 4: drawing the figure")
+    show(f"2 of 3: reading all messages of its {session.duration_s:.0f} s, and judging")
+    summary = summarise(session, recording, missing, indexed.left_out)
+    show("3 of 3: drawing the figure")
     # a node that stood still leaves a gap as well, which is no fault of the recording
     gaps_s = () if summary["recording"]["complete"] else session.gaps_s()
     origin = described(session.scenario, session.conditions)
@@ -229,12 +202,7 @@ def read_session(recording: RecordingSource) -> Session:
 
 
 def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
-    hand = _series(
-        recording,
-        "haptic/state",
-        (*_HAND_FIELDS, "answered_seq", "answered_t_ns", "answered_at_ns"),
-        timeline,
-    )
+    hand = _series(recording, "haptic/state", (*_HAND_FIELDS, *_ANSWER_FIELDS), timeline)
     reports = _launchers_on_sessions(recording)
     starts_ns, ends_ns = ([at_ns for at_ns, data in reports if key in data] for key in ("duration_s", "interrupted"))
     running = last_session(hand["session_s"], hand["seq"], hand["t_ns"], starts_ns, ends_ns)
@@ -250,8 +218,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
     is_cut = any(sentence.startswith("the recording ends") for sentence in missing)
     hand = {name: values[running] for name, values in hand.items()}
     seconds = (end_ns - start_ns) * 1e-9
-    answered = hand["answered_t_ns"] > 0
-    new = answered & (np.diff(hand["answered_seq"], prepend=-1) != 0)
+    new = (hand["answered_t_ns"] > 0) & (np.diff(hand["answered_seq"], prepend=-1) != 0)
     tip = _within(_series(recording, "afm/state", _TIP_FIELDS, timeline), start_ns, end_ns)
     reported = _reported(recording, timeline, start_ns)
     return Session(
@@ -396,21 +363,19 @@ def _interruptions(
     return sorted(found, key=lambda one: one.start_s)
 
 
-def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the summary of a session, with the keys of `Summary`; what the session does not show is null."""
-    series = session.series()
-    scaled = session.force_scale * series.tip_force_n
-    mode = session.tip["mode"]
-    tip = Instrument(
-        np.isin(mode, ("follow", "hold")), session.tip["in_contact"].astype(bool), np.isin(mode, ("hold",))
-    )
-    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
-    guard = guard_of(series.tip_time_s, tip, session.programme)
+def summarise(
+    session: Session, recording: RecordingSource, missing: Sequence[str] = (), left_out: LeftOut | None = None
+) -> dict[str, Any]:
+    """Return the summary of a session, with the keys of `Summary`; what the session does not show is null.
+
+    All messages of its recording are read once. `missing` has sentences on what is known to be missing besides;
+    `left_out` is given where the summary has to name what could not be read of the session.
+    """
+    info, sent, overruns = _counted(session, recording, recording.left_out if left_out is None else left_out)
+    series, holds, judged = _judged(session)
     interruptions = session.programme.interruptions
-    verdict, reason = verdict_of(
-        holds, guard, float(np.abs(series.hand_force_n).max(initial=0.0)), in_words(interruptions)
-    )
-    missing = [*session.missing, *_lacking(session, series, holds), *missing]
+    unread = () if left_out is None else left_out.sentences()
+    missing = [*session.missing, *_lacking(session, series, holds), *missing, *unread]
     last_s = session.duration_s - RELEASE_WINDOW_S
     samples = {
         "hold_ratio": _hold_ratios(series),
@@ -422,10 +387,7 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "scenario": session.scenario,
         **session.conditions,
         "duration_s": round(session.duration_s, 3),
-        "stable": verdict == "stable",
-        "verdict": verdict,
-        "reason": reason,
-        "hold_ratio": _mean(samples["hold_ratio"]),
+        **judged,
         "contact_x_cm": _mean(samples["contact_x_cm"]),
         "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
         "greatest_pull_nn": float(1e9 * series.tip_force_n.min(initial=0.0)) if series.tip_force_n.size else None,
@@ -436,15 +398,32 @@ def summarise(session: Session, info: RecordingInfo, traffic: Traffic, missing: 
         "hand_cycles": cycles_of(series.hand_force_n),
         "loop_age_ms": _loop_age_ms(ages_ms),
         "intervals": _intervals(samples, ages_ms),
-        "overruns": traffic.overruns,
-        "rate_hz": traffic.rates_hz(session.duration_s),
-        "completeness": traffic.completeness(session.duration_s),
+        "overruns": overruns,
+        "rate_hz": {name: round(count / session.duration_s, 3) for name, count in sent.items()},
+        "completeness": _completeness(sent, session.duration_s, 1.0 / scenario_in(recording).period_s),
         "seq_gaps": _gaps(info),
         "holds": [hold._asdict() for hold in holds],
-        "clocks": _clocks(session, info, traffic),
+        "clocks": _clocks(session),
         "recording": recording_facts(info, session.start_ns, missing),
     }
     return Summary.model_validate(found).model_dump(exclude_unset=True)
+
+
+def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]]:
+    """Return the series of a session, its holds, and what depends on how the clocks of two sites are read."""
+    series = session.series()
+    scaled = session.force_scale * series.tip_force_n
+    mode = session.tip["mode"]
+    tip = Instrument(
+        np.isin(mode, ("follow", "hold")), session.tip["in_contact"].astype(bool), np.isin(mode, ("hold",))
+    )
+    holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
+    guard = guard_of(series.tip_time_s, tip, session.programme)
+    greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
+    verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.programme.interruptions))
+    ratio = _mean(_hold_ratios(series))
+    found = {"stable": verdict == "stable", "verdict": verdict, "reason": reason, "hold_ratio": ratio}
+    return series, holds, found
 
 
 def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> list[str]:
@@ -463,19 +442,18 @@ def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold]) -> 
     return list(dict.fromkeys(found))
 
 
-def _clocks(session: Session, info: RecordingInfo, traffic: Traffic) -> dict[str, Any] | None:
+def _clocks(session: Session) -> dict[str, Any] | None:
     """Return what the slave's clock was ahead, and the figures of the other reading where it cannot be excluded."""
     clock = session.timeline.clock
     if clock is None:
         return None
-    other = None if session.otherwise is None else summarise(session.otherwise, info, traffic)
     return {
         "offset_s": round(clock.offset_s, 6),
         "uncertainty_s": round(clock.uncertainty_s, 6),
         "drift_ppm": round(1e6 * clock.drift, 1),
         "applied": clock.applied,
         "reason": clock.reason,
-        "otherwise": other and {key: other[key] for key in ("stable", "verdict", "reason", "hold_ratio")},
+        "otherwise": None if session.otherwise is None else _judged(session.otherwise)[2],
     }
 
 
@@ -521,28 +499,45 @@ def cycles_of(force_n: npt.NDArray[np.float64]) -> int:
     return cycles
 
 
-def read_traffic(recording: RecordingSource, session: Session) -> Traffic:
-    """Count the messages sent while the session ran, by the time of sending."""
-    messages: dict[str, int] = {}
-    overruns: dict[str, tuple[int, int]] = {}
+def _counted(
+    session: Session, recording: RecordingSource, left_out: LeftOut
+) -> tuple[RecordingInfo, dict[str, int], int]:
+    """Return what a recording holds, and of its session the messages sent by channel and the deadlines missed."""
     # the session by the clock of each source
-    spans: dict[str, tuple[int, int]] = {}
-    for message in recording.messages():
-        span = spans.get(message.src)
-        if span is None:
-            ends = (session.start_ns, session.end_ns)
-            first_ns, last_ns = (session.timeline.stamp_ns(message.src, end_ns) for end_ns in ends)
-            span = spans[message.src] = (first_ns, last_ns)
-        if not span[0] <= message.publish_ns < span[1]:
-            continue
-        name = message.channel_topic
-        messages[name] = messages.get(name, 0) + 1
-        if name == "node/health":
-            for _, fields in readable((message,), recording.left_out):
-                first, _ = overruns.get(message.src, (fields["overruns"], 0))
-                overruns[message.src] = (first, fields["overruns"])
-    late = sum(max(0, last - first) for first, last in overruns.values())
-    return Traffic(messages, late, 1.0 / scenario_in(recording).period_s)
+    spans: dict[str, list[int]] = {}
+    sent: dict[str, int] = {}
+    overruns: dict[str, list[int]] = {}
+
+    def see(message: RecordedMessage) -> None:
+        src, name = message.src, message.channel_topic
+        if src not in spans:
+            spans[src] = [session.timeline.stamp_ns(src, end_ns) for end_ns in (session.start_ns, session.end_ns)]
+        if spans[src][0] <= message.publish_ns < spans[src][1]:
+            sent[name] = sent.get(name, 0) + 1
+            if name == "node/health":
+                overruns.setdefault(src, []).extend(each["overruns"] for _, each in readable((message,), left_out))
+
+    info = recording.info(see)
+    return (
+        info,
+        dict(sorted(sent.items())),
+        sum(max(0, counts[-1] - counts[0]) for counts in overruns.values() if counts),
+    )
+
+
+def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: float) -> dict[str, float]:
+    """Return the recorded share of the declared number of messages, for channels of one source and a rate.
+
+    The topics of the loop are declared at 1 kHz, and have the rate of the scenario.
+    """
+    shares = {}
+    for name, count in sent.items():
+        topic = TOPICS.get(name.partition("@")[0])
+        if topic is not None and topic.rate_hz is not None and "*" not in topic.publishers:
+            # Both ends of the session may fall between two messages.
+            rate_hz = loop_rate_hz if topic.rate_hz == _DECLARED_LOOP_HZ else topic.rate_hz
+            shares[name] = min(1.0, round(count / (rate_hz * duration_s), 5))
+    return shares
 
 
 def _hold_ratios(series: SessionSeries) -> Series:

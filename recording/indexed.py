@@ -28,8 +28,8 @@ from recording.mcap_scan import (
     unpack,
 )
 from recording.messages import ChannelFilter, RecordedMessage
-from recording.multi_file import MultiFileRecording, RecordingSource
-from recording.reader import END_OF_TIME, DamageCallback, Recording, each_block
+from recording.multi_file import RecordingSource, open_recordings
+from recording.reader import END_OF_TIME, DamageCallback, Recording, SeeMessage, each_block
 from recording.summary_section import INDEX_HEAD, ChannelIndexes, channels_in, layout_by_index, quick_info
 
 # The checksum of a chunk was right, and that of its index is not known.
@@ -44,9 +44,13 @@ class IndexedRecording(Recording):
         self._indexes: ChannelIndexes = {}
         super().__init__(path)
 
-    def info(self) -> RecordingInfo:
+    def info(self, see: SeeMessage | None = None) -> RecordingInfo:
         """Return the summary by the index, or by reading the whole file where the index does not tell all."""
-        return quick_info(self.path) or super().info()
+        found = quick_info(self.path)
+        if found is not None and see is not None:
+            for message in self.messages():
+                see(message)
+        return found or super().info(see)
 
     def _read_layout(self, data: mmap.mmap) -> Layout:
         found = layout_by_index(data, str(self.path))
@@ -168,5 +172,4 @@ def message_places(data: mmap.mmap, number: int, start: int, most: int) -> npt.N
 
 def open_indexed(paths: Sequence[str | Path]) -> RecordingSource:
     """Open a recording, or several files of one, by the index; RecordingError names the file that cannot be read."""
-    recordings = [IndexedRecording(path) for path in paths]
-    return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)
+    return open_recordings(paths, IndexedRecording)

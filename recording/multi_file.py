@@ -7,7 +7,7 @@ from typing import Protocol
 from proto.errors import RecordingError
 from recording.info import RecordingInfo
 from recording.messages import ChannelFilter, LeftOut, RecordedChannel, RecordedMessage
-from recording.reader import Piece, Recording, info_of
+from recording.reader import Piece, Recording, SeeMessage, info_of
 
 
 class RecordingSource(Protocol):
@@ -37,8 +37,8 @@ class RecordingSource(Protocol):
     def metadata(self) -> Mapping[str, Mapping[str, str]]:
         """Metadata records by name."""
 
-    def info(self) -> RecordingInfo:
-        """Read everything and return its summary."""
+    def info(self, see: SeeMessage | None = None) -> RecordingInfo:
+        """Read everything, showing each message to `see`, and return its summary."""
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -78,9 +78,9 @@ class MultiFileRecording:
         """Metadata of the first part."""
         return self.files[0].metadata
 
-    def info(self) -> RecordingInfo:
+    def info(self, see: SeeMessage | None = None) -> RecordingInfo:
         """Read all parts and return the summary of the whole."""
-        return info_of(self.files)
+        return info_of(self.files, see)
 
     def messages(
         self, topics: Iterable[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
@@ -116,9 +116,9 @@ class MultiFileRecording:
         return newest
 
 
-def open_recordings(paths: Sequence[str | Path]) -> RecordingSource:
+def open_recordings(paths: Sequence[str | Path], kind: type[Recording] = Recording) -> RecordingSource:
     """Open a recording, or several files of one; RecordingError names the file that cannot be read."""
     if not paths:
         raise RecordingError("no recording was given")
-    recordings = [Recording(path) for path in paths]
+    recordings = [kind(path) for path in paths]
     return recordings[0] if len(recordings) == 1 else MultiFileRecording(recordings)

@@ -54,6 +54,7 @@ _LARGEST_PIECE, _LEAD = 16 << 20, 2
 _MOST_NAMED = 5
 
 DamageCallback = Callable[[Damage], None]
+SeeMessage = Callable[[RecordedMessage], object]
 
 _ChannelT = TypeVar("_ChannelT")
 _MessageT = TypeVar("_MessageT")
@@ -240,9 +241,9 @@ class Recording:
         """The same as `attachments`, with media types and times."""
         return self._layout.attachments
 
-    def info(self) -> RecordingInfo:
+    def info(self, see: SeeMessage | None = None) -> RecordingInfo:
         """Read the whole file and return its summary."""
-        return info_of((self,))
+        return info_of((self,), see)
 
     def _open(self) -> mmap.mmap:
         try:
@@ -341,16 +342,15 @@ def each_block(data: mmap.mmap, blocks: Iterable[Block]) -> Iterator[Block]:
             read = 0
 
 
-def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
+def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> RecordingInfo:
     """Read the files of one recording, in the order of time, and return their summary."""
     first = recordings[0]
-    node = first.metadata.get("recording", {}).get("node", "")
-    statistics = RecordingStatistics(site_of(node) if node else "")
+    statistics = RecordingStatistics(site_of(first.metadata.get("recording", {}).get("node", "")))
     damage: list[Damage] = []
     parts: list[PartInfo] = []
     missing: list[str] = []
     for number, recording in enumerate(recordings):
-        part, found = _count(recording, statistics, parts[-1] if parts else None)
+        part, found = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += found
         if number and recordings[number - 1].ending not in _PLANNED_ENDS:
             before = Path(parts[-1].path).name
@@ -365,9 +365,8 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
         parts.append(part)
     statistics.finish()
     missing += [*statistics.missing(), *notes_of(recording.metadata for recording in recordings)]
-    filled = [part for part in parts if part.messages]
-    start = min((part.start_ns for part in filled), default=0)
-    end = max((part.end_ns for part in filled), default=0)
+    start = min((part.start_ns for part in parts if part.messages), default=0)
+    end = max((part.end_ns for part in parts if part.messages), default=0)
     attachments = {name: found for each in reversed(recordings) for name, found in each.attachment_records.items()}
     return RecordingInfo(
         path=str(first.path),
@@ -396,13 +395,15 @@ def info_of(recordings: Sequence[Recording]) -> RecordingInfo:
 
 
 def _count(
-    recording: Recording, statistics: RecordingStatistics, before: PartInfo | None
+    recording: Recording, statistics: RecordingStatistics, before: PartInfo | None, see: SeeMessage | None
 ) -> tuple[PartInfo, list[Damage]]:
     """Add the messages of a file to the statistics; return its figures, and what of it cannot be read."""
     damage = list(recording.structural_damage)
     first_ns, last_ns, messages = 2**64, 0, 0
     for message in recording.select(report=damage.append):
         statistics.add(message)
+        if see is not None:
+            see(message)
         messages += 1
         first_ns, last_ns = min(first_ns, message.log_ns), max(last_ns, message.log_ns)
     if last_ns - first_ns > LONGEST_PAUSE_NS:

@@ -80,9 +80,9 @@ class RecordedSession:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Conditions, figures and verdict, as in `summary.json`; RecordingError when the programme never ran."""
-        from analysis.report import read_traffic, summarise
+        from analysis.report import summarise
 
-        return summarise(self._session, self._source.info(), read_traffic(self._source, self._session))
+        return summarise(self._session, self._source)
 
     @cached_property
     def start_ns(self) -> int | None:

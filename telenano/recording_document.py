@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from analysis.phases import contacts_of, moments_of, phases_of
-from analysis.report import Session, read_session, read_traffic, summarise
+from analysis.report import Session, read_session, summarise
 from analysis.swings import swings_of
 from proto.errors import RecordingError
 from recording.messages import readable
@@ -28,7 +28,7 @@ def judged_recording(recording: RecordingSource) -> dict[str, Any]:
     found: dict[str, Any] = {"phases": [], "holds": [], "swings": [], "summary": None}
     try:
         session = read_session(recording)
-        summary = summarise(session, recording.info(), read_traffic(recording, session))
+        summary = summarise(session, recording)
     except RecordingError as error:
         return {**found, "moments": _events(recording, start_ns, Timeline(recording)), "fault": str(error)}
     moments = _events(recording, start_ns, session.timeline)

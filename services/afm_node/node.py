@@ -177,14 +177,19 @@ class AfmNode(DeviceNode):
                 text = self._request(begin, safety.MODE_RETRACTED)
             except RefusedError as error:
                 raise RefusedError(f"not armed: {error}") from error
-        refusal = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=True).arm_refusal
-        if refusal != safety.ARM_NOT_REFUSED:
-            self._programs.end()
-            if refusal == safety.ARM_REFUSED_ALREADY_ARMED:
-                return "armed already"
-            raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[refusal]}")
-        self._report_reach()
-        return text
+        done = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=True)
+        if done.arm_refusal == safety.ARM_NOT_REFUSED:
+            self._report_reach()
+            return text
+        self._programs.end()
+        if done.arm_refusal != safety.ARM_REFUSED_ALREADY_ARMED:
+            raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[done.arm_refusal]}")
+        if done.mode == safety.MODE_FOLLOW:
+            return "armed already"
+        mode, reason = safety.MODE_NAMES[done.mode], safety.REASON_NAMES[done.reason]
+        if done.mode == safety.MODE_HOLD:
+            return f"armed already, but in mode {mode}: {reason}; without fresh commands the tip retracts"
+        raise RefusedError(f"not armed: the AFM is in mode {mode}: {reason}")
 
     def _withdraw(self) -> str:
         """Retract the tip as at the end of a session: nobody has stopped it, and it stays retracted until armed."""
@@ -315,12 +320,7 @@ class AfmNode(DeviceNode):
             return
         self._reported = (allowed.mode, allowed.reason)
         self.state = "running" if allowed.mode in (safety.MODE_FOLLOW, safety.MODE_HOLD) else "safe"
+        level = "warning" if allowed.reason in _ALARMING else "info"
         mode, reason = safety.MODE_NAMES[allowed.mode], safety.REASON_NAMES[allowed.reason]
-        self.event(
-            "mode",
-            "warning" if allowed.reason in _ALARMING else "info",
-            f"the AFM is in mode {mode}: {reason}",
-            mode=mode,
-            reason=reason,
-            base_position_m=allowed.base_m,
-        )
+        text = f"the AFM is in mode {mode}: {reason}"
+        self.event("mode", level, text, mode=mode, reason=reason, base_position_m=allowed.base_m)

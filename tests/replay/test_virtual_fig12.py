@@ -11,7 +11,7 @@ import pytest
 import yaml
 from virtual_rig import record_session
 
-from analysis.report import read_session, read_traffic, summarise
+from analysis.report import read_session, summarise
 from presets import find_scenario
 from recording.multi_file import open_recordings
 from services.delay_node.profiles import PROFILES
@@ -42,7 +42,7 @@ def run(folder: Path, duration_s: float, *settings: str) -> dict[str, Any]:
     path = record_session(folder, 1, settings, BEFORE_S + duration_s, {**scenario, "duration_s": duration_s})
     recording = open_recordings([path])
     session = read_session(recording)
-    return summarise(session, recording.info(), read_traffic(recording, session))
+    return summarise(session, recording)
 
 
 def test_forty_milliseconds_round_trip_stay_stable_and_without_the_meniscus_the_contact_is_nearer(

@@ -30,7 +30,7 @@ def budget(
     with report_errors(as_json):
         import json
 
-        from analysis.report import read_session, read_traffic, summarise
+        from analysis.report import read_session, summarise
         from recording.multi_file import open_recordings
         from services.afm_node.devices.converter_calibration import read_calibration as read_stage
         from services.haptic_node.devices.calibration import read_calibration as read_handle
@@ -42,7 +42,7 @@ def budget(
         )
         recording = open_recordings(recordings)
         session = read_session(recording)
-        summary = summarise(session, recording.info(), read_traffic(recording, session))
+        summary = summarise(session, recording)
         figures = figure_budgets(summary, shares)
         stages = delay_budget(recording, session.timeline, session.start_ns, session.end_ns)
         document: dict[str, Any] = {

@@ -91,6 +91,21 @@ def test_arming_needs_a_fresh_command(afm: Instrument) -> None:
     assert afm.control("arm") == "armed already"
 
 
+def test_an_arm_while_the_tip_is_held_says_so_and_one_with_which_it_retracts_is_refused(afm: Instrument) -> None:
+    follow(afm)
+    afm.pass_ms(100.0)
+    assert afm.states()[-1].mode == "hold"
+    told = "armed already, but in mode hold: command_deadline; without fresh commands the tip retracts"
+    assert afm.control("arm") == told
+    afm.command()
+    assert afm.control("arm") == "armed already"
+    # the step of the arm itself is the first that sees the silence
+    afm.bench.clock.advance_ns(300_000_000)
+    with pytest.raises(RefusedError, match=r"^not armed: the AFM is in mode retracting: hold_expired$"):
+        afm.control("arm")
+    assert afm.states()[-1].mode == "retracting"
+
+
 def test_the_end_of_a_session_withdraws_the_tip_and_is_no_emergency_stop(afm: Instrument) -> None:
     follow(afm)
     assert afm.control("stop") == "the tip retracts and stays until armed"

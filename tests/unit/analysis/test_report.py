@@ -36,7 +36,7 @@ def whole(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict
     out = tmp_path_factory.mktemp("whole")
     steps: list[str] = []
     found = write_report(session, out, show=steps.append), (out / "fig12.png").read_bytes()
-    assert [step.partition(":")[0] for step in steps] == [f"{n} of 4" for n in (1, 2, 3, 4)]
+    assert [step.partition(":")[0] for step in steps] == [f"{n} of 3" for n in (1, 2, 3)]
     return found
 
 

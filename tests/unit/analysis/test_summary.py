@@ -3,6 +3,7 @@
 import json
 import random
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, get_args
@@ -14,11 +15,12 @@ from pydantic import ValidationError
 
 from analysis import report
 from analysis.holds import Hold
-from analysis.report import Session, read_session, read_traffic, summarise, write_report
+from analysis.report import Session, read_session, summarise, write_report
 from analysis.summary import Package, Summary, markdown, rows_of, summary_schema
 from analysis.verdict import Kind
 from presets import SCHEMA_DIRECTORY
 from recording.channel_filter import ALL
+from recording.indexed import open_indexed
 from recording.multi_file import RecordingSource, open_recordings
 from recording.rewrite import filter_recording
 
@@ -47,7 +49,7 @@ MADE: dict[str, Made] = {
 
 def summary_of(recording: RecordingSource) -> dict[str, Any]:
     session = read_session(recording)
-    return summarise(session, recording.info(), read_traffic(recording, session))
+    return summarise(session, recording)
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +126,21 @@ def stable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Recording
     return read_session(recording), recording
 
 
+def test_the_traffic_of_a_session_is_what_was_sent_in_it_by_index_and_as_a_whole(
+    stable: tuple[Session, RecordingSource],
+) -> None:
+    session, recording = stable
+    sent = Counter(
+        one.channel_topic for one in recording.messages() if session.start_ns <= one.publish_ns < session.end_ns
+    )
+    by_index = open_indexed([recording.path])
+    for summary in (summarise(session, recording), summarise(read_session(by_index), by_index)):
+        assert summary["rate_hz"] == {name: round(sent[name] / session.duration_s, 3) for name in sorted(sent)}
+        share = round(sent["haptic/state"] / (1000.0 * session.duration_s), 5)
+        assert summary["completeness"]["haptic/state"] == share
+        assert summary["overruns"] == 0
+
+
 @pytest.mark.parametrize("kind", get_args(Kind))
 def test_every_verdict_is_one_that_a_summary_may_have(
     stable: tuple[Session, RecordingSource], monkeypatch: pytest.MonkeyPatch, kind: Kind
@@ -131,7 +148,7 @@ def test_every_verdict_is_one_that_a_summary_may_have(
     session, recording = stable
     hold = Hold(0.5, 1.5, 1.0, kind, None if kind == "no_data" else -1.0, 0.0, 0.0, "in words")
     monkeypatch.setattr(report, "judge_holds", lambda *given: [hold])
-    summary = summarise(session, recording.info(), read_traffic(recording, session))
+    summary = summarise(session, recording)
     assert (summary["verdict"], summary["reason"], summary["stable"]) == (kind, "in words", kind == "stable")
     assert summary["holds"] == [hold._asdict()]
 
@@ -167,7 +184,7 @@ def test_a_key_without_a_row_is_refused_by_name(
     session, recording = stable
     change(session, monkeypatch)
     with pytest.raises(ValidationError, match=re.escape(name)):
-        summarise(session, recording.info(), read_traffic(recording, session))
+        summarise(session, recording)
 
 
 def test_a_key_that_is_left_out_is_named(
@@ -176,7 +193,7 @@ def test_a_key_that_is_left_out_is_named(
     session, recording = stable
     monkeypatch.delitem(session.conditions, "link_seed")
     with pytest.raises(ValidationError, match="link_seed"):
-        summarise(session, recording.info(), read_traffic(recording, session))
+        summarise(session, recording)
 
 
 def test_schema_and_page_in_the_repository_are_those_of_the_model() -> None:

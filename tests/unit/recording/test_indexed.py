@@ -117,6 +117,13 @@ def test_the_information_of_a_sound_file_comes_by_its_index(path: Path) -> None:
     assert (info.basis, info.messages) == ("summary", Recording(path).info().messages)
 
 
+@pytest.mark.parametrize("opened", [Recording, IndexedRecording])
+def test_the_information_shows_each_message_once_in_the_order_of_the_file(path: Path, opened: type[Recording]) -> None:
+    seen: list[Any] = []
+    assert opened(path).info(seen.append) == opened(path).info()
+    assert seen == list(Recording(path).messages())
+
+
 def test_parts_are_read_as_one(path: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="missing"):
         open_indexed([path, tmp_path / "missing.mcap"])

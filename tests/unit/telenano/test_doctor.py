@@ -3,6 +3,7 @@ import fcntl
 import json
 import os
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -561,3 +562,23 @@ def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys
     doctor.compile_models(as_json=True)
     assert said == [("fig12", law) for law in KNOWN_LAWS]
     assert list(json.loads(capsys.readouterr().out)["warmed_s"]) == list(KNOWN_LAWS)
+
+
+@pytest.mark.check("compiles a law")
+def test_a_session_after_warming_compiles_nothing_and_one_before_it_says_that_it_does(tmp_path: Path) -> None:
+    warm = (
+        "from studies.loops import simulation; simulate = simulation.simulate_scenario\n"
+        "simulation.simulate_scenario = lambda name, law, duration_s: (\n"
+        "    law == 'virtual_impedance' and simulate(name, law=law, duration_s=duration_s)\n)\n"
+        "from telenano.doctor.report import compile_models; compile_models(as_json=True)"
+    )
+    session = "import telenano; print(telenano.simulate('fig12', law='virtual_impedance').verdict)"
+    said = []
+    for program in (warm, session):
+        environment = {name: value for name, value in os.environ.items() if name != "NUMBA_DISABLE_JIT"}
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path)
+        done = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+        )
+        said.append("compiling models" in done.stderr)
+    assert said == [True, False] and done.stdout == "stable\n"

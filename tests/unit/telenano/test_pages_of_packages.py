@@ -38,8 +38,11 @@ def test_a_command_answers_help_and_its_page_names_every_option(words: str) -> N
     done = CliRunner().invoke(app, [*words.split(), "--help"])
     assert done.exit_code == 0 and "Usage" in done.output
     page = (PACKAGES / folder / "README.md").read_text(encoding="utf-8")
-    # A package of several commands has a heading for each.
-    part = page.partition(f"## telenano {words}\n")[2].partition("\n## ")[0] or page
+    # A package of several commands has a heading or an item of a list for each.
+    own = re.search(
+        rf"^(?:#+ |- `)telenano {words}(?:\n|`).*?(?=\n(?:#+ |- `telenano)|\Z)", page, re.DOTALL | re.MULTILINE
+    )
+    part = own[0] if own else page
     options = [one for one in command.params if one.param_type_name == "option" and one.name not in ("help", "rig")]
     assert [one.name for one in options if not one.help] == []
     assert {one.opts[0] for one in options if not re.search(rf"`{one.opts[0]}[ /`]", part)} == set()
@@ -54,7 +57,9 @@ def test_a_page_has_no_command_or_option_that_is_gone(folder: str) -> None:
     headings = re.findall(r"^## telenano (.+)$", page, re.MULTILINE)
     assert [words for words in headings if not any(f"{one} ".startswith(f"{words} ") for one in there)] == []
     options = {flag for command in there.values() for one in command.params for flag in one.opts}
-    assert set(re.findall(r"^- `(--[a-z-]+)", page, re.MULTILINE)) <= options
+    lists = [part for part in page.split("\n\n") if part.startswith(("Options", "- `--", "- `telenano"))]
+    named = {flag for part in lists for flag in re.findall(r"`(--[a-z-]+)", part)}
+    assert named and named <= {*options, "--help"}
 
 
 def test_a_length_at_the_instrument_is_in_nanometres_in_every_command() -> None:
