@@ -42,13 +42,15 @@ class Guide(NamedTuple):
 
     met: is told who the device is before anything moves. say: is told of each step as it begins. ask: returns whether a
     step is wanted; the function that it gets lets a millisecond pass with the device at rest. poll: is called each
-    millisecond. Each may raise EndedError, which ends the motion with the device at rest.
+    millisecond. waited: is told how late each one was [s]. Each may raise EndedError, which ends the motion with the
+    device at rest.
     """
 
     say: Callable[[Step], None] = lambda step: None
     ask: Callable[[Step, Callable[[], None]], bool] = lambda step, idle: True
     poll: Callable[[], None] = lambda: None
     met: Callable[[str], None] = lambda identity: None
+    waited: Callable[[float], None] = lambda late_s: None
 
 
 SILENT = Guide()
@@ -235,7 +237,9 @@ class Recorder:
         """Wait until so many milliseconds after the last of these times."""
         self._guide.poll()
         self.ticks += periods
-        self._clock.wait(self._begun_ns + round(self.ticks * PERIOD_S * 1e9))
+        due_ns = self._begun_ns + round(self.ticks * PERIOD_S * 1e9)
+        self._clock.wait(due_ns)
+        self._guide.waited((self._clock.now_ns() - due_ns) * 1e-9)
 
     def add(self, age_s: float, *values: Any) -> None:
         """Record the age of the sample [s], and what the kind has besides, at the time that was waited for."""

@@ -9,10 +9,12 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from telenano.extend.commands import ConfigError
-from telenano_acceptance.take import EndedError, Guide, Step
+from telenano_acceptance.take import EndedError, Guide, Step, Verdict
 
 ENDED = "the person has ended it"
 _EMULATED = ("emulat", "simulat")
+# A millisecond that this computer lets pass is late beyond the first of these; the share of those, and the worst.
+_LATE_S, _MOST_SHARE, _WORST_S = 2e-3, 0.01, 0.02
 
 
 class Questions:
@@ -29,11 +31,26 @@ class Questions:
         self._signals: list[int] = []
         self._typed, self._ends, self._is_over = bytearray(), False, False
         self._is_typed_at = sys.stdin.isatty()
+        self._waits = self._late = 0
+        self._worst_s = 0.0
 
     @property
     def guide(self) -> Guide:
         """Return what leads a person through the motion."""
-        return Guide(self._say, self._ask, self._poll, self._met)
+        return Guide(self._say, self._ask, self._poll, self._met, self._waited)
+
+    def computer(self) -> list[Verdict]:
+        """Return whether this computer kept to the milliseconds; nothing where it was asked for none."""
+        if not self._waits:
+            return []
+        share = self._late / self._waits
+        is_good = share <= _MOST_SHARE and self._worst_s <= _WORST_S
+        found = f"{100.0 * share:.1f} % of the milliseconds late, by {1e3 * self._worst_s:.0f} ms at most"
+        advice = "" if is_good else ": what is found besides may be its fault; end what else runs on it"
+        wanted = (
+            f"at most {100.0 * _MOST_SHARE:.0f} % by {1e3 * _LATE_S:.0f} ms or more, none by {1e3 * _WORST_S:.0f} ms"
+        )
+        return [Verdict("this computer", "pass" if is_good else "retake", found + advice, wanted)]
 
     @contextmanager
     def hear(self) -> Iterator[None]:
@@ -104,6 +121,11 @@ class Questions:
         # Of a file or a pipe, each line waits for its question.
         if b"end" in (whole if self._is_typed_at else whole[:1]):
             self._end()
+
+    def _waited(self, late_s: float) -> None:
+        self._waits += 1
+        self._late += late_s > _LATE_S
+        self._worst_s = max(self._worst_s, late_s)
 
     def _end(self) -> NoReturn:
         self._ends = True

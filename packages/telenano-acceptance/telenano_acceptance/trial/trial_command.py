@@ -8,7 +8,9 @@ import typer
 from telenano.extend.commands import ConfigError, TelenanoError, flag_overrides, report_errors
 
 if TYPE_CHECKING:
-    from telenano_acceptance.take import Guide
+    from collections.abc import Callable
+
+    from telenano_acceptance.take import Guide, Verdict
     from telenano_acceptance.trial.devices import Tried
     from telenano_acceptance.trial.trial_file import Trial
 
@@ -70,7 +72,7 @@ def trial(
         device = tried(driver, flag_overrides(settings or []), calibration, port, mass, stop)
         questions = Questions(typer.echo, yes=yes, is_emulated=device.is_emulated)
         with questions.hear():
-            made = make_trial(driver, device, questions.guide)
+            made = make_trial(driver, device, questions.guide, questions.computer)
         _write(path, made)
         typer.echo("\n" + sheet_of(made), nl=False)
         if not made.acceptance.device:
@@ -80,13 +82,14 @@ def trial(
         raise typer.Exit(_NOT_PASSED)
 
 
-def make_trial(driver: str, device: "Tried", guide: "Guide") -> "Trial":
+def make_trial(driver: str, device: "Tried", guide: "Guide", computer: "Callable[[], list[Verdict]]" = list) -> "Trial":
     """Try a device, and return what was found, without names, paths, hosts and addresses.
 
     Args:
         driver: The name by which it is tried.
         device: How its recording is made.
         guide: Leads the person.
+        computer: Returns, after the motion, what this computer adds to the page.
 
     Raises:
         ConfigError: It cannot be tried in this way.
@@ -129,8 +132,10 @@ def make_trial(driver: str, device: "Tried", guide: "Guide") -> "Trial":
             errors.append(Problem("motion", stopped))
         errors += [Problem("device", text) for text in getattr(take.facts, "said", ())]
         opening = Verdict("opening", "pass", take.facts.identity, _OPENED)
-        lines = [line_of(LOADS[0], opening), *lines_of(kind_of(take), take), line_of(LOADS[-1], ended)]
-        result = overall([opening, ended, *kind_of(take).judge(take)])
+        others = computer()
+        lines = [line_of(LOADS[0], verdict) for verdict in (opening, *others)]
+        lines += [*lines_of(kind_of(take), take), line_of(LOADS[-1], ended)]
+        result = overall([opening, ended, *others, *kind_of(take).judge(take)])
         acceptance = Acceptance(1, driver, take.facts.identity, result, take.seconds, lines)
         if not len(take.rows):
             take = None
