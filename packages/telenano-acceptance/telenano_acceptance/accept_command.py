@@ -11,7 +11,7 @@ from telenano.cli.sample_options import results_in
 from telenano.extend.commands import ConfigError, JsonOption, flag_overrides, print_json, report_errors, run_ahead
 
 if TYPE_CHECKING:
-    from telenano_acceptance.take import Kind, Say, Step, Take, Verdict
+    from telenano_acceptance.take import Guide, Kind, Step, Take, Verdict
 
 _NOT_ACCEPTED = 1
 
@@ -56,20 +56,20 @@ def accept(
     with report_errors(as_json):
         from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
         from telenano_acceptance.instrument.checks import INSTRUMENT
-        from telenano_acceptance.take import overall, read_take, silent
+        from telenano_acceptance.take import SILENT, Guide, overall, read_take
 
         kind: Kind[Any]
         take: Take[Any]
-        given, say = flag_overrides(settings or []), silent if as_json else _tell
+        given, guide = flag_overrides(settings or []), SILENT if as_json else Guide(_tell)
         if taken is not None:
             kind, take = read_take(taken, HAPTIC_DEVICE, INSTRUMENT)
         elif calibration is not None or "afm_node" in given:
             if faults:
                 raise ConfigError("--fault: faults go into simulated_impedance; an emulated instrument has its own")
-            kind, take = INSTRUMENT, _take_of_instrument(calibration, _section(given, "afm_node"), say)
+            kind, take = INSTRUMENT, _take_of_instrument(calibration, section_named(given, "afm_node"), guide)
         else:
-            section = {"driver": driver} | _section(given, "haptic_node")
-            kind, take = HAPTIC_DEVICE, _take_of_device(section, mass, stop, faults or [], say)
+            section = {"driver": driver} | section_named(given, "haptic_node")
+            kind, take = HAPTIC_DEVICE, _take_of_device(section, mass, stop, faults or [], guide)
         verdicts = kind.judge(take)
         result, identity = overall(verdicts), take.facts.identity
         document = {
@@ -96,7 +96,7 @@ def _tell(step: "Step") -> None:
     typer.echo(f"{step.seconds:4.0f} s  {step.name}: {step.prompt}")
 
 
-def _section(given: dict[str, Any], name: str) -> dict[str, Any]:
+def section_named(given: dict[str, Any], name: str) -> dict[str, Any]:
     """Return the keys of a section; ConfigError names one of another."""
     if other := sorted(set(given) - {name}):
         raise ConfigError(f"--set {other[0]}: what is judged here has keys {name}.* only")
@@ -104,17 +104,17 @@ def _section(given: dict[str, Any], name: str) -> dict[str, Any]:
     return found
 
 
-def _take_of_instrument(calibration: Path | None, section: dict[str, Any], say: "Say") -> "Take[Any]":
+def _take_of_instrument(calibration: Path | None, section: dict[str, Any], guide: "Guide") -> "Take[Any]":
     from telenano_acceptance.instrument.instruments import config_of, make_take
 
     config = config_of(calibration, section)
     if config.driver != "simulated":
         # a guard takes a pause of this process for its death
         run_ahead()
-    return make_take(config, say)
+    return make_take(config, guide)
 
 
-def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: list[str], say: "Say") -> "Take[Any]":
+def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: list[str], guide: "Guide") -> "Take[Any]":
     import yaml
 
     from services.haptic_node.config import HapticConfig
@@ -123,7 +123,7 @@ def _take_of_device(section: dict[str, Any], mass: float, stop: str, faults: lis
 
     config = validate(HapticConfig, section, "--set", "haptic_node")
     wrong = {name: yaml.safe_load(value) for name, _, value in (fault.partition("=") for fault in faults)}
-    return make_take(config, mass, stop, faults=wrong, say=say)
+    return make_take(config, mass, stop, faults=wrong, guide=guide)
 
 
 def _page(take: "Take[Any]", verdicts: "list[Verdict]", result: str) -> Any:
@@ -141,5 +141,5 @@ def _page(take: "Take[Any]", verdicts: "list[Verdict]", result: str) -> Any:
             page.paragraph(text)
         page.table(("what", "value"), [(name, str(value)) for name, value in values.items()])
     page.heading("The motion")
-    page.table(("step", "seconds", "what was asked for"), take.steps)
+    page.table(("step", "seconds", "what was asked for", "driven"), take.steps)
     return page

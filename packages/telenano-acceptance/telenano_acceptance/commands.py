@@ -13,4 +13,8 @@ COMMANDS = {
         "telenano_acceptance.look_commands:probe",
         "Identify a handle, an instrument or a driver's device.",
     ),
+    "device trial": (
+        "telenano_acceptance.trial.trial_command:trial",
+        "Try a device of one's own with a question before each step, and write one file; or make its page.",
+    ),
 }

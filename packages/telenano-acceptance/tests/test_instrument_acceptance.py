@@ -13,7 +13,7 @@ from stage_line import StageLine, calibration
 from telenano_acceptance.instrument.checks import INSTRUMENT
 from telenano_acceptance.instrument.instruments import facts_of, make_take
 from telenano_acceptance.instrument.take import STEPS, Facts, record_take
-from telenano_acceptance.take import Clock, Take, Verdict, overall, read_take
+from telenano_acceptance.take import Clock, Guide, Take, Verdict, overall, read_take
 from telenano_afm_controllers.gwyscope_driver import GwyscopeAfm
 from telenano_afm_controllers.nanonis_driver import NanonisAfm
 from typer.testing import CliRunner
@@ -85,7 +85,7 @@ def take_of(
 
     clock = Clock(lambda: line.now_ns, wait)
     facts = facts_of(chosen, line.driver)
-    return record_take(line.driver, facts, clock, lambda begun: step.__setitem__(0, begun.name))
+    return record_take(line.driver, facts, clock, Guide(lambda begun: step.__setitem__(0, begun.name)))
 
 
 def found(take: Take[Facts]) -> dict[str, Verdict]:

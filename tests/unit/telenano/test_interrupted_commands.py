@@ -83,6 +83,7 @@ ELSEWHERE = {
     "bag recalibrate": "copies as `bag filter` does, and needs a recording of real devices",
     "budget": "reads a recording, and writes two files at once at the end by `results_in`",
     "device accept": "takes a motion of a minute, and writes all at once at the end by `results_in`",
+    "device trial": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate handle": "asks a person at a real device, and writes one file at the end by `whole_file`",
     "device calibrate stage": "asks a person at a real device, and writes one file at the end by `whole_file`",
 }

@@ -45,7 +45,8 @@ def _never(gate: int) -> Check:
 
 def _present(take: Take[Facts]) -> Rows:
     """Return the rows outside the step in which the cable is out."""
-    rows: Rows = take.rows[take.rows["step"] != len(take.steps) - 1]
+    out = [number for number, step in enumerate(take.steps) if step.name == "cable"]
+    rows: Rows = take.rows[~np.isin(take.rows["step"], out)]
     return rows
 
 
@@ -68,8 +69,10 @@ def _age(take: Take[Facts]) -> tuple[Result, str]:
 
 def _gaps(take: Take[Facts]) -> tuple[Result, str]:
     rows = _present(take)
-    longest_s = float(rows["age_s"].max())
-    return passes(longest_s <= GAP_S and not rows["lost"].any()), f"{1e3 * longest_s:.0f} ms"
+    longest_s = float(rows["age_s"].max(initial=0.0))
+    good = longest_s <= GAP_S and not rows["lost"].any()
+    said = "" if good or not take.facts.said else f": {take.facts.said[0]}"
+    return passes(good), f"{1e3 * longest_s:.0f} ms{said}"
 
 
 def _fresh(take: Take[Facts]) -> tuple[Result, str]:
@@ -239,6 +242,8 @@ def _deadman(take: Take[Facts]) -> tuple[Result, str]:
         return "cannot say", "the device declares no dead-man button"
     rows, bit = take.of("button"), take.facts.device.buttons.index(take.facts.device.deadman)
     held = (rows["buttons"] >> bit & 1).astype(bool)
+    if len(take.of("hold")) and not (take.rows["buttons"] >> bit & 1).any():
+        return "fail", f"{take.facts.device.deadman} was never heard, while it had to be held: its grip may be asleep"
     if held.all() or not held.any():
         return "retake", f"{take.facts.device.deadman} was not both held and let go"
     # a tenth of a second after it was let go there is no force, whatever it was
@@ -289,32 +294,32 @@ def _stop(take: Take[Facts]) -> tuple[Result, str]:
     return passes(most <= MOST_WITHOUT_STOP_N), f"none stated, and up to {most:.3g} N"
 
 
-_CHECKS: tuple[tuple[str, Check, str], ...] = (
-    ("finite positions", _never(GATE_NOT_A_NUMBER), "no position that is not a number"),
-    ("rate", _rate, f"the declared rate within {100 * RATE_SHARE:.0f} %"),
-    ("jitter", _jitter, f"at most {100 * LATE_SHARE:.0f} % of the steps more than half a period late"),
-    ("age of samples", _age, f"{1e3 * AGE_S:.0f} ms at most in the median"),
-    ("gaps", _gaps, f"no silence of more than {1e3 * GAP_S:.0f} ms but for the cable"),
-    ("fresh positions", _fresh, "half of the samples new, or as many as the rate gives"),
-    ("no jumps", _never(GATE_JUMP), "no change in one sample that no hand makes"),
-    ("no frozen readings", _never(GATE_FROZEN), "a place that moves when the force changes"),
-    ("noise at rest", _noise, f"{1e6 * NOISE_M:.0f} um at most"),
-    ("drift at rest", _drift, f"{1e6 * DRIFT_M:.0f} um at most"),
-    ("resolution", _resolution, f"{1e6 * RESOLUTION_M:.0f} um at most"),
-    ("workspace", _workspace, f"{100 * REACHED:.0f} % of the declared workspace on each axis"),
-    ("scale of positions", _scale, f"no more than {100 * BEYOND:.0f} % of the declared workspace"),
-    ("sign of x", _sign("right", 0), "+x when pushed to the right"),
-    ("sign of y", _sign("forward", 1), "+y when pushed forward"),
-    ("sign of z", _sign("up", 2), "+z when lifted"),
-    ("sign of forces", _force_sign, "motion along the force on each axis"),
-    ("scale of forces", _force_scale, f"the weight of the mass within {100 * FORCE_SHARE:.0f} %"),
-    ("rendering stiffness", _stiffness, "no buzz at the stiffness of the coupling"),
-    ("limits of force", _limits, "no more than the clamp, and what was asked for"),
-    ("buttons", _buttons, "each pressed and let go"),
-    ("dead-man", _deadman, "no force within 0.1 s without it"),
-    ("cable loss", _cable, "told, and no force while lost"),
-    ("orientation", _orientation, "unit quaternions"),
-    ("independent stop", _stop, f"stated for every device of more than {MOST_WITHOUT_STOP_N:g} N"),
+_CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
+    ("finite positions", _never(GATE_NOT_A_NUMBER), "no position that is not a number", ()),
+    ("rate", _rate, f"the declared rate within {100 * RATE_SHARE:.0f} %", ("slow",)),
+    ("jitter", _jitter, f"at most {100 * LATE_SHARE:.0f} % of the steps more than half a period late", ("rest",)),
+    ("age of samples", _age, f"{1e3 * AGE_S:.0f} ms at most in the median", ("rest",)),
+    ("gaps", _gaps, f"no silence of more than {1e3 * GAP_S:.0f} ms but for the cable", ("rest",)),
+    ("fresh positions", _fresh, "half of the samples new, or as many as the rate gives", ("fast",)),
+    ("no jumps", _never(GATE_JUMP), "no change in one sample that no hand makes", ()),
+    ("no frozen readings", _never(GATE_FROZEN), "a place that moves when the force changes", ("hold",)),
+    ("noise at rest", _noise, f"{1e6 * NOISE_M:.0f} um at most", ("rest",)),
+    ("drift at rest", _drift, f"{1e6 * DRIFT_M:.0f} um at most", ("rest",)),
+    ("resolution", _resolution, f"{1e6 * RESOLUTION_M:.0f} um at most", ("slow",)),
+    ("workspace", _workspace, f"{100 * REACHED:.0f} % of the declared workspace on each axis", ("slow", "fast")),
+    ("scale of positions", _scale, f"no more than {100 * BEYOND:.0f} % of the declared workspace", ("slow", "fast")),
+    ("sign of x", _sign("right", 0), "+x when pushed to the right", ("right",)),
+    ("sign of y", _sign("forward", 1), "+y when pushed forward", ("forward",)),
+    ("sign of z", _sign("up", 2), "+z when lifted", ("up",)),
+    ("sign of forces", _force_sign, "motion along the force on each axis", ("hold",)),
+    ("scale of forces", _force_scale, f"the weight of the mass within {100 * FORCE_SHARE:.0f} %", ("mass",)),
+    ("rendering stiffness", _stiffness, "no buzz at the stiffness of the coupling", ("hold",)),
+    ("limits of force", _limits, "no more than the clamp, and what was asked for", ("hold",)),
+    ("buttons", _buttons, "each pressed and let go", ("button",)),
+    ("dead-man", _deadman, "no force within 0.1 s without it", ("button",)),
+    ("cable loss", _cable, "told, and no force while lost", ("cable",)),
+    ("orientation", _orientation, "unit quaternions", ()),
+    ("independent stop", _stop, f"stated for every device of more than {MOST_WITHOUT_STOP_N:g} N", ()),
 )
 
 

@@ -9,7 +9,7 @@ from telenano.extend.emulators import ProcessLink
 from telenano_acceptance.haptic_device.person import person, reach_of
 from telenano_acceptance.haptic_device.simulated_link import DeviceFaults, SimulatedLink
 from telenano_acceptance.haptic_device.take import Facts, record_take, steps_of
-from telenano_acceptance.take import MACHINE, Clock, Say, Take, silent
+from telenano_acceptance.take import MACHINE, SILENT, Clock, Guide, Take
 
 
 def make_take(
@@ -19,7 +19,7 @@ def make_take(
     *,
     pace: float = 1.0,
     faults: Mapping[str, Any] | None = None,
-    say: Say = silent,
+    guide: Guide = SILENT,
 ) -> Take[Facts]:
     """Lead a person, or a simulated one, through the motion at the device that a section names.
 
@@ -29,7 +29,7 @@ def make_take(
         independent_stop: How the drives can be stopped without the computer; empty if they cannot.
         pace: Stretches or shortens all steps.
         faults: Those of `DeviceFaults` to put into a simulated device, by name.
-        say: Tells the person of each step as it begins.
+        guide: Leads the person.
 
     Raises:
         ConfigError: The driver is none of a device that takes a force, or faults were asked of a real one.
@@ -43,7 +43,7 @@ def make_take(
         hand = person(reach_of(able), len(able.buttons), 1, steps, mass_kg)
         simulated = SimulatedLink(able, hand, _faults_of(faults or {}))
         facts = Facts(able, config.coupling.to_settings(able), mass_kg, independent_stop)
-        return record_take(simulated, facts, steps, Clock(simulated.now_ns), say)
+        return record_take(simulated, facts, steps, Clock(simulated.now_ns), guide)
     if faults:
         raise ConfigError(f"faults can be put into {SIMULATED_IMPEDANCE} only, not into {config.driver}")
     driver = DRIVERS.find(config.driver)
@@ -55,7 +55,7 @@ def make_take(
     link.open()
     try:
         facts = Facts(link.capabilities, config.coupling.to_settings(link.capabilities), mass_kg, independent_stop)
-        return record_take(link, facts, steps, MACHINE, say)
+        return record_take(link, facts, steps, MACHINE, guide)
     finally:
         link.close()
 

@@ -15,8 +15,9 @@ from services.haptic_node.coupling import (
 )
 from services.haptic_node.impedance_config import bounds_of
 from services.haptic_node.servo import ServoCommand, ServoLink, ServoSample
+from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import Capabilities
-from telenano_acceptance.take import PERIOD_S, Clock, Recorder, Say, Step, Table, Take, row_of, silent
+from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STANDARD_GRAVITY_M_PER_S2 = 9.80665
 # The take begins with the first sample of the device, or after so long without one.
@@ -38,11 +39,18 @@ STEPS = (
     Step("right", 3.0, "push the handle to the right, and let it come back"),
     Step("forward", 3.0, "push the handle forward, away from you, and let it come back"),
     Step("up", 3.0, "lift the handle, and let it come back"),
-    Step("hold", 12.0, "hold the handle still: the device pushes in three directions, and then becomes stiffer"),
-    Step("button", 5.0, "press and let go of each button, one after the other"),
-    Step("cable", 6.0, "pull the cable of the device out, wait for two seconds, and put it in again"),
+    Step("button", 5.0, "press and let go of each button, one after the other", "without load"),
+    Step(
+        "hold",
+        12.0,
+        "hold the handle still: the device pushes in three directions, and then becomes stiffer",
+        "with load",
+    ),
+    Step("cable", 6.0, "pull the cable of the device out, wait for two seconds, and put it in again", "with load"),
 )
-MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off")
+MASS_STEP = Step("mass", 6.0, "hang the mass at the handle, and take your hands off", "with load")
+# What a device says is wrong with it is kept, each sentence once, up to so many.
+_MOST_SAID = 16
 
 ROW = row_of(
     ("level", "f8"),
@@ -62,13 +70,16 @@ class Facts(NamedTuple):
     """What was declared and said beforehand: the device, and the coupling with which it is to be used.
 
     mass_kg: of the mass that was hung at the handle, 0.0 for none. independent_stop: how the power of the drives can be
-    cut without the computer, empty if it cannot.
+    cut without the computer, empty if it cannot. said: what the device said was wrong, each once. stopped: why the
+    motion ended early.
     """
 
     device: Capabilities
     settings: CouplingSettings
     mass_kg: float = 0.0
     independent_stop: str = ""
+    said: tuple[str, ...] = ()
+    stopped: str = ""
 
     @property
     def identity(self) -> str:
@@ -92,35 +103,49 @@ def steps_of(mass_kg: float, pace: float = 1.0) -> tuple[Step, ...]:
     return tuple(step._replace(seconds=step.seconds * pace) for step in steps)
 
 
-def record_take(link: ServoLink, facts: Facts, steps: tuple[Step, ...], clock: Clock, say: Say = silent) -> Take[Facts]:
-    """Lead through the steps and record them; the link is open, and stays so.
+def record_take(
+    link: ServoLink, facts: Facts, steps: tuple[Step, ...], clock: Clock, guide: Guide = SILENT
+) -> Take[Facts]:
+    """Lead through the steps and record them; the link is open, and stays so, without force.
+
+    What ends the motion early is in the facts, and the take has what was recorded until then.
 
     Args:
         link: The device and its servo.
         facts: What was declared and said beforehand.
         steps: Those of `steps_of`.
         clock: That of the servo.
-        say: Tells the person of each step as it begins.
+        guide: Leads the person.
     """
+    guide.met(facts.identity)
     asker = _Asker(link, facts, clock)
     first_ns = clock.now_ns()
     while not asker.newest().taken_ns and clock.now_ns() - first_ns < _FIRST_NS:
         clock.wait(clock.now_ns() + round(PERIOD_S * 1e9))
-    recorder = Recorder(steps, clock, say)
-    for number, step in enumerate(steps):
-        recorder.begin(number)
-        count = round(step.seconds / PERIOD_S)
-        for index in range(count):
-            recorder.wait()
-            level, asked = asker.ask(step.name, index / count)
-            found = asker.newest()
-            age_s = (clock.now_ns() - found.taken_ns) * 1e-9
-            lost = bool(found.error) or age_s > facts.settings.silence_s
-            recorder.add(
-                age_s, level, found.position_m, found.force_n, asked, found.gate, found.counter, found.late,
-                found.buttons, found.orientation, lost,
-            )  # fmt: skip
-    return recorder.take(ROW, facts)
+    recorder = Recorder(steps, clock, guide)
+    try:
+        for number, step in enumerate(steps):
+            if recorder.wanted(number, asker.idle):
+                recorder.begin(number)
+                _record_step(recorder, asker, step, facts.settings.silence_s)
+    except (EndedError, TelenanoError) as error:
+        facts = facts._replace(stopped=f"{error} (in the step {recorder.step.name})")
+    asker.rest()
+    return recorder.take(ROW, facts._replace(said=tuple(asker.said)))
+
+
+def _record_step(recorder: Recorder, asker: "_Asker", step: Step, silence_s: float) -> None:
+    count = round(step.seconds / PERIOD_S)
+    for index in range(count):
+        recorder.wait()
+        level, asked = asker.ask(step.name, index / count)
+        found = asker.newest()
+        age_s = asker.age_s(found)
+        lost = bool(found.error) or age_s > silence_s
+        recorder.add(
+            age_s, level, found.position_m, found.force_n, asked, found.gate, found.counter, found.late,
+            found.buttons, found.orientation, lost,
+        )  # fmt: skip
 
 
 class _Asker:
@@ -138,11 +163,29 @@ class _Asker:
         self._counter = self._arm_count = 0
         # This is where the hand was when the device was engaged last.
         self._home: Vector | None = None
+        self.said: dict[str, None] = {}
 
     def newest(self) -> ServoSample:
         """Let a period pass, and return what the servo said last."""
         self._found = self._link.newest(0.0, PERIOD_S) or self._found
+        if self._found.error and len(self.said) < _MOST_SAID:
+            self.said[self._found.error] = None
         return self._found
+
+    def age_s(self, found: ServoSample) -> float:
+        """Return how old a sample is now [s]."""
+        return (self._clock.now_ns() - found.taken_ns) * 1e-9
+
+    def idle(self) -> None:
+        """Let a millisecond pass without force."""
+        self.rest()
+        self.newest()
+        self._clock.wait(self._clock.now_ns() + round(PERIOD_S * 1e9))
+
+    def rest(self) -> None:
+        """Take the force away."""
+        self._home = None
+        self._send(ZERO, ZERO, False, self._settings)
 
     def ask(self, name: str, share: float) -> tuple[float, Vector]:
         """Send the command for a place in a step; return the level of stiffness and the force that is asked for."""
@@ -165,18 +208,21 @@ class _Asker:
             place = (place[0], place[1], place[2] + _NUDGE_M * (at - int(at) < 0.3))
         x, y, z = self._settings.stiffness_n_per_m
         settings = self._settings._replace(stiffness_n_per_m=(x, y, z * level))
+        self._send(place, force, engaged, settings)
+        return level, force if engaged else ZERO
+
+    def _send(self, place_m: Vector, force_n: Vector, engaged: bool, settings: CouplingSettings) -> None:
         self._counter += 1
         self._link.send(
             ServoCommand(
                 counter=self._counter,
                 sent_ns=self._clock.now_ns(),
-                position_m=place,
+                position_m=place_m,
                 velocity_m_per_s=ZERO,
-                force_n=force,
+                force_n=force_n,
                 engaged=engaged,
                 arm_count=self._arm_count,
                 stop=False,
                 settings=settings,
             )
         )
-        return level, force if engaged else ZERO

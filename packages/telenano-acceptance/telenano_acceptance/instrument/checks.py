@@ -197,27 +197,38 @@ def _back(take: Take[Facts]) -> tuple[Result, str]:
     return passes(good), f"after {there_s:.2f} s, with the base at {1e9 * at_m:.4g} nm"
 
 
-_CHECKS: tuple[tuple[str, Check, str], ...] = (
-    ("losses", _losses, "none while it is driven"),
-    ("rate of samples", _rate, f"{100 * RATE_SHARE:.0f} % of the declared rate"),
-    ("age of samples", _age, f"the declared latency and {1e3 * AGE_S:.0f} ms at most, in the median"),
-    ("gaps", _gaps, f"no silence of more than {1e3 * GAP_S:.0f} ms and the declared latency"),
-    ("range of the input", _in_range, "never saturated"),
-    ("noise at rest", _noise, f"{100 * NOISE_SHARE:.0f} % of the force that counts as contact, at most"),
-    ("drift at rest", _drift, f"{100 * NOISE_SHARE:.0f} % of the force that counts as contact, at most"),
-    ("zero at rest", _zero, "no more than the force that counts as contact"),
-    ("range of the base", _range, f"what was sent within {100 * RANGE_SHARE:.0f} % and {1e9 * RANGE_M:.0f} nm"),
-    ("surface", _surface, "found within the limits of the guard"),
-    ("sign of the force", _sign, "the sample pushes harder when the base goes towards it"),
+_CHECKS: tuple[tuple[str, Check, str, tuple[str, ...]], ...] = (
+    ("losses", _losses, "none while it is driven", ("rest",)),
+    ("rate of samples", _rate, f"{100 * RATE_SHARE:.0f} % of the declared rate", ("approach",)),
+    ("age of samples", _age, f"the declared latency and {1e3 * AGE_S:.0f} ms at most, in the median", ("rest",)),
+    ("gaps", _gaps, f"no silence of more than {1e3 * GAP_S:.0f} ms and the declared latency", ("rest",)),
+    ("range of the input", _in_range, "never saturated", ("rest",)),
+    ("noise at rest", _noise, f"{100 * NOISE_SHARE:.0f} % of the force that counts as contact, at most", ("rest",)),
+    ("drift at rest", _drift, f"{100 * NOISE_SHARE:.0f} % of the force that counts as contact, at most", ("rest",)),
+    ("zero at rest", _zero, "no more than the force that counts as contact", ("rest",)),
+    (
+        "range of the base",
+        _range,
+        f"what was sent within {100 * RANGE_SHARE:.0f} % and {1e9 * RANGE_M:.0f} nm",
+        ("range",),
+    ),
+    ("surface", _surface, "found within the limits of the guard", ("approach",)),
+    ("sign of the force", _sign, "the sample pushes harder when the base goes towards it", ("contact",)),
     (
         "scale of the force",
         _scale,
         f"{100 * SCALE_LEAST:.0f} to {100 * SCALE_MOST:.0f} % of the cantilever's stiffness",
+        ("contact",),
     ),
-    ("latency", _latency, f"the declared one, and {100 * LATENCY_SHARE:.0f} % or {1e3 * LATENCY_S:.0f} ms more"),
-    ("limit of the force", _limit, "never exceeded"),
-    ("watchdog", _watchdog, "the tip is retracted by guard or script while this rig is silent"),
-    ("coming back", _back, f"within {BACK_S:.0f} s, retracted"),
+    (
+        "latency",
+        _latency,
+        f"the declared one, and {100 * LATENCY_SHARE:.0f} % or {1e3 * LATENCY_S:.0f} ms more",
+        ("contact",),
+    ),
+    ("limit of the force", _limit, "never exceeded", ("contact",)),
+    ("watchdog", _watchdog, "the tip is retracted by guard or script while this rig is silent", ("silence",)),
+    ("coming back", _back, f"within {BACK_S:.0f} s, retracted", ("back",)),
 )
 
 
@@ -225,4 +236,4 @@ def _facts_of(limits: Any, **known: Any) -> Facts:
     return Facts(limits=AfmLimits(**limits), **known)
 
 
-INSTRUMENT = Kind(ROW, _facts_of, _CHECKS)
+INSTRUMENT = Kind(ROW, _facts_of, _CHECKS, say_what_is_missing=True)

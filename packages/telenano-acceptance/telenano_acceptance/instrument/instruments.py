@@ -10,7 +10,7 @@ from services.runtime.settings.config import merge, validate
 from telenano.extend.commands import ConfigError
 from telenano.extend.devices import AfmDriver
 from telenano_acceptance.instrument.take import Facts, press_of, record_take
-from telenano_acceptance.take import MACHINE, PERIOD_S, Clock, Say, Take, silent
+from telenano_acceptance.take import MACHINE, PERIOD_S, SILENT, Clock, Guide, Take
 
 _CONTACT_N = 1e-9
 
@@ -28,7 +28,7 @@ def config_of(calibration: Path | None, given: dict[str, Any]) -> AfmConfig:
     return validate(AfmConfig, merge(section, given), "--set", "afm_node")
 
 
-def make_take(config: AfmConfig, say: Say = silent) -> Take[Facts]:
+def make_take(config: AfmConfig, guide: Guide = SILENT) -> Take[Facts]:
     """Lead the instrument of a section through the motion; it is retracted and let go of at the end.
 
     Raises:
@@ -41,7 +41,7 @@ def make_take(config: AfmConfig, say: Say = silent) -> Take[Facts]:
     try:
         # Nobody has to wait for a simulated instrument.
         clock = Clock(lambda: 0) if driver.report is None else MACHINE
-        return record_take(driver, facts_of(config, driver), clock, say)
+        return record_take(driver, facts_of(config, driver), clock, guide)
     finally:
         driver.close()
 

@@ -5,21 +5,23 @@ there and back in contact by less than what would let go; it stands half way abo
 silent; and it comes back. Every motion goes through the guard of the node (`safety_step`), with its limits.
 """
 
+import contextlib
 import math
 from typing import NamedTuple
 
 from services.afm_node import safety
+from telenano.extend.commands import TelenanoError
 from telenano.extend.devices import AfmDriver, AfmLimits, AfmSample
-from telenano_acceptance.take import PERIOD_S, Clock, Recorder, Say, Step, Table, Take, row_of, silent
+from telenano_acceptance.take import PERIOD_S, SILENT, Clock, EndedError, Guide, Recorder, Step, Table, Take, row_of
 
 STATUSES = ("ok", "stale", "lost")
 STEPS = (
     Step("rest", 3.0, "the tip stays retracted"),
-    Step("range", 2.0, "the base goes to its end away from the sample, and back"),
-    Step("approach", 60.0, "the base goes towards the sample until it presses; this may end early"),
-    Step("contact", 5.0, "the base steps there and back in contact"),
-    Step("silence", 1.0, "nothing is sent, with the tip half way above the sample"),
-    Step("back", 3.0, "the instrument is driven again, and the tip stays retracted"),
+    Step("range", 2.0, "the base goes to its end away from the sample, and back", "without load"),
+    Step("approach", 60.0, "the base goes towards the sample until it presses; this may end early", "with load"),
+    Step("contact", 5.0, "the base steps there and back in contact", "with load"),
+    Step("silence", 1.0, "nothing is sent, with the tip half way above the sample", "with load"),
+    Step("back", 3.0, "the instrument is driven again, and the tip stays retracted", "with load"),
 )
 # The force at which the approach ends is so many times the one that counts as contact, and this share of the limit.
 _PRESS, _PRESS_SHARE, _STEP_SHARE = 10.0, 0.1, 0.8
@@ -80,52 +82,61 @@ class _StoppedError(Exception):
     """The guard has ended the motion, or it cannot go on."""
 
 
-def record_take(driver: AfmDriver, facts: Facts, clock: Clock, say: Say = silent) -> Take[Facts]:
+def record_take(driver: AfmDriver, facts: Facts, clock: Clock, guide: Guide = SILENT) -> Take[Facts]:
     """Lead an instrument through the motion; it is open, and stays so, retracted.
+
+    What ends the motion early is in the facts, and the take has what was recorded until then.
 
     Args:
         driver: The instrument.
         facts: What is known of it beforehand.
         clock: The clock of the instrument.
-        say: Tells a person of each step as it begins.
+        guide: Leads the person; who does not want a step ends the motion, because the next ones need it.
     """
-    limits, recorder = facts.limits, Recorder(STEPS, clock, say)
-    moved = _Motion(driver, limits, recorder)
-    near_m = 0.5 * (limits.retract_position_m + limits.base_max_m)
+    guide.met(facts.identity)
+    limits, recorder = facts.limits, Recorder(STEPS, clock, guide)
+    moved = _Motion(driver, limits, recorder, clock)
     before, heartbeat_s = _retractions(driver), float(getattr(driver, "heartbeat_s", 0.0))
     silent_s = 0.0
     try:
-        recorder.begin(0)
+        moved.begin(0)
         moved.stand(STEPS[0].seconds)
-        recorder.begin(1)
+        moved.begin(1)
         moved.go(limits.base_min_m)
         moved.stand(0.5)
         moved.go(limits.retract_position_m)
         moved.stand(0.5)
-        recorder.begin(2)
+        moved.begin(2)
         lag_s = facts.latency_s + _SPARE_S
         reach_m = limits.base_max_m - limits.retract_position_m
         speed = max(facts.press_n / (facts.stiffness_n_per_m * lag_s), reach_m / STEPS[2].seconds)
-        contact_m = moved.approach(facts.press_n, min(speed, limits.base_speed_m_per_s))
+        speed = min(speed, limits.base_speed_m_per_s)
+        contact_m = moved.approach(facts.press_n, speed)
+        near_m = 0.5 * (limits.retract_position_m + contact_m)
+        if moved.begin(3, near_m):
+            # The surface may have drifted while the tip waited above it.
+            moved.records = False
+            contact_m = moved.approach(facts.press_n, speed)
+            moved.records = True
         contact_m += _FURTHER * facts.press_n / facts.stiffness_n_per_m
-        recorder.begin(3)
         moved.steps_in_contact(
             contact_m,
             _STEP_SHARE * facts.press_n / facts.stiffness_n_per_m,
             max(_LEAST_HALF_S, 6.0 * facts.latency_s),
         )
         near_m = 0.5 * (limits.retract_position_m + contact_m)
-    except _StoppedError as error:
-        facts = facts._replace(stopped=str(error))
-        moved.retract()
-    if not facts.stopped:
-        recorder.begin(4)
+        moved.begin(4, near_m)
         moved.go(near_m)
         moved.stand(0.2)
+        before = _retractions(driver)
         silent_s = heartbeat_s + _SILENT_S
         recorder.wait(round(silent_s / PERIOD_S))
         recorder.begin(5)
         moved.come_back()
+    except (_StoppedError, EndedError, TelenanoError) as error:
+        facts = facts._replace(stopped=str(error))
+        moved.records = True
+        moved.retract()
     facts = facts._replace(heartbeat_s=heartbeat_s, silent_s=silent_s, retractions=(before, _retractions(driver)))
     return recorder.take(ROW, facts)
 
@@ -142,15 +153,34 @@ def press_of(contact_force_n: float, force_limit_n: float) -> float:
 class _Motion:
     """A motion behind the guard, a row a millisecond."""
 
-    def __init__(self, driver: AfmDriver, limits: AfmLimits, recorder: Recorder) -> None:
-        self._driver, self._limits, self._recorder = driver, limits, recorder
+    def __init__(self, driver: AfmDriver, limits: AfmLimits, recorder: Recorder, clock: Clock) -> None:
+        self._driver, self._limits, self._recorder, self._clock = driver, limits, recorder, clock
         self._guard = safety.initial_safety_state(limits)
         self._force_n, self._lost = 0.0, False
+        self.records = True
+
+    def begin(self, number: int, waits_at_m: float | None = None) -> bool:
+        """Ask for a step and begin it; return whether the base went to where it waits meanwhile [m]."""
+        went = [False]
+
+        def idle() -> None:
+            went[0] = waits_at_m is not None
+            self.tick(self._guard.base_m if waits_at_m is None else waits_at_m)
+
+        self.records = False
+        if not self._recorder.wanted(number, idle):
+            raise _StoppedError(f"the step {STEPS[number].name} was not wanted")
+        self.records = True
+        self._recorder.begin(number)
+        return went[0]
 
     def tick(self, reference_m: float, action: int = safety.ACTION_POSITION) -> AfmSample:
         """Ask the guard for a base position, apply what it allows, and record what comes back."""
         driver, recorder = self._driver, self._recorder
-        recorder.wait()
+        if self.records:
+            recorder.wait()
+        else:
+            self._clock.wait(self._clock.now_ns() + round(PERIOD_S * 1e9))
         is_armed = self._guard.mode == safety.MODE_FOLLOW
         arm = not is_armed and action == safety.ACTION_POSITION
         asked = safety.SafetyInputs(reference_m, 0.0, action, arm, False, self._force_n, self._lost)
@@ -162,10 +192,11 @@ class _Motion:
         status, age_s, in_range = ("ok", 0.0, True) if report is None else (report[0], report.age_s, report.force_valid)
         self._force_n, self._lost = sample.force_n if in_range else math.nan, status == "lost"
         fresh = getattr(driver, "fresh", getattr(driver, "exchanges", recorder.ticks))
-        recorder.add(
-            age_s, allowed.base_m, sample.base_m, sample.force_n, sample.bridge_voltage_v, fresh,
-            STATUSES.index(status), in_range,
-        )  # fmt: skip
+        if self.records:
+            recorder.add(
+                age_s, allowed.base_m, sample.base_m, sample.force_n, sample.bridge_voltage_v, fresh,
+                STATUSES.index(status), in_range,
+            )  # fmt: skip
         if is_armed and allowed.mode != safety.MODE_FOLLOW and action == safety.ACTION_POSITION:
             text = "" if report is None or not self._lost else f": {report.text}"
             raise _StoppedError(f"{safety.REASON_NAMES[allowed.reason]} in the step {recorder.step.name}{text}")
@@ -202,8 +233,9 @@ class _Motion:
 
     def retract(self) -> None:
         """Go to the safe state, wherever the motion was."""
-        for _ in range(round(1.0 / PERIOD_S)):
-            self.tick(self._limits.retract_position_m, safety.ACTION_RETRACT)
+        with contextlib.suppress(TelenanoError, EndedError):
+            for _ in range(round(1.0 / PERIOD_S)):
+                self.tick(self._limits.retract_position_m, safety.ACTION_RETRACT)
 
     def come_back(self) -> None:
         """Ask for the retracted tip until the instrument is there again, and for a while longer."""

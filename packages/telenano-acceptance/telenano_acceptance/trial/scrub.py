@@ -1,0 +1,77 @@
+"""What is taken out of every text of a trial before it is written: names, paths, hosts and addresses."""
+
+import getpass
+import os
+import re
+import socket
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+_LEAST_LETTERS = 2
+_GENERAL: tuple[tuple[str, str], ...] = (
+    (r"\b\w+://[^\s,;'\"]+", "(address)"),
+    (r"[\w.+-]+@[\w.-]+", "(address)"),
+    (r"\b\d{1,3}(?:\.\d{1,3}){3}(?::\d+)?\b", "(address)"),
+    (r"(?<![\w:])(?:[0-9A-Fa-f]{0,4}:){3,7}[0-9A-Fa-f]{0,4}(?![\w:])", "(address)"),
+    (r"\blocalhost(?::\d+)?\b", "(address)"),
+    # an absolute path of any system; N/m and 1/s have a letter or a digit before the stroke
+    (r"(?<![\w/.)])~?(?:/[\w.@+\-]+)+/?", "(path)"),
+    (r"\b[A-Za-z]:\\[^\s,;'\"]+", "(path)"),
+)
+
+
+def _known() -> dict[str, str]:
+    """Return the texts that name this person, machine or folder, and what stands for each."""
+    found = {str(Path.cwd()): "(folder)", str(Path.home()): "(home)"}
+    for name in (os.environ.get("HOME", ""), os.environ.get("PWD", "")):
+        found.setdefault(name, "(folder)")
+    try:
+        users = {getpass.getuser(), *(os.environ.get(name, "") for name in ("USER", "LOGNAME", "USERNAME"))}
+    except (OSError, KeyError, ImportError):
+        users = set()
+    hosts = {socket.gethostname(), socket.gethostname().partition(".")[0], os.environ.get("HOSTNAME", "")}
+    folders = {part for path in tuple(found) for part in Path(path).parts[1:] if len(part) > _LEAST_LETTERS}
+    found |= dict.fromkeys(folders, "(folder)") | dict.fromkeys(hosts, "(host)") | dict.fromkeys(users, "(user)")
+    return found
+
+
+class Scrubber:
+    """Takes names, paths, hosts and addresses out of texts.
+
+    Args:
+        given: What the person has named on the command line, such as files, ports and hosts.
+        kept: Words that stay, such as the name of the driver, even where a user or a host has the same name.
+    """
+
+    def __init__(self, given: Iterable[str] = (), kept: Iterable[str] = ()) -> None:
+        keep = {word.lower() for word in kept}
+        known = _known() | dict.fromkeys(given, "(given)")
+        known = {
+            text: stand for text, stand in known.items() if len(text) >= _LEAST_LETTERS and text.lower() not in keep
+        }
+        # the longest first, so that no part of a path is left
+        ordered = sorted(known, key=len, reverse=True)
+        self._stands = {text.lower(): stand for text, stand in known.items()}
+        self._pattern = re.compile("|".join(rf"(?<!\w){re.escape(text)}(?!\w)" for text in ordered) or "(?!)", re.I)
+
+    def text(self, value: str) -> str:
+        """Return a text without what must not be in the file."""
+        for pattern, stand in _GENERAL[:5]:
+            value = re.sub(pattern, stand, value)
+        value = self._pattern.sub(lambda match: self._stands[match[0].lower()], value)
+        for pattern, stand in _GENERAL[5:]:
+            value = re.sub(pattern, stand, value)
+        return re.sub(r"\((home|folder|given)\)(?:/[\w.@+\-]+)+/?", "(path)", value)
+
+    def all(self, value: Any) -> Any:
+        """Return a value of tuples, lists, mappings and plain values with every text scrubbed; keys stay."""
+        if isinstance(value, str):
+            return self.text(value)
+        if isinstance(value, dict):
+            return {key: self.all(one) for key, one in value.items()}
+        if isinstance(value, tuple) and hasattr(value, "_fields"):
+            return type(value)(*map(self.all, value))
+        if isinstance(value, list | tuple):
+            return type(value)(map(self.all, value))
+        return value

@@ -1,0 +1,53 @@
+"""The page of a trial, as Markdown: made of the file alone, so that it is the same everywhere."""
+
+from telenano_acceptance.take import LOADS
+from telenano_acceptance.trial.trial_file import Trial, kind_of, lines_of
+
+_WORDS = {"pass": "passed", "fail": "**failed**", "retake": "to be made again", "cannot say": "cannot say"}
+
+
+def sheet_of(trial: Trial) -> str:
+    """Return the page of a trial."""
+    found = trial.acceptance
+    text = [
+        f"# Trial of {_cell(found.device) or found.driver}: {_word(found.result)}",
+        "",
+        f"Driver `{found.driver}`, {found.seconds:.0f} s of motion. The tolerances are provisional.",
+    ]
+    for load in dict.fromkeys((*LOADS, *(line.load for line in found.lines))):
+        if lines := [line for line in found.lines if line.load == load]:
+            text += ["", f"## {load.capitalize()}", "", "| check | result | found | wanted |", "|---|---|---|---|"]
+            text += [
+                f"| {line.check} | {_word(line.result)} | {_cell(line.found)} | {_cell(line.wanted)} |"
+                for line in lines
+            ]
+    text += ["", "## Errors", ""]
+    text += [f"- {each.where}: {_cell(each.text)}" + _places(each.places) for each in trial.errors] or ["None."]
+    text += ["", "## Versions", "", ", ".join(f"{name} {number}" for name, number in trial.versions.items()) + "."]
+    return "\n".join(text) + "\n"
+
+
+def judged_again(trial: Trial) -> list[str]:
+    """Return the checks whose result is another one when the recording is judged by the version here."""
+    if trial.take is None:
+        return []
+    before = {line.check: line.result for line in trial.acceptance.lines}
+    now = lines_of(kind_of(trial.take), trial.take)
+    return [
+        f"{line.check}: {line.result} here, {before.get(line.check, 'not judged')} in the file"
+        for line in now
+        if before.get(line.check) != line.result
+    ]
+
+
+def _word(result: str) -> str:
+    return _WORDS.get(result, result)
+
+
+def _places(places: list[str]) -> str:
+    return f" ({' > '.join(places)})" if places else ""
+
+
+def _cell(text: str) -> str:
+    """Return a text for one line of Markdown."""
+    return " ".join(text.replace("|", "\\|").split())
