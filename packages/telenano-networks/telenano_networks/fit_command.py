@@ -15,10 +15,9 @@ from telenano.cli.sample_options import results_in
 from telenano.extend.commands import JsonOption, print_json, report_errors
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from telenano_networks.line_fit import Agreement
     from telenano_networks.line_log import LineLog
+    from telenano_networks.line_sources import Column
 
 # A quantile that rests on fewer messages is a guess.
 _FEWEST_BEYOND = 10
@@ -72,6 +71,7 @@ def fit(
         if histogram:
             _show(_of_histogram(logs, unit, out, seed, about, (cite, taken)), out, as_json)
             return
+        from analysis.page import png_of
         from telenano_networks.line_fit import accept, generated, intervals, parameters
         from telenano_networks.line_fit import fit as fitted
         from telenano_networks.line_log import read_log
@@ -99,9 +99,9 @@ def fit(
         }
         with results_in(out) as folder:
             _write(folder, document, _profile(way, seed, about or "a line that was measured", (cite, taken), remarks))
-            figure = line_figure(log, generated(model, log, seed))
-            figure.savefig(folder / "fit.png", dpi=130)
-            _page(figure, document).write(folder / "fit.html")
+            picture = png_of(line_figure(log, generated(model, log, seed)))
+            (folder / "fit.png").write_bytes(picture)
+            _page(picture, document).write(folder / "fit.html")
     _show(document, out, as_json)
     if not document["agrees"]:
         raise typer.Exit(3)
@@ -194,13 +194,16 @@ def _grouped(cuts: Iterable[str]) -> list[str]:
     ]
 
 
-def _sent(way: dict[str, Any], seed: int, minutes: int = 10) -> list[Any]:
-    """Return the fates of 120 000 messages at even distances in these minutes."""
-    from services.delay_node.config import parse_settings
-    from services.delay_node.engine import fates_of
+def _sent(way: dict[str, Any], seed: int, minutes: int = 10) -> "tuple[Column, Column]":
+    """Return when each of 120 000 messages was sent, at even distances in these minutes, and its delay [ns]."""
+    import numpy as np
 
+    from services.delay_node.config import parse_settings
+    from telenano_networks.line_draws import delays_ns
+
+    times_ns = range(0, minutes * 60 * 10**9, minutes * 500_000)
     settings = parse_settings({"seed": seed, "forward": way})
-    return fates_of(settings, "forward", "teleop/forward", range(0, minutes * 60 * 10**9, minutes * 500_000), 300)
+    return np.array(times_ns, dtype=np.float64), delays_ns(settings, "teleop/forward", times_ns, 300)
 
 
 def _without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
@@ -209,10 +212,10 @@ def _without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
 
     from telenano_networks.line_fit import quantiles_of, quantiles_text
 
-    fates = _sent(way, seed)
-    delays_s = np.array([1e-9 * fate.delay_ns for fate in fates if not fate.dropped])
+    _, delay_ns = _sent(way, seed)
+    delays_s = 1e-9 * delay_ns[~np.isnan(delay_ns)]
     jitter = {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles_text(quantiles_of(delays_s))}
-    return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(fates)}}
+    return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(delay_ns)}}
 
 
 def _profile(way: dict[str, Any], seed: int, about: str, source: tuple[str, str], remarks: list[str]) -> dict[str, Any]:
@@ -220,14 +223,15 @@ def _profile(way: dict[str, Any], seed: int, about: str, source: tuple[str, str]
     import numpy as np
 
     # Stalls are seldom, and most of the mean may be theirs.
-    fates = _sent(way, seed, minutes=200)
-    delays_ms = np.array([1e-6 * fate.delay_ns for fate in fates if not fate.dropped])
+    sent_ns, delay_ns = _sent(way, seed, minutes=200)
+    lost = np.isnan(delay_ns)
+    delays_ms = 1e-6 * delay_ns[~lost]
     middle = np.quantile(delays_ms, (0.25, 0.5, 0.75)).round(2).tolist()
     statistics = {
         "mean_ms": round(float(delays_ms.mean()), 2),
         "percentiles_ms": dict(zip((25, 50, 75), middle, strict=True)),
-        "lost": round(float(np.mean([bool(fate.dropped) for fate in fates])), 5),
-        "overtakes": any(fate.reordered for fate in fates),
+        "lost": round(float(lost.mean()), 5),
+        "overtakes": bool((np.diff((sent_ns + delay_ns)[~lost]) < 0.0).any()),
     }
     return {
         "about": about,
@@ -267,11 +271,11 @@ def _agreement_rows(document: dict[str, Any]) -> list[dict[str, str]]:
     ]
 
 
-def _page(figure: "Figure", document: dict[str, Any]) -> Any:
-    from analysis.page import Page, png_of
+def _page(picture: bytes, document: dict[str, Any]) -> Any:
+    from analysis.page import Page
 
     page = Page("A line, measured and generated")
-    page.image(png_of(figure), "measured beside generated: delay, distributions, autocorrelation, stalls, losses, age")
+    page.image(picture, "measured beside generated: delay, distributions, autocorrelation, stalls, losses, age")
     for heading, rows in (("The model", _parameter_rows(document)), ("Agreement", _agreement_rows(document))):
         page.heading(heading)
         page.table(list(rows[0]), [list(row.values()) for row in rows])

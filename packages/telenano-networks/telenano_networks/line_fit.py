@@ -16,19 +16,16 @@ import numpy.typing as npt
 from scipy import special
 
 from services.delay_node.config import parse_settings
-from services.delay_node.engine import fates_of
+from telenano_networks.line_draws import delays_ns
 from telenano_networks.line_log import LineLog, Segment
 from telenano_networks.line_sources import Column
+from telenano_networks.line_tally import Numbers, Scale, Tally, correlation_of, scale_of, tally_of
 
 # Between two shares the quantiles are linear, and the tail needs them close.
 _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9999, 1.0)
 SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
-# Messages of one go arrive within this share of the period at which they were sent.
-_TOGETHER = 0.2
-# A stall is longer than so many periods, and than so many times the distance from the median to the third quartile.
-_PERIODS, _SPREADS = 2.0, 8.0
-# A correlation of neighbours below this is none, and none is higher; with how many pairs and halvings it is sought.
-_LEAST_CORRELATION, _MOST_CORRELATION, _PAIRS, _HALVINGS = 0.05, 0.9999, 20_000, 14
+# A correlation of neighbours below this is none, and none is higher.
+_LEAST_CORRELATION, _MOST_CORRELATION = 0.05, 0.9999
 # With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
 _FEWEST_STALLS = 5
 _LEAST_SPREAD, _ASSUMED_SPREAD = 0.02, 0.1
@@ -36,16 +33,26 @@ _LEAST_SPREAD, _ASSUMED_SPREAD = 0.02, 0.1
 _MOST_OVERTAKEN = 1e-3
 # What a line holds while it stands still, in messages and bytes; no log of a few messages a second says it.
 MOST_HELD, MOST_HELD_BYTES = 20_000, 4 << 20
-_BLOCK_S, _RESAMPLES, _DRAWS = 20.0, 200, 25
+_RESAMPLES, _DRAWS = 200, 25
 _SIZE_BYTES = 200
+SPREAD = "spread of its logarithm"
 
 
-class Scale(NamedTuple):
-    """What tells a stall from the usual: the period of sending, median delay and least length of a stall [s]."""
+def _hermite(scores: Column, degree: int) -> npt.NDArray[np.float64]:
+    """Return Hermite's polynomials from 1 to a degree, orthonormal for normal scores, of shape (degree, scores)."""
+    found = [np.ones(len(scores)), scores]
+    for n in range(1, degree):
+        found.append((scores * found[n] - math.sqrt(n) * found[n - 1]) / math.sqrt(n + 1))
+    return np.array(found[1:])
 
-    period_s: float
-    median_s: float
-    stall_s: float
+
+_SCORES = np.linspace(-5.5, 5.5, 1101)
+_DEGREES = 96
+_GRID_SHARES, _HERMITE = special.ndtr(_SCORES), _hermite(_SCORES, _DEGREES)
+_GRID_WEIGHTS = np.exp(-0.5 * _SCORES**2) / np.exp(-0.5 * _SCORES**2).sum()
+# Correlations of scores, close where their time is long, and their powers from 1 to one above the degrees.
+_CORRELATIONS = 1.0 - np.geomspace(1.0, 1.0 - _MOST_CORRELATION, 500)
+_CORRELATION_POWERS = _CORRELATIONS[:, None] ** np.arange(1, _DEGREES + 2)
 
 
 @dataclass(frozen=True)
@@ -125,79 +132,30 @@ def quantiles_text(quantiles: Iterable[tuple[float, float]]) -> str:
     return ",".join(f"{share}:{_rounded(value)}" for share, value in quantiles)
 
 
-def scale_of(log: LineLog) -> Scale:
-    """Return what tells a stall from the usual on this line."""
-    delays = np.concatenate([part.delay_s[~np.isnan(part.delay_s)] for part in log.segments])
-    median_s, third_s = (float(value) for value in np.quantile(delays, (0.5, 0.75)))
-    return Scale(log.period_s, median_s, max(_PERIODS * log.period_s, _SPREADS * (third_s - median_s)))
-
-
-class Stall(NamedTuple):
-    """The places of its messages in a segment (the last one is not of it), and by how much the latest came late [s]."""
-
-    first: int
-    end: int
-    late_s: float
-
-
-def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
-    """Return the stalls of a segment, in order.
-
-    A stall is a run of messages that are late by half of the least length of a stall, or arrive together with the one
-    before, of which one is late by the whole of it.
-    """
-    here = np.flatnonzero(~np.isnan(part.delay_s))
-    if len(here) < 2:
-        return []
-    late_s = part.delay_s[here] - scale.median_s
-    gaps_s = np.diff(part.sent_s[here] + part.delay_s[here], prepend=-np.inf)
-    held = late_s > 0.5 * scale.stall_s
-    # Each run of messages that are late or come together, from its first late one on.
-    edges = np.diff((held | (gaps_s < _TOGETHER * scale.period_s)).astype(np.int8), prepend=0, append=0)
-    found = []
-    for first, end in zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True):
-        begin = first + int(np.argmax(held[first:end]))
-        most_s = float(late_s[begin:end].max())
-        if most_s > scale.stall_s:
-            found.append(Stall(int(here[begin]), int(here[end - 1]) + 1, most_s))
-    return found
-
-
 def fit(log: LineLog, scale: Scale | None = None) -> LineModel:
     """Return the model of a line."""
-    scale = scale_of(log) if scale is None else scale
-    usual, late_s, stalled_s = [], [], 0.0
-    pairs: list[tuple[Column, Column]] = []
-    for part in log.segments:
-        is_usual = ~np.isnan(part.delay_s)
-        for stall in stalls_of(part, scale):
-            is_usual[stall.first : stall.end] = False
-            # Of a message that comes late alone, because others overtook it, the line did not stand still so long.
-            late_s.append(min(stall.late_s, (stall.end - stall.first) * scale.period_s))
-            stalled_s += late_s[-1]
-        usual.append(part.delay_s[is_usual])
-        both = is_usual[:-1] & is_usual[1:]
-        pairs.append((part.delay_s[:-1][both], part.delay_s[1:][both]))
-    delays = np.sort(np.concatenate(usual))
-    seconds = sum(float(part.sent_s[-1]) for part in log.segments)
-    stall_s, spread = _lengths(np.array(late_s), scale.period_s)
-    lost = np.concatenate([np.isnan(part.delay_s) for part in log.segments])
-    runs = sum(_runs(np.isnan(part.delay_s)) for part in log.segments)
+    tally = tally_of(log, scale_of(log) if scale is None else scale)
+    return _model(tally, tally.once())
+
+
+def _model(tally: Tally, weights: Numbers) -> LineModel:
+    """Return the model of a tally, each block as often as its weight says."""
+    quantiles_s = tally.usual.quantiles_s(weights, SHARES)
+    each = weights[tally.stall_block]
+    lengths_s = np.repeat(tally.length_s, each)
+    seconds = float(weights @ tally.seconds) - float(lengths_s.sum())
+    stall_s, spread = _lengths(lengths_s, tally.period_s)
+    messages, lost, runs = (int(weights @ counts) for counts in (tally.messages, tally.lost, tally.runs))
     return LineModel(
-        quantiles_of(delays),
-        _correlation_time(pairs, delays, scale.period_s),
-        len(late_s) / max(seconds - stalled_s, scale.period_s) if late_s else 0.0,
+        tuple((share, _rounded(value)) for share, value in zip(SHARES, quantiles_s.tolist(), strict=True)),
+        correlation_time_s(correlation_of(tally.usual_pairs, weights), quantiles_s, tally.period_s),
+        len(lengths_s) / max(seconds, tally.period_s),
         stall_s,
         spread,
-        float(lost.mean()),
-        float(lost.sum()) / max(runs, 1) if lost.any() else 1.0,
-        _overtaken(log) < _MOST_OVERTAKEN,
+        lost / messages,
+        lost / max(runs, 1) if lost else 1.0,
+        int(weights @ tally.overtaken) < _MOST_OVERTAKEN * max(messages - lost, 1),
     )
-
-
-def _runs(lost: npt.NDArray[np.bool_]) -> int:
-    """Return how often something was lost after what was not."""
-    return int(lost[0]) + int((np.diff(lost.astype(np.int8)) == 1).sum())
 
 
 def _lengths(late_s: Column, period_s: float) -> tuple[float, float]:
@@ -218,40 +176,22 @@ def _lengths(late_s: Column, period_s: float) -> tuple[float, float]:
     return middle_s * math.exp(0.5 * spread**2), spread
 
 
-def _correlation_time(pairs: Sequence[tuple[Column, Column]], delays: Column, period_s: float) -> float:
+def correlation_time_s(wanted: float, quantiles_s: Column, period_s: float) -> float:
     """Return the time in which the correlation of normal scores falls to 1/e [s], from that of neighbours; 0: none.
 
-    The scores are given the correlation with which the delays, as their quantiles make them of scores, have that of the
-    log.
+    The scores are given the correlation with which the delays, as their quantiles make them of scores, have the wanted
+    one. With c_n the coefficients of the delay over Hermite's polynomials, which are orthonormal for normal scores, a
+    correlation r of the scores becomes sum c_n^2 r^n / sum c_n^2 of the delays, both sums from n = 1 (Mehler).
     """
-    before, after = (np.concatenate([pair[n] for pair in pairs]) for n in range(2))
-    if len(before) < 3 or before.std() == 0.0 or after.std() == 0.0:
+    if not wanted >= _LEAST_CORRELATION:
         return 0.0
-    wanted = float(np.corrcoef(before, after)[0, 1])
-    if wanted < _LEAST_CORRELATION:
-        return 0.0
-    first, fresh = np.random.default_rng(0).standard_normal((2, _PAIRS))
-    quantiles = np.quantile(delays, SHARES)
-    of_first = np.interp(special.ndtr(first), SHARES, quantiles)
-
-    def correlation(rho: float) -> float:
-        second = rho * first + math.sqrt(1.0 - rho * rho) * fresh
-        return float(np.corrcoef(of_first, np.interp(special.ndtr(second), SHARES, quantiles))[0, 1])
-
-    low, high = 0.0, _MOST_CORRELATION
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if correlation(middle) < wanted else (low, middle)
-    return _rounded(-period_s / math.log(high))
-
-
-def _overtaken(log: LineLog) -> float:
-    late = total = 0
-    for part in log.segments:
-        arrived_s = (part.sent_s + part.delay_s)[~np.isnan(part.delay_s)]
-        late += int((np.diff(arrived_s) < -1e-3).sum())
-        total += len(arrived_s)
-    return late / max(total, 1)
+    delays_s = np.interp(_GRID_SHARES, SHARES, quantiles_s)
+    delays_s -= _GRID_WEIGHTS @ delays_s
+    variance = float(_GRID_WEIGHTS @ (delays_s * delays_s))
+    powers = (_HERMITE @ (_GRID_WEIGHTS * delays_s)) ** 2 / variance
+    # What polynomials of a higher degree have is given the next one.
+    powers = np.append(powers, max(0.0, 1.0 - float(powers.sum())))
+    return _rounded(-period_s / math.log(np.interp(wanted, _CORRELATION_POWERS @ powers, _CORRELATIONS)))
 
 
 def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
@@ -264,8 +204,7 @@ def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
         sent_s.append(begin_s + part.sent_s)
         begin_s += float(part.sent_s[-1]) + 60.0
     times_ns = [round(1e9 * time_s) for times_s in sent_s for time_s in times_s.tolist()]
-    fates = fates_of(settings, "forward", "teleop/forward", times_ns, _SIZE_BYTES)
-    delays = np.array([np.nan if fate.dropped else 1e-9 * fate.delay_ns for fate in fates])
+    delays = 1e-9 * delays_ns(settings, "teleop/forward", times_ns, _SIZE_BYTES)
     if log.resolution_s:
         delays = np.rint(delays / log.resolution_s) * log.resolution_s
     at = 0
@@ -277,25 +216,23 @@ def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
 
 def statistics(log: LineLog, scale: Scale) -> dict[str, float]:
     """Return what is compared: quantiles [ms], correlation of neighbours, stalls, losses; nan where there is none."""
-    parts = log.segments
-    delays = np.concatenate([part.delay_s for part in parts])
-    lost = np.isnan(delays)
-    quantiles = np.quantile(delays[~lost], (0.5, 0.99, 0.999)) * 1e3 if not lost.all() else np.full(3, np.nan)
-    found = [(stall, part) for part in parts for stall in stalls_of(part, scale)]
-    minutes = sum(float(part.sent_s[-1]) for part in parts) / 60.0
-    before = np.concatenate([part.delay_s[:-1] for part in parts])
-    after = np.concatenate([part.delay_s[1:] for part in parts])
-    both = ~np.isnan(before) & ~np.isnan(after)
-    known = both.sum() > 2 and before[both].std() > 0.0 and after[both].std() > 0.0
+    tally = tally_of(log, scale)
+    return _statistics(tally, tally.once())
+
+
+def _statistics(tally: Tally, weights: Numbers) -> dict[str, float]:
+    quantiles_ms = 1e3 * tally.known.quantiles_s(weights, (0.5, 0.99, 0.999))
+    each = weights[tally.stall_block]
+    late_s, held = np.repeat(tally.late_s, each), np.repeat(tally.held, each)
     return {
-        "q50 [ms]": float(quantiles[0]),
-        "q99 [ms]": float(quantiles[1]),
-        "q99.9 [ms]": float(quantiles[2]),
-        "correlation of neighbours": float(np.corrcoef(before[both], after[both])[0, 1]) if known else math.nan,
-        "stalls per minute": len(found) / max(minutes, 1e-9),
-        "stall, median [ms]": float(np.median([stall.late_s for stall, _ in found])) * 1e3 if found else math.nan,
-        "messages in one go": float(np.mean([stall.end - stall.first for stall, _ in found])) if found else math.nan,
-        "lost": float(lost.mean()),
+        "q50 [ms]": float(quantiles_ms[0]),
+        "q99 [ms]": float(quantiles_ms[1]),
+        "q99.9 [ms]": float(quantiles_ms[2]),
+        "correlation of neighbours": correlation_of(tally.pairs, weights),
+        "stalls per minute": 60.0 * len(held) / max(float(weights @ tally.seconds), 1e-9),
+        "stall, median [ms]": 1e3 * float(np.median(late_s)) if len(held) else math.nan,
+        "messages in one go": float(held.mean()) if len(held) else math.nan,
+        "lost": int(weights @ tally.lost) / max(int(weights @ tally.messages), 1),
     }
 
 
@@ -312,7 +249,8 @@ def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
     measured, other = statistics(second, scale), statistics(first, scale)
     draws = [statistics(generated(model, second, seed + n), scale) for n in range(_DRAWS)]
     samples, of_first = (
-        [statistics(one, scale) for one in _draws_of(half, seed, _RESAMPLES)] for half in (second, first)
+        [_statistics(tally, weights) for weights in tally.draws(seed, _RESAMPLES)]
+        for tally in (tally_of(half, scale) for half in (second, first))
     )
     found = []
     for what, value in measured.items():
@@ -339,30 +277,30 @@ def parameters(model: LineModel) -> dict[str, float]:
         "correlation time [ms]": 1e3 * model.correlation_time_s,
         "stalls per minute": 60.0 * model.stalls_per_s,
         "length of a stall [ms]": 1e3 * model.stall_s if model.stalls_per_s else math.nan,
-        "spread of its logarithm": model.spread if model.stalls_per_s else math.nan,
+        SPREAD: model.spread if model.stalls_per_s else math.nan,
         "lost": model.lost,
         "lost in a row": model.run if model.lost else math.nan,
     }
 
 
-def intervals(log: LineLog, seed: int = 0, resamples: int = 200) -> dict[str, tuple[float, float]]:
-    """Return the 95 % interval of each parameter, by a bootstrap of blocks of the log."""
-    scale = scale_of(log)
-    made = [parameters(fit(one, scale)) for one in _draws_of(log, seed, resamples)]
-    return {what: _interval([one[what] for one in made]) for what in made[0]}
+def intervals(log: LineLog, seed: int = 0, resamples: int = 1000) -> dict[str, tuple[float, float]]:
+    """Return the 95 % interval of each parameter, by a bootstrap of blocks of the log.
 
-
-def _draws_of(log: LineLog, seed: int, count: int) -> list[LineLog]:
-    blocks = []
-    for part in log.segments:
-        pieces = max(1, round(float(part.sent_s[-1]) / _BLOCK_S))
-        edges = np.searchsorted(part.sent_s, np.linspace(0.0, part.sent_s[-1], pieces + 1)[1:-1])
-        for times_s, delays_s in zip(np.split(part.sent_s, edges), np.split(part.delay_s, edges), strict=True):
-            if len(times_s) > 2:
-                blocks.append(Segment(times_s - times_s[0], delays_s))
-    draw = np.random.default_rng(seed)
-    drawn = [tuple(blocks[n] for n in draw.integers(len(blocks), size=len(blocks))) for _ in range(count)]
-    return [LineLog(parts, log.round_trip, log.resolution_s) for parts in drawn]
+    The percentiles are those of Student's distribution of as many blocks, because few blocks vary less than what they
+    are of ("expanded percentile": Hesterberg, The American Statistician 69, 371, 2015). The spread of the stalls has at
+    least the interval of a log-normal one, by chi-square: resamples of some dozens of stalls are too alike.
+    """
+    tally = tally_of(log, scale_of(log))
+    drawn = [parameters(_model(tally, weights)) for weights in tally.draws(seed, resamples)]
+    count, stalls = len(tally.seconds), len(tally.held)
+    wide = math.sqrt(count / (count - 1)) * float(special.stdtrit(count - 1, 0.975)) if count > 1 else math.inf
+    found = {what: _interval([one[what] for one in drawn], float(special.ndtr(-wide))) for what in drawn[0]}
+    if stalls > 1:
+        spread = _model(tally, tally.once()).spread
+        low, high = (spread * math.sqrt((stalls - 1) / special.chdtri(stalls - 1, share)) for share in (0.025, 0.975))
+        low_drawn, high_drawn = found[SPREAD]
+        found[SPREAD] = min(low, low_drawn), max(high, high_drawn)
+    return found
 
 
 def autocorrelation(log: LineLog, longest_s: float = 10.0) -> tuple[Column, Column]:
@@ -411,9 +349,10 @@ def lost_runs(log: LineLog) -> list[int]:
     return found
 
 
-def _interval(values: Sequence[float]) -> tuple[float, float]:
+def _interval(values: Sequence[float], below: float = 0.025) -> tuple[float, float]:
+    """Return the quantiles between which all but twice a share of the values are; nan if none is known."""
     known = [value for value in values if not math.isnan(value)]
-    return (float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))) if known else (math.nan, math.nan)
+    return (float(np.quantile(known, below)), float(np.quantile(known, 1.0 - below))) if known else (math.nan, math.nan)
 
 
 def _middle(values: Sequence[float]) -> float:

@@ -252,9 +252,11 @@ def _check(log: LineLog) -> None:
     if not _SHORTEST_DELAY_S <= median_s <= _LONGEST_DELAY_S:
         raise ConfigError(f"the median delay would be {median_s:.3g} s; is the unit of the column right?")
     for part in log.segments:
-        # One clock that steps is seen as a step of sending; of two, the delays step, wherever in the log that is.
-        for share in (0.5,) if log.round_trip else (0.5, *(n / _PARTS for n in range(1, _PARTS))):
-            _check_level(part, share)
+        # One clock that steps is seen as a step of sending; of two, the delays step, wherever in the log that is. The
+        # middle comes first.
+        places = [_PARTS // 2] if log.round_trip else sorted(range(1, _PARTS), key=lambda n: abs(n - _PARTS // 2))
+        for place in places:
+            _check_level(part, place / _PARTS)
 
 
 def _check_level(part: Segment, share: float) -> None:

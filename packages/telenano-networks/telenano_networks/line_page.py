@@ -1,14 +1,16 @@
 """The picture of a line: what was measured beside what the link generates, or what a network of the link does alone."""
 
+import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter, ScalarFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-from telenano_networks.line_fit import ages_s, autocorrelation, lost_runs, scale_of, stalls_of
+from telenano_networks.line_fit import ages_s, autocorrelation, lost_runs
 from telenano_networks.line_log import LineLog
+from telenano_networks.line_tally import scale_of, stalls_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,6 +69,79 @@ def lines_figure(lines: Mapping[str, LineLog], scale_log: LineLog | None = None)
         else:
             axes.text(0.5, 0.5, "none", ha="center", transform=axes.transAxes)
     return figure
+
+
+class Curves(NamedTuple):
+    """What a network does to messages: x and y of each curve, as lists of numbers for a file.
+
+    course: time [s], and the median and the longest delay [ms] of each of 120 parts of the log (None: no message);
+    delay_ms and age_ms: what these shares of the messages, or of the time at a reader, are above (`SLOWER`);
+    memory: lags [s] and the autocorrelation of the delay at them (None where all delays are alike).
+    """
+
+    course: tuple[list[float], list[float | None], list[float | None]]
+    delay_ms: list[float]
+    age_ms: list[float]
+    memory: tuple[list[float], list[float | None]]
+
+
+# Shares of the messages that take longer, and of the time in which the newest message is older.
+SLOWER = (0.999, 0.99, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001)
+_COURSE_PARTS, _LAGS = 120, 24
+
+
+def curves_of(log: LineLog) -> Curves:
+    """Return the curves that the picture of a network and the page of the operator draw."""
+    part = max(log.segments, key=lambda one: len(one.sent_s))
+    pieces = np.array_split(np.arange(len(part.sent_s)), min(_COURSE_PARTS, len(part.sent_s)))
+    delays = [part.delay_s[piece][~np.isnan(part.delay_s[piece])] for piece in pieces]
+    lags_s, values = autocorrelation(log)
+    some = np.unique(np.linspace(0, len(lags_s) - 1, _LAGS).astype(int))
+    known = np.concatenate([one.delay_s[~np.isnan(one.delay_s)] for one in log.segments])
+    shares = 1.0 - np.array(SLOWER)
+    return Curves(
+        (
+            [_short(float(part.sent_s[piece].mean())) for piece in pieces],
+            [_short(1e3 * float(np.median(one))) if len(one) else None for one in delays],
+            [_short(1e3 * float(one.max())) if len(one) else None for one in delays],
+        ),
+        [_short(1e3 * value) for value in np.quantile(known, shares).tolist()],
+        [_short(1e3 * value) for value in np.quantile(ages_s(log), shares).tolist()],
+        (
+            [_short(value) for value in lags_s[some].tolist()],
+            [None if math.isnan(value) else _short(value) for value in values[some].tolist()],
+        ),
+    )
+
+
+def network_figure(name: str, curves: Curves) -> Figure:
+    """Draw one network: delay over time, its distribution, its autocorrelation, and the age at a reader."""
+    figure = Figure(figsize=(11.0, 2.6), layout="constrained")
+    figure.suptitle(name, fontsize="medium")
+    course, tail, memory, age = figure.subplots(1, 4)
+    times_s, middle, longest = (np.array(one, dtype=np.float64) for one in curves.course)
+    course.plot(times_s, longest, color="C1", lw=1.0, label="longest")
+    course.plot(times_s, middle, color="C0", lw=1.0, label="median")
+    course.set(xlabel="time [s]", ylabel="delay [ms]", yscale="log")
+    course.legend(fontsize="x-small")
+    for axes, values, label in (
+        (tail, curves.delay_ms, "delay [ms]"),
+        (age, curves.age_ms, "age at the reader [ms]"),
+    ):
+        axes.plot(values, SLOWER, ".-", ms=3)
+        axes.set(xlabel=label, ylabel="share above", xscale="log", yscale="log")
+    lags_s, correlation = (np.array(one, dtype=np.float64) for one in curves.memory)
+    memory.plot(lags_s, correlation, ".-", ms=3)
+    memory.set(xlabel="lag [s]", ylabel="autocorrelation", xscale="log", ylim=(-0.1, 1.05))
+    for axis in (course.yaxis, tail.xaxis, age.xaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(ScalarFormatter())
+        axis.set_minor_formatter(NullFormatter())
+    return figure
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 def _tail(axes: "Axes", values: "np.ndarray[Any, Any]", **style: Any) -> None:

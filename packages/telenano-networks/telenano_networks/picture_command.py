@@ -1,5 +1,7 @@
 """`telenano link picture`: what networks do to messages, drawn over one another."""
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,9 +14,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from telenano_networks.line_log import LineLog
+    from telenano_networks.line_page import Curves
 
 # Messages of this rate are sent for so long.
 _PERIOD_NS, _SECONDS, _SIZE_BYTES = 5_000_000, 600, 200
+_MOST_OVER_ONE_ANOTHER = 8
 
 
 def picture(
@@ -25,17 +29,23 @@ def picture(
 ) -> None:
     """Draw what networks do forward: delay, its distribution and autocorrelation, stalls, losses, and age.
 
-    The age is that of the newest message at a reader. 200 messages a second are sent for ten minutes.
+    The age is that of the newest message at a reader. 200 messages a second are sent for ten minutes. There is a
+    picture of each network, one of up to eight over one another, and the curves in networks.json.
     """
     with report_errors(as_json):
         import numpy as np
 
         from telenano_networks.line_fit import ages_s
-        from telenano_networks.line_page import lines_figure
+        from telenano_networks.line_page import curves_of, lines_figure, network_figure
 
         lines = {name: carried(name, seed) for name in names}
+        curves = {name: curves_of(log) for name, log in lines.items()}
         with results_in(out) as folder:
-            lines_figure(lines).savefig(folder / "networks.png", dpi=110)
+            (folder / "networks.json").write_text(curves_text(curves), encoding="utf-8")
+            if len(lines) <= _MOST_OVER_ONE_ANOTHER:
+                lines_figure(lines).savefig(folder / "networks.png", dpi=110)
+            for name, drawn in curves.items():
+                network_figure(name, drawn).savefig(folder / f"{name}.png", dpi=80)
         figures = {
             name: {
                 "delay_ms": dict(zip(("p50", "p99"), _quantiles_ms(log.segments[0].delay_s), strict=True)),
@@ -45,9 +55,17 @@ def picture(
             for name, log in lines.items()
         }
     if as_json:
-        print_json({"networks": figures, "picture": str(out / "networks.png")})
+        print_json({"networks": figures, "files": str(out)})
     else:
-        typer.echo(f"{out / 'networks.png'}: {', '.join(names)}")
+        typer.echo(f"{out}: a picture and the curves of {', '.join(names)}")
+
+
+def curves_text(curves: "Mapping[str, Curves]") -> str:
+    """Return the curves of networks as the page of the operator reads them, a line for each network."""
+    from telenano_networks.line_page import SLOWER
+
+    rows = (f"{json.dumps(name)}:{json.dumps(one._asdict(), separators=(',', ':'))}" for name, one in curves.items())
+    return "".join(('{"slower":', json.dumps(SLOWER), ',"networks":{\n', ",\n".join(rows), "\n}}\n"))
 
 
 def _quantiles_ms(values_s: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> list[float]:
@@ -61,11 +79,10 @@ def carried(name: str, seed: int) -> "LineLog":
     import numpy as np
 
     from services.delay_node.config import parse_settings
-    from services.delay_node.engine import fates_of
+    from telenano_networks.line_draws import delays_ns
     from telenano_networks.line_log import LineLog, Segment
 
     times_ns = range(0, _SECONDS * 10**9, _PERIOD_NS)
     settings = parse_settings({"profile": name, "seed": seed})
-    fates = [one for one in fates_of(settings, "forward", "udp", times_ns, _SIZE_BYTES) if one.copy == 0]
-    delay_s = np.array([np.nan if one.dropped else 1e-9 * one.delay_ns for one in fates])
+    delay_s = 1e-9 * delays_ns(settings, "udp", times_ns, _SIZE_BYTES)
     return LineLog((Segment(1e-9 * np.array(times_ns, dtype=np.float64), delay_s),), round_trip=False)

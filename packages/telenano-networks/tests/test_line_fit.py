@@ -7,18 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from scipy import special
+from telenano_networks import line_log
+from telenano_networks.line_draws import delays_ns
 from telenano_networks.line_fit import (
+    SHARES,
     accept,
     ages_s,
+    correlation_time_s,
     fit,
     generated,
     intervals,
     lost_runs,
     parameters,
-    scale_of,
     statistics,
 )
 from telenano_networks.line_log import LineLog, Segment, read_log
+from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
 from proto import encode
@@ -35,10 +40,12 @@ from telenano.cli.root import app
 WAYS: tuple[Direction, ...] = ("forward", "backward")
 PERIOD_S, TIME_S, PER_S, STALL_S, SPREAD = 0.02, 0.08, 0.1, 0.3, 0.2
 TRUTH = {
-    "usual delay, q50 [ms]": 20.0 * math.exp(0.0),
+    "usual delay, q50 [ms]": 20.0,
+    "usual delay, q99 [ms]": 20.0 * math.exp(0.1 * 2.3263),
     "correlation time [ms]": 1e3 * TIME_S,
     "stalls per minute": 60.0 * PER_S,
     "length of a stall [ms]": 1e3 * STALL_S,
+    "spread of its logarithm": SPREAD,
     "lost": 0.02,
     "lost in a row": 2.0,
 }
@@ -72,9 +79,8 @@ def made_log(seed: int, seconds: float = 600.0) -> LineLog:
 
 def test_known_parameters_are_found_again() -> None:
     found = parameters(fit(made_log(1, 3000.0)))
-    for what, share in zip(TRUTH, (0.01, 0.15, 0.2, 0.05, 0.15, 0.1), strict=True):
+    for what, share in zip(TRUTH, (0.01, 0.02, 0.06, 0.2, 0.05, 0.2, 0.15, 0.1), strict=True):
         assert found[what] == pytest.approx(TRUTH[what], rel=share), what
-    assert found["spread of its logarithm"] == pytest.approx(SPREAD, abs=0.04)
 
 
 @pytest.mark.endurance  # 200 draws with a bootstrap each
@@ -82,10 +88,44 @@ def test_known_parameters_are_found_again() -> None:
 def test_the_intervals_hold_the_truth() -> None:
     inside = dict.fromkeys(TRUTH, 0)
     for seed in range(200):
-        bounds = intervals(made_log(seed), resamples=100)
+        bounds = intervals(made_log(seed), resamples=400)
         for what, value in TRUTH.items():
             inside[what] += bounds[what][0] <= value <= bounds[what][1]
-    assert min(inside.values()) >= 170, inside
+    # Of 200 draws with a share of 95 % fewer than 180 are inside in two of a thousand cases, 99 % in one of a hundred
+    # of eight parameters.
+    assert min(inside.values()) >= 180, inside
+
+
+def test_the_correlation_of_scores_is_found_from_that_of_the_delays() -> None:
+    # of log-normal delays exp(s z) it is (exp(s^2 r) - 1) / (exp(s^2) - 1) in closed form
+    spread, period_s = 0.5, 0.02
+    shares = np.array(SHARES)
+    shares[[0, -1]] = 1e-5, 1.0 - 1e-5
+    quantiles_s = 0.02 * np.exp(spread * special.ndtri(shares))
+    for time_s in (0.01, 0.05, 0.5, 5.0):
+        wanted = math.expm1(spread**2 * math.exp(-period_s / time_s)) / math.expm1(spread**2)
+        # the quantiles are linear between the shares
+        assert correlation_time_s(wanted, quantiles_s, period_s) == pytest.approx(time_s, rel=0.02)
+    assert correlation_time_s(0.01, quantiles_s, period_s) == correlation_time_s(math.nan, quantiles_s, period_s) == 0.0
+
+
+def test_a_resample_is_tallied_as_the_log_of_its_blocks() -> None:
+    log = made_log(6, 200.0)
+    scale = scale_of(log)
+    tally = tally_of(log, scale)
+    assert len(tally.seconds) == 10
+    (weights,) = tally.draws(3, 1)
+    (part,) = log.segments
+    block = np.minimum((part.sent_s / (part.sent_s[-1] / 10)).astype(int), 9)
+    known = ~np.isnan(part.delay_s)
+    taken = np.repeat(part.delay_s[known], weights[block[known]])
+    shares = (0.0, 0.31, 0.5, 0.99, 1.0)
+    np.testing.assert_allclose(tally.known.quantiles_s(weights, shares), np.quantile(taken, shares), rtol=1e-12)
+    both = known[:-1] & known[1:]
+    pairs = [np.repeat(values[both], weights[block[:-1][both]]) for values in (part.delay_s[:-1], part.delay_s[1:])]
+    assert correlation_of(tally.pairs, weights) == pytest.approx(np.corrcoef(*pairs)[0, 1], rel=1e-9)
+    assert weights @ tally.lost == np.repeat(~known, weights[block]).sum()
+    assert weights.sum() == 10
 
 
 def test_what_is_generated_is_like_the_half_that_the_fit_has_not_seen() -> None:
@@ -183,6 +223,17 @@ def test_a_line_that_changes_now_and_then_is_no_clock_that_stepped(tmp_path: Pat
     rows = [f"{20 * n},{level[n // 200 % 6]}.{n % 10}" for n in range(6000)]
     path.write_text("\n".join(["sent_ms,delay_ms", *rows, ""]), encoding="utf-8")
     assert len(read_log([path]).segments) == 1
+
+
+def test_each_place_of_a_log_is_looked_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shares: list[float] = []
+    monkeypatch.setattr(line_log, "_check_level", lambda part, share: shares.append(share))
+    read_log([table_of(tmp_path / "log.csv")])
+    assert shares[0] == 0.5
+    assert sorted(shares) == pytest.approx([n / 20 for n in range(1, 20)])
+    shares.clear()
+    read_log([table_of(tmp_path / "log.csv")], round_trip=True)
+    assert shares == [0.5]
 
 
 def test_rows_that_are_not_in_order_are_refused_and_half_a_line_is_left_out(tmp_path: Path) -> None:
@@ -345,3 +396,30 @@ def test_networks_are_drawn_with_the_age_at_a_reader(tmp_path: Path) -> None:
     assert (tmp_path / "p" / "networks.png").read_bytes().startswith(b"\x89PNG")
     refused = CliRunner().invoke(app, ["link", "picture", "mars", "--out", str(tmp_path / "p")])
     assert "unknown profile 'mars'" in refused.stderr
+
+
+LINES = [
+    "cicv5g_n78_arterial", "cicv5g_n8_urban", "starlink_driving", "att_driving", "verizon_driving",
+    "private_5g_mmwave", "urllc_mmwave", "att_driving_no_memory",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_the_delays_of_a_line_are_those_that_the_engine_gives(name: str) -> None:
+    settings = parse_settings({"profile": name, "seed": 3})
+    # a minute, a pause after which nothing is left of a score, and what is sent while a stall lasts
+    times_ns = [*range(5 * 10**9, 65 * 10**9, 2 * 10**7), *range(10**15, 10**15 + 120 * 10**9, 10**8)]
+    fates = fates_of(settings, "forward", "udp", times_ns, 200)
+    wanted = np.array([np.nan if fate.dropped else fate.delay_ns for fate in fates])
+    np.testing.assert_allclose(delays_ns(settings, "udp", times_ns, 200), wanted, rtol=0, atol=1.0)
+
+
+def test_a_stall_that_holds_more_than_the_queue_drops_as_the_engine_does() -> None:
+    way = {
+        "jitter": {"distribution": "table", "scale_s": 1.0, "quantiles": "0:0.01,1:0.02"},
+        "queue": {"limit_messages": 40},
+        "outage": {"mean_up_s": 1.0, "mean_down_s": 1.0, "down_spread": 0.1, "mode": "hold"},
+    }
+    settings = parse_settings({"forward": way, "seed": 3})
+    found = delays_ns(settings, "udp", range(0, 30 * 10**9, 10**7), 200)
+    assert 0.1 < np.isnan(found).mean() < 0.5

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from telenano_studies.loops.line_variants import between, variants
+from telenano_studies.loops import line_variants
+from telenano_studies.loops.line_variants import between, stalls_of_both, variants
 
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
@@ -52,3 +53,32 @@ def test_the_variants_share_a_round_trip_as_they_say(tmp_path: Path) -> None:
     lost = found["parts", "constant delay, stalls that lose"].forward["outage"]
     assert (held["mode"], lost["mode"]) == ("hold", "drop")
     assert {**held, "mode": "drop"} == lost
+
+
+def test_the_stalls_of_both_ways_come_as_often_and_last_as_long_as_those_of_the_line() -> None:
+    outage = profile_named("cicv5g_n78_arterial").link["forward"]["outage"]
+    schedule = stalls_of_both(outage, 1, 3500.0)
+    begins_s, lengths_s = np.array(schedule).T
+    assert (np.diff(begins_s) > lengths_s[:-1]).all()
+    # some 180 stalls
+    assert np.diff(begins_s).mean() == pytest.approx(0.5 * outage["mean_up_s"] + outage["mean_down_s"], rel=0.25)
+    assert lengths_s.mean() == pytest.approx(outage["mean_down_s"], rel=0.05)
+    parse_settings({"forward": {"outage": {"schedule": schedule, "mode": "hold"}}})
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["starlink_driving", "--seeds", "0"], "'0' is no number of seeds; give 1 or more"),
+        (["mars"], "unknown profile 'mars'"),
+        (["clean"], "the network clean has no quantiles and correlation time, as `telenano link fit` makes them"),
+    ],
+)
+def test_what_cannot_be_run_is_said_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], given: list[str], said: str
+) -> None:
+    monkeypatch.setattr("sys.argv", ["line_variants", *given, "--out", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        line_variants.main()
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """Lockstep against the bus: the scenario that a cell becomes, and what counts as agreement."""
 
 import dataclasses
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -213,6 +214,30 @@ def test_rig_that_does_not_run_says_why(tmp_path: Path, monkeypatch: pytest.Monk
     assert asked[0][asked[0].index("--site-file") + 1] == str(tmp_path / "site.yaml")
     scenario = Path(asked[0][asked[0].index("--scenario") + 1])
     assert "virtual_impedance" in scenario.read_text()
+
+
+@pytest.mark.parametrize("leaves_a_part", [False, True])
+def test_why_a_rig_did_not_start_is_said_whatever_an_earlier_study_or_the_rig_has_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leaves_a_part: bool
+) -> None:
+    bus = Bus(None, tmp_path)
+    recording = bus.recording_of(cell())
+    recording.parent.mkdir()
+    recording.write_bytes(b"of an earlier study")
+    done: list[list[str]] = []
+
+    def run(command: list[str], longest_s: float) -> subprocess.CompletedProcess[str]:
+        done.append(command)
+        assert not recording.exists()
+        if leaves_a_part:
+            recording.write_bytes(b"no recording that can be read")
+        return subprocess.CompletedProcess(command, 1, "", "telenano: port 7400 is in use")
+
+    monkeypatch.setattr(study, "run_session", run)
+    monkeypatch.setattr(study, "draws_of", lambda one: [])
+    with pytest.raises(StudyError, match="port 7400 is in use"):
+        study.validate_cells([cell()], bus)
+    assert len(done) == 1
 
 
 @pytest.mark.parametrize(("late_runs", "runs", "agrees"), [(0, 1, False), (1, 2, True), (5, 3, False)])

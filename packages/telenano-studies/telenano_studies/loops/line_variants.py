@@ -29,7 +29,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
-from services.delay_node.config import parse_settings
+from proto.errors import ConfigError
+from services.delay_node.config import Outage, parse_settings
+from services.delay_node.models.outages import Outages
+from services.delay_node.random_streams import stream
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import simulate
 from telenano.extend.sessions import profile_named
@@ -84,7 +87,7 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
     if "outage" in way:
         outage = way["outage"]
         every = {**every, "outage": {**outage, "mean_up_s": 0.5 * outage["mean_up_s"]}}
-        both = {**way, "outage": {"schedule": _schedule(outage, seed, length_s), "mode": "hold"}}
+        both = {**way, "outage": {"schedule": stalls_of_both(outage, seed, length_s), "mode": "hold"}}
     yield Variant("sharing", "half of it each way", way, way)
     yield Variant("sharing", "all of it forward", every, least)
     yield Variant("sharing", "all of it backward", least, every)
@@ -102,14 +105,16 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
         yield Variant("between messages of the log", name, *ways)
 
 
-def _schedule(outage: Way, seed: int, length_s: float) -> list[list[float]]:
-    """Draw the stalls of both ways together: exponential times up, log-normal times down, as the link draws them."""
-    draw, spread, at_s = np.random.default_rng(seed), outage["down_spread"], 0.0
-    found = []
-    while (at_s := at_s + draw.exponential(0.5 * outage["mean_up_s"])) < length_s:
-        stall_s = outage["mean_down_s"] * math.exp(spread * draw.standard_normal() - 0.5 * spread**2)
-        found.append([round(at_s, 6), round(stall_s, 6)])
-        at_s += stall_s
+def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]:
+    """Return the stalls of both ways together, (begin, length) [s], as the link's model of outages draws them."""
+    settings = Outage.model_validate({**outage, "mean_up_s": 0.5 * outage["mean_up_s"]})
+    model = Outages(settings, 0, stream(seed, "both ways", "outage"))
+    found, end_ns = [], 0
+    while end_ns < 1e9 * length_s:
+        # The model draws until it knows an outage that is not over, which is the next one after this end.
+        model.end_ns(end_ns)
+        begin_ns, end_ns = model.state.random[-1]
+        found.append([1e-9 * begin_ns, 1e-9 * (end_ns - begin_ns)])
     return found
 
 
@@ -147,11 +152,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("network")
     parser.add_argument("--law", default="virtual_impedance,wave,passivity")
-    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--seeds", type=_count, default=8)
     parser.add_argument("--period", type=float, default=0.2, help="time between two messages of the log [s]")
     parser.add_argument("--hold", type=float, default=4.0, help="length of the hold that is judged [s]")
     parser.add_argument("--out", type=Path, default=Path("out/variants"))
     chosen = parser.parse_args()
+    try:
+        _run(chosen)
+    except ConfigError as error:
+        parser.error(str(error))
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seeds; give 1 or more")
+    return int(text)
+
+
+def _run(chosen: argparse.Namespace) -> None:
     chosen.out.mkdir(parents=True, exist_ok=True)
     found: dict[tuple[str, str, str], list[CellResult]] = {}
     for seed in range(chosen.seeds):
@@ -168,6 +186,12 @@ def _results(
 ) -> Iterator[tuple[tuple[str, str, str], CellResult]]:
     """Run all variants with the draws of a seed; give group, variant and law, and the result."""
     profile = profile_named(name)
+    way = profile.link.get("forward", {})
+    jitter = way.get("jitter", {})
+    if not {"quantiles", "correlation_time_s"} <= jitter.keys():
+        raise ConfigError(
+            f"the network {name} has no quantiles and correlation time, as `telenano link fit` makes them"
+        )
     cells = [
         Cell(
             law=law, environment="tip_sample", stiffness_n_per_m=CONTACT_N_PER_M, network=name, seed=seed,
@@ -179,7 +203,7 @@ def _results(
     cells = [cell.model_copy(update={"session_s": end_s}) for cell in cells]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        for one in variants(profile.link["forward"], period_s, seed, settle_s(cells[0]) + end_s + 1.0, folder):
+        for one in variants(way, period_s, seed, settle_s(cells[0]) + end_s + 1.0, folder):
             settings = parse_settings({"seed": seed, "forward": one.forward, "backward": one.backward})
             schedule: Schedule | None = None
             for cell in cells:

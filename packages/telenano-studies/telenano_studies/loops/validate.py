@@ -190,7 +190,7 @@ def _compared_anew(cell: Cell, bus: Bus, report: Callable[[str], None]) -> Agree
             found = _compared(cell, draws, bus)
         except StudyError as error:
             found = error
-        stalled_s = longest_stall_s(path) if path.is_file() else 0.0
+        stalled_s = _held_up_s(path)
         if stalled_s == 0.0 or run == TRIES or (isinstance(found, Agreement) and found.agree):
             break
         report(f"   a process was held up for {1e3 * stalled_s:.0f} ms by the machine: once more")
@@ -208,6 +208,14 @@ def _compared(cell: Cell, draws: Sequence[Trajectory], bus: Bus) -> Agreement:
         found = compare(cell, draws, course, lacking=str(error))
         return replace(found, agree=False, bus="no_data", reason=str(error))
     return compare(cell, draws, course, recorded, lacking=lacking_of(cell, path))
+
+
+def _held_up_s(path: Path) -> float:
+    """Return the longest stall [s]; 0 where no recording can be read, and why the rig did not run is what counts."""
+    try:
+        return longest_stall_s(path) if path.is_file() else 0.0
+    except RecordingError:
+        return 0.0
 
 
 def longest_stall_s(path: Path) -> float:
@@ -242,6 +250,8 @@ def run_on_bus(cell: Cell, bus: Bus) -> Trajectory:
     recording = bus.recording_of(cell)
     folder = recording.parent
     folder.mkdir(parents=True, exist_ok=True)
+    # A rig that does not start leaves no recording, and that of an earlier study says nothing of it.
+    recording.unlink(missing_ok=True)
     scenario = folder / "cell.yaml"
     document = scenario_of(cell)
     scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
