@@ -217,7 +217,7 @@ class Policy:
 
     def decided(self, line: Line) -> Decision | None:
         """Return the first law that bears a line, where it is not the one in force; none where no law does."""
-        against = []
+        against: list[str] = []
         for candidate in self.candidates:
             doubts = self.doubts(candidate, line)
             if not doubts:

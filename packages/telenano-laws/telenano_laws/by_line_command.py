@@ -22,6 +22,7 @@ from telenano.extend.sessions import AfmConfig, Command, ControllerConfig, send_
 from telenano_laws.by_line import CANDIDATES, TOPICS, Decision, Policy, facts_of
 
 CONTROLLERS, RECORDER = "controller", "recorder"
+_WANTED = ",".join(candidate.law for candidate in CANDIDATES)
 # Sends a command and returns why it was refused, or nothing.
 Send = Callable[[Command], str]
 
@@ -34,7 +35,7 @@ def by_line(
     laws: Annotated[
         str,
         typer.Option("--law", metavar="LAW[,LAW]", help="Laws to choose among, the most wanted first."),
-    ] = ",".join(one.law for one in CANDIDATES),
+    ] = _WANTED,
     stiffness: Annotated[
         float | None,
         typer.Option("--stiffness", min=0.0, metavar="N/M", help="Stiffest sample, where the scenario does not say."),
