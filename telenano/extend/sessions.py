@@ -8,5 +8,8 @@ from recording.arrays import columns as columns
 from recording.arrays import last_programme as last_programme
 from recording.site_clock import Timeline as Timeline
 from services.afm_node.config import AfmConfig as AfmConfig
+from services.console.command_client import send_control as send_control
+from services.controller.config import ControllerConfig as ControllerConfig
 from services.delay_node.profiles import profile_named as profile_named
+from services.runtime.loop.commands import Command as Command
 from services.runtime.settings.config import validate as validate

@@ -429,6 +429,8 @@ def master_receive(
         contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j), True
         store = tank(store, -potential(contact, y), params.cap_j)
     lead = mass.position_m - hand.position_m
+    # What it costs to undo the lead of a device that is stuck is not there to be spent.
+    owed = max(hand.force_n * bounded(lead, _LONGEST_LEAD_M), 0.0)
     if not hand.following or abs(lead) > _LONGEST_LEAD_M:
         # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
         # and booked like a motion.
@@ -446,7 +448,7 @@ def master_receive(
         y = mass.position_m + offset
         agrees = 0.0
         if rendered:
-            contact, used = updated(params, contact, goal, y, tip_n, store.left_j)
+            contact, used = updated(params, contact, goal, y, tip_n, store.left_j - owed)
             store = tank(store, -max(used, 0.0), params.cap_j)
             force = contact_force(contact, y)
             if force > 0.0:
@@ -470,7 +472,7 @@ def master_receive(
         store = tank(store, taken, params.cap_j)
         mass = Mass(bounded(mass.position_m + way, _FARTHEST_M), after, mass.tip_offset_m, True)
     missing = max(signal.energy_j - store.sent_j, 0.0)
-    store = sent_on(store, min(max(store.left_j, 0.0), params.send_share * missing))
+    store = sent_on(store, min(max(store.left_j - owed, 0.0), params.send_share * missing))
     state = MasterState(mass, seen, contact, rendered, lag, held_back, heavy, store, 0.0)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 

@@ -162,6 +162,26 @@ def test_the_tip_goes_nowhere_where_nothing_was_granted_and_nobody_has_paid() ->
     assert bench.least_j >= -STEP_J
 
 
+@pytest.mark.parametrize("hand_n", [-0.7, 0.7])
+def test_a_hand_at_the_end_of_its_travel_pays_for_no_way_that_its_device_did_not_make(hand_n: float) -> None:
+    """Draw 206: the reference runs ahead of a device that is stuck, and comes back when the device is off for once."""
+    config = BoundedModelConfig()
+    params, law = config.to_params(PERIOD_S), BOUNDED_MODEL
+    state = law.master_start(params, HandSample(0.0, 0.0, 0.0, True))
+    # The tip asks for all that there is.
+    answer = NO_SIGNAL._replace(active=True, silence_s=0.0, energy_j=1.0)
+    reference, energy_j = 0.0, 0.0
+    for tick in range(600):
+        hand = HandSample(0.0, 0.0, hand_n, tick < 599)
+        state, wanted = law.master_receive(params, state, hand, answer, PERIOD_S)
+        energy_j += hand_n * (wanted.position_m - reference)
+        reference = wanted.position_m
+        if tick == 598:
+            assert abs(reference) > 1.9e-3
+    assert reference == 0.0
+    assert energy_j - state.store.sent_j >= -config.start_energy_j - STEP_J
+
+
 def test_a_draw_follows_from_its_number() -> None:
     assert drawn(7) == drawn(7) != drawn(8)
 

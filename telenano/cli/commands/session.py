@@ -44,21 +44,12 @@ def session(
         raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))
     with report_errors(as_json), holding(CONSOLE, role="teacher") if take else contextlib.nullcontext():
         if command == "couple":
-            _couple(parameters or (), target, site, site_file, as_json=as_json)
+            if parameters or target != "*" or site == "slave":
+                raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
+            text = couple_anew(site_file or _usual_file(site), issued_ns=process_start_ns())
+            print_answer({"command": "couple", "text": text}, text, as_json=as_json)
         else:
             send_command(command, parameters or (), target, site_file, site, as_json=as_json)
-
-
-def _couple(
-    parameters: Sequence[str], target: str, site: Site | None, site_file: Path | None, *, as_json: bool
-) -> None:
-    """Couple hand and tip anew; exit code 1 with the reason where that is refused or not completed."""
-    with report_errors(as_json):
-        if parameters or target != "*" or site == "slave":
-            raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
-        book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
-        text = couple_anew(book_file, issued_ns=process_start_ns())
-    print_answer({"command": "couple", "text": text}, text, as_json=as_json)
 
 
 def send_command(
@@ -72,15 +63,20 @@ def send_command(
 ) -> None:
     """Send a command, print the answers, and exit with 1 if a node refuses or does not answer."""
     with report_errors(as_json):
-        book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         wanted = Command(command, target, parameters=parse_parameters(parameters))
         show = (lambda event: None) if as_json else _print_event
-        answers = send_control(wanted, book_file, site or "master", show, issued_ns=process_start_ns())
+        answers = send_control(
+            wanted, site_file or _usual_file(site), site or "master", show, issued_ns=process_start_ns()
+        )
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
     if any(event.kind == "refused" for event in answers.values()):
         raise typer.Exit(EXIT_FAILED)
+
+
+def _usual_file(site: Site | None) -> Path:
+    return DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE
 
 
 def _print_event(event: SessionEvent) -> None:

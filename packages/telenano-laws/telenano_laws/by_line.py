@@ -1,0 +1,234 @@
+"""A law by the line: what the line does is measured, and the law changes to the first of a list that bears it.
+
+What is measured is what `law/status` of the master's half and `node/health` of both halves say, so it is the line of
+the session itself and no probe. A law bears a line where its stated limit of stiffness (docs/laws.md, "How stiff a
+sample may be") is above the sample over such a line, and where the age of the tip's answers is below the longest one
+for which the law was found to follow. The change itself is the ordinary one, `set law=...`, in which both devices stand
+still for a round trip; so it is asked for only while the hand would not go further than `STOOD_M` in that time.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from telenano.extend.sessions import ControllerConfig
+
+MASTER, SLAVE = "controller@master", "controller@slave"
+HAND, TIP = "haptic_node@master", "afm_node@slave"
+# The last one is how the reports of a site on another machine come here.
+TOPICS = ("law/status", "node/health", "haptic/state", "node/health@master")
+# What a half of the law receives from the other one.
+_CROSSING = {MASTER: "teleop/backward", SLAVE: "teleop/forward"}
+# The least time between two changes of law, and how far back the line is looked at [s].
+DWELL_S, WINDOW_S = 10.0, 10.0
+# The way that a hand may lose by standing still [m], half of what counts as a jump.
+STOOD_M = 5e-5
+# The hand coasts to rest beside the round trip that it stands for [s].
+_COASTING_S = 0.02
+# The line stands still while nothing has come for longer than this [s].
+STALL_S = 0.05
+# Signals whose ages differ by no more than so many periods come after the same time.
+_EVEN_PERIODS = 2.0
+
+
+class Line(NamedTuple):
+    """What a line did over a window of time.
+
+    Times in s: floor, the least age of the hand's sample behind an answer; late, the age that one answer of a hundred
+    exceeds; stall, the longest time without an answer; seen, how long it was looked at. lost: share of the signals that
+    never came, of both ways together.
+    """
+
+    floor_s: float
+    late_s: float
+    stall_s: float
+    lost: float
+    seen_s: float
+
+    @property
+    def spread_s(self) -> float:
+        """How much later than the least the latest answers but one of a hundred come [s]."""
+        return self.late_s - self.floor_s
+
+    def is_even(self, period_s: float) -> bool:
+        """Return whether every signal came, after the same time within two periods [s]."""
+        return self.lost == 0.0 and max(self.spread_s, self.stall_s) <= _EVEN_PERIODS * period_s
+
+    def __str__(self) -> str:
+        """Return the line in words."""
+        return (
+            f"floor {1e3 * self.floor_s:.3g} ms, spread {1e3 * self.spread_s:.3g} ms, longest stall"
+            f" {1e3 * self.stall_s:.3g} ms, {100.0 * self.lost:.2g} % lost"
+        )
+
+
+class Candidate(NamedTuple):
+    """A law, and the greatest age of an answer [s] over which it follows."""
+
+    law: str
+    longest_s: float
+
+
+# In the order in which they are wanted. The ages are those up to which the benchmark has a tracking error of 0.35 at
+# most for the first two; what the last one follows late, it follows late over any line.
+CANDIDATES = (Candidate("bounded_model", 0.7), Candidate("model_mediated", 0.2), Candidate("passivity", math.inf))
+
+
+class Decision(NamedTuple):
+    """A change of law, and the reason in words."""
+
+    law: str
+    reason: str
+
+
+class LineWindow:
+    """The line over the last seconds, from the reports of both halves of the law."""
+
+    def __init__(self, window_s: float = WINDOW_S) -> None:
+        """Look back for a time [s]."""
+        self._window_s = window_s
+        self._ages: deque[tuple[float, float, float]] = deque()
+        # By half: time [s], signals received and lost since its start.
+        self._counts: dict[str, deque[tuple[float, int, int]]] = {half: deque() for half in _CROSSING}
+
+    def forget(self) -> None:
+        """Forget the ages, because a half that begins anew has heard nothing."""
+        self._ages.clear()
+
+    def add_age(self, time_s: float, age_s: float, silence_s: float) -> None:
+        """Take the age of the hand's sample behind the newest answer, and the time since that answer came [s]."""
+        self._ages.append((time_s, age_s, silence_s))
+        while self._ages[0][0] < time_s - self._window_s:
+            self._ages.popleft()
+
+    def add_counts(self, half: str, time_s: float, inputs: Sequence[Any]) -> None:
+        """Take what a half has received and missed since its start, of its `node/health`."""
+        for row in inputs:
+            if row.topic == _CROSSING[half]:
+                counts = self._counts[half]
+                counts.append((time_s, row.received, row.lost))
+                # The newest one that is older than the window is what the window begins with.
+                while len(counts) > 1 and counts[1][0] < time_s - self._window_s:
+                    counts.popleft()
+
+    def line(self) -> Line | None:
+        """Return what the line did, or nothing before there is an answer."""
+        if not self._ages:
+            return None
+        ages = sorted(age for _, age, _ in self._ages)
+        received = sum(counts[-1][1] - counts[0][1] for counts in self._counts.values() if counts)
+        # A node that was started anew counts from nothing.
+        lost = sum(max(counts[-1][2] - counts[0][2], 0) for counts in self._counts.values() if counts)
+        return Line(
+            floor_s=ages[0],
+            late_s=ages[min(math.ceil(0.99 * len(ages)), len(ages) - 1)],
+            stall_s=max(silence for _, _, silence in self._ages),
+            lost=lost / (received + lost) if received > 0 else 0.0,
+            seen_s=self._ages[-1][0] - self._ages[0][0],
+        )
+
+
+class Policy:
+    """Decides from the messages of a rig which law its line is to have; it only says so, and sends nothing."""
+
+    def __init__(
+        self,
+        controller: ControllerConfig,
+        stiffness_n_per_m: float,
+        candidates: Sequence[Candidate] = CANDIDATES,
+        window_s: float = WINDOW_S,
+    ) -> None:
+        """Choose among laws.
+
+        Args:
+            controller: The section of the scenario, with the parameters of the laws.
+            stiffness_n_per_m: The stiffest that the tip can meet [N/m].
+            candidates: The laws, the most wanted first.
+            window_s: How far back the line is looked at [s].
+        """
+        self._stiffness_n_per_m, self.candidates = stiffness_n_per_m, tuple(candidates)
+        self._configs = {one.law: controller.model_copy(update={"law": one.law}) for one in candidates}
+        self._period_s, self._window_s = controller.period_s, window_s
+        self._window = LineWindow(window_s)
+        self._law, self._since_s, self._refused = "", -math.inf, dict[str, str]()
+        self._asked_s, self._looked_s = -math.inf, -math.inf
+        self._speed_m_per_s, self._latency_s = math.inf, 0.0
+
+    @property
+    def line(self) -> Line | None:
+        """What the line did over the window."""
+        return self._window.line()
+
+    def doubts(self, candidate: Candidate, line: Line) -> str:
+        """Return why a law is not one for a line; empty where it is."""
+        if text := self._refused.get(candidate.law):
+            return text
+        if line.late_s > candidate.longest_s:
+            late_ms, longest_ms = 1e3 * line.late_s, 1e3 * candidate.longest_s
+            return f"law {candidate.law}: answers are {late_ms:.3g} ms old, and it follows up to {longest_ms:.3g} ms"
+        even = line.is_even(self._period_s)
+        config = self._configs[candidate.law]
+        if not config.stiffness_doubts(self._stiffness_n_per_m, self._latency_s, even=even):
+            return ""
+        line_text = "" if even else ", whose signals are lost or held back"
+        return f"law {candidate.law} does not bear {self._stiffness_n_per_m:g} N/m over this line{line_text}"
+
+    def refused(self, law: str, text: str) -> None:
+        """Take note of what a node has said against a law: it is not asked for again."""
+        self._refused[law] = text
+
+    def take(self, topic: str, src: str, time_s: float, message: Any) -> Decision | None:
+        """Take a message, sent at a time [s], and return what is to be changed now, if anything is."""
+        if topic == "haptic/state" and src == HAND:
+            self._speed_m_per_s = abs(message.velocity_m_per_s[2])
+        elif topic == "node/health" and src in _CROSSING:
+            self._window.add_counts(src, time_s, message.inputs)
+        elif topic == "node/health" and src == TIP:
+            self._latency_s = message.device_latency_s or 0.0
+        elif topic == "law/status" and src == MASTER:
+            return self._with_status(time_s, message)
+        return None
+
+    def _with_status(self, time_s: float, status: Any) -> Decision | None:
+        if status.law != self._law or status.switching:
+            # Whoever has changed the law, the time to the next change begins with it; before it was seen, with that.
+            self._since_s, self._law = time_s, status.law
+            self._window.forget()
+            return None
+        if not (status.heard and status.round_trip_valid):
+            return None
+        self._window.add_age(time_s, status.round_trip_s, status.silence_s)
+        due = time_s - max(self._since_s, self._asked_s) >= DWELL_S
+        # To sort the window at each of a hundred reports a second would be work for nothing.
+        if not due or status.silence_s > STALL_S or time_s - self._looked_s < 0.1:
+            return None
+        self._looked_s = time_s
+        line = self._window.line()
+        if line is None or line.seen_s < 0.9 * self._window_s:
+            return None
+        stands_s = line.late_s + _COASTING_S
+        if self._speed_m_per_s * stands_s > STOOD_M:
+            return None
+        decision = self.decided(line)
+        if decision is not None:
+            self._asked_s = time_s
+        return decision
+
+    def decided(self, line: Line) -> Decision | None:
+        """Return the first law that bears a line, where it is not the one in force; none where no law does."""
+        against: list[str] = []
+        for candidate in self.candidates:
+            doubts = self.doubts(candidate, line)
+            if not doubts:
+                if candidate.law == self._law:
+                    return None
+                why = "; ".join(against) or f"law {candidate.law} is the first of those wanted"
+                return Decision(candidate.law, f"{line}: {why}")
+            against.append(doubts)
+        return None
+
+
+def facts_of(decision: Decision) -> Mapping[str, str]:
+    """Return the parameters of the mark that a decision leaves in the recording."""
+    return {"law_by_line": decision.law, "reason": decision.reason}

@@ -1,0 +1,96 @@
+"""`telenano law by-line`: the law of a running rig is changed by what its line does."""
+
+import contextlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from telenano.extend.bridges import live_rig
+from telenano.extend.commands import (
+    DEFAULT_SITE_FILE,
+    ConfigError,
+    DurationOption,
+    SiteFileOption,
+    TelenanoError,
+    report_errors,
+    section_of,
+)
+from telenano.extend.sessions import AfmConfig, Command, ControllerConfig, send_control
+from telenano_laws.by_line import CANDIDATES, TOPICS, Decision, Policy, facts_of
+
+CONTROLLERS, RECORDER = "controller", "recorder"
+_WANTED = ",".join(candidate.law for candidate in CANDIDATES)
+# Sends a command and returns why it was refused, or nothing.
+Send = Callable[[Command], str]
+
+
+def by_line(
+    scenario: Annotated[
+        Path,
+        typer.Option("--scenario", metavar="NAME|FILE", help="Scenario of the rig: parameters of laws, and sample."),
+    ],
+    laws: Annotated[
+        str,
+        typer.Option("--law", metavar="LAW[,LAW]", help="Laws to choose among, the most wanted first."),
+    ] = _WANTED,
+    stiffness: Annotated[
+        float | None,
+        typer.Option("--stiffness", min=0.0, metavar="N/M", help="Stiffest sample, where the scenario does not say."),
+    ] = None,
+    duration: DurationOption = None,
+    site_file: SiteFileOption = DEFAULT_SITE_FILE,
+) -> None:
+    """Watch the line of a running rig and change to the first law that bears it, until Ctrl-C.
+
+    A law is changed at most once in 10 s, while the hand is nearly at rest, and never to one whose stated limit the
+    sample is beyond. Each change is a `set law=...` of the session, and leaves a mark with its reason in the recording.
+    """
+    made = 0
+    with report_errors(False):
+        policy = policy_of(scenario, laws, stiffness)
+        with live_rig(site_file) as live, contextlib.suppress(KeyboardInterrupt):
+            for message in live.messages(TOPICS, duration_s=duration):
+                decision = policy.take(message.topic, message.src, 1e-9 * message.publish_ns, message.decode())
+                if decision is not None:
+                    made += carry_out(policy, decision, lambda command: _sent(command, site_file))
+    typer.echo(f"{made} changes of law", err=True)
+
+
+def policy_of(scenario: Path, laws: str, stiffness_n_per_m: float | None) -> Policy:
+    """Return the policy for the rig of a scenario; ConfigError names a law or a stiffness that is missing."""
+    controller = section_of(scenario, "controller", ControllerConfig)
+    known = {one.law: one for one in CANDIDATES}
+    names = laws.split(",")
+    if strange := [name for name in names if name not in known]:
+        raise ConfigError(f"--law: {', '.join(strange)}: law by-line chooses among {', '.join(known)}")
+    if stiffness_n_per_m is None:
+        stiffness_n_per_m = section_of(scenario, "afm_node", AfmConfig).stiffest_n_per_m
+    if stiffness_n_per_m is None:
+        raise ConfigError(f"{scenario}: does not say how stiff the sample is: give --stiffness")
+    return Policy(controller, stiffness_n_per_m, [known[name] for name in names])
+
+
+def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
+    """Change the law, say so, and mark it in the recording; return whether the law was changed."""
+    told = f"law {decision.law}: {decision.reason}"
+    text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
+    if text:
+        policy.refused(decision.law, text)
+        typer.echo(f"refused: {told}: {text}")
+        return False
+    typer.echo(told)
+    if unmarked := send(Command("mark", RECORDER, parameters=dict(facts_of(decision)))):
+        sys.stderr.write(f"telenano: the change is not marked in a recording: {unmarked}\n")
+    return True
+
+
+def _sent(command: Command, site_file: Path) -> str:
+    """Send a command to a running rig; return what speaks against it."""
+    try:
+        answers = send_control(command, site_file, "master", lambda event: None)
+    except TelenanoError as error:
+        return str(error)
+    return "; ".join(event.text for event in answers.values() if event.kind == "refused")
