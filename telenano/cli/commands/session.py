@@ -9,7 +9,6 @@ import typer
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
-from proto.messages import SessionEvent
 from proto.nodes import Site
 from services.console.command_client import parse_parameters, send_control
 from services.console.coupling import couple_anew
@@ -74,14 +73,10 @@ def send_command(
     with report_errors(as_json):
         book_file = site_file or (DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE)
         wanted = Command(command, target, parameters=parse_parameters(parameters))
-        show = (lambda event: None) if as_json else _print_event
+        show = (lambda event: None) if as_json else lambda event: typer.echo(f"{event.src} {event.kind}: {event.text}")
         answers = send_control(wanted, book_file, site or "master", show, issued_ns=process_start_ns())
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
     if any(event.kind == "refused" for event in answers.values()):
         raise typer.Exit(EXIT_FAILED)
-
-
-def _print_event(event: SessionEvent) -> None:
-    typer.echo(f"{event.src} {event.kind}: {event.text}")
