@@ -22,11 +22,11 @@ from proto.errors import RigError
 from services.haptic_node.operator_config import InteractiveConfig
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.access import Access
+from services.viz_node.access import Access, Role
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
-from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest
+from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
 from services.viz_node.source import NoTransport
 
 ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
@@ -527,6 +527,17 @@ def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(
         until(lambda: 2.0 in rig.hand)
     until(lambda: changes(rig) == [1.0, 0.0, 2.0, 0.0])
     until(lambda: len(rig.commander.sent) == 2)
+
+
+@pytest.mark.parametrize("request_", [HandRequest(force_n=1.0, held=True), LeaseRequest(id="x", action="take")])
+def test_what_is_read_of_a_page_that_has_left_gives_the_hand_to_nobody(rig: Rig, request_: Any) -> None:
+    async def late() -> None:
+        session = rig.hub.join(Role.OPERATOR)
+        rig.hub.leave(session)
+        await rig.hub.handle(session, request_, time.monotonic())
+
+    asyncio.run(late())
+    assert rig.hub.desk.lease.holder is None and not any(rig.hand)
 
 
 def test_a_page_that_pauses_for_a_moment_keeps_its_force(
