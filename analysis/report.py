@@ -1,8 +1,10 @@
 """Figure and summary of a session, from its recording alone."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -48,6 +50,7 @@ from recording.whole_files import whole_results
 from services.afm_node.section_config import SafetyConfig
 from services.haptic_node.config import recorded_hand
 from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
+from services.runtime.loop import loop_age
 from services.runtime.settings.config import parse_yaml, validate
 from services.runtime.settings.scenario import Scenario
 from services.viz_node.fig12 import SessionSeries, fig12_files
@@ -64,6 +67,8 @@ _WITHDRAWN = ("retracting", "retracted", "estop")
 _RUNS, _FIRST_STEP_S = ("running", "paused"), 0.01
 # The percentiles of the loop's age are taken of so many parts of a session, of so many answers each.
 _AGE_PARTS, _LEAST_AGES = 10, 100
+# Below so many samples a share of a stage says nothing.
+_LEAST_FOLLOWED = 50
 _ALARMS = ("warning", "error")
 # part of the greatest force, and the force [N], by which a press has to rise and to fall: less is a tremor or noise
 _LEAST_SHARE, _LEAST_N = 0.1, 0.1
@@ -397,6 +402,7 @@ def summarise(
         "interruptions": [one._asdict() for one in interruptions],
         "hand_cycles": cycles_of(series.hand_force_n),
         "loop_age_ms": _loop_age_ms(ages_ms),
+        **_loop_age_parts(split_age(recording, session.timeline, session.start_ns, session.end_ns)),
         "intervals": _intervals(samples, ages_ms),
         "overruns": overruns,
         "rate_hz": {name: round(count / session.duration_s, 3) for name, count in sent.items()},
@@ -540,6 +546,55 @@ def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: floa
     return shares
 
 
+def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> dict[str, Series]:
+    """Return the parts of the age of each sample of the hand that an answer came to [s], by name; none of too few.
+
+    A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on the
+    way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks leave open
+    makes one way longer and the other one shorter, and nothing of the sum.
+
+    Args:
+        recording: The master's recording of a session.
+        timeline: What puts its stamps on the master's clock.
+        start_ns: When the session began, on the master's clock [ns].
+        end_ns: When it ended.
+    """
+    # by topic its publisher, or what the link brought of it
+    known = {each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)}
+    topics = [topic for topic in loop_age.STAGES if topic in known]
+    if not topics or "link/delay" not in known:
+        return {}
+    hand = columns(recording, "haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
+    ways = []
+    for topic in topics:
+        sent = columns(recording, known[topic].channel_topic, ("hand_t_ns", "publish_ns"))
+        at_ns = timeline.times_ns(known[topic].src, sent["publish_ns"].astype(np.int64))
+        ways.append(_first(sent["hand_t_ns"], at_ns))
+    ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
+    keys = reduce(np.intersect1d, [own for own, _ in ways])
+    keys = keys[(keys >= max(start_ns, 1)) & (keys <= end_ns)]
+    if keys.size < _LEAST_FOLLOWED:
+        return {}
+    passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
+    said = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
+    delays = {}
+    for way in loop_age.WAYS:
+        # what is said last of a sample counts from it on
+        of_way = {name: values[said["direction"] == way][::-1] for name, values in said.items()}
+        from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
+        at = np.searchsorted(from_ns, keys, side="right")
+        both = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
+        delays[way] = loop_age.Delay(*both)
+    device_s = dict(zip(hand["t_ns"].tolist(), np.nan_to_num(hand["sample_age_s"]).tolist(), strict=True))
+    return loop_age.split(passed_ns, topics, delays, np.array([device_s.get(key, 0.0) for key in keys.tolist()]))
+
+
+def _first(keys: Series, values: Series) -> tuple[Series, Series]:
+    """Return each key once, in their order, with the first value of it."""
+    found, place = np.unique(keys, return_index=True)
+    return found, values[place]
+
+
 def _hold_ratios(series: SessionSeries) -> Series:
     """Return F_m/(alpha_f F_s) of each sample of the window; none where the tip is not pressed throughout."""
     first_s, last_s = HOLD_WINDOW_S
@@ -552,11 +607,9 @@ def _hold_ratios(series: SessionSeries) -> Series:
 
 def _loop_ages_ms(session: Session) -> Series:
     """Return the age of the first answer to each sample of the hand, on the hand's own clock, in the order of time."""
-    hand = session.hand
     # Samples are matched by their stamps, because a restarted device uses its numbers again.
-    _, first = np.unique(hand["answered_t_ns"], return_index=True)
-    ages = (hand["answered_at_ns"] - hand["answered_t_ns"])[first] * 1e-6
-    return np.asarray(ages[hand["answered_t_ns"][first] >= session.start_ns])
+    sampled_ns, answered_ns = _first(session.hand["answered_t_ns"], session.hand["answered_at_ns"])
+    return np.asarray((answered_ns - sampled_ns)[sampled_ns >= session.start_ns] * 1e-6)
 
 
 def _loop_age_ms(ages_ms: Series) -> dict[str, float] | None:
@@ -564,6 +617,15 @@ def _loop_age_ms(ages_ms: Series) -> dict[str, float] | None:
         return None
     p50, p99 = np.percentile(ages_ms, [50.0, 99.0])
     return {"p50": round(float(p50), 4), "p99": round(float(p99), 4), "max": round(float(ages_ms.max()), 4)}
+
+
+def _loop_age_parts(split_s: Mapping[str, Series]) -> dict[str, Any]:
+    if not split_s:
+        return {}
+    parts = loop_age.parts_of(split_s)
+    # a simulated device has no age, and on one machine there is no line
+    found = {part.name: [round(1e3 * each, 4) for each in (part.p50_s, part.p99_s)] for part in parts if part.p99_s}
+    return {"loop_age_parts_ms": found, "loop_age_largest": loop_age.in_words(parts)}
 
 
 def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list[float]]:
@@ -579,9 +641,9 @@ def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list
 
 
 def _gaps(info: RecordingInfo) -> dict[str, int]:
-    gaps: dict[str, int] = {}
+    gaps = Counter[str]()
     for channel in info.channels:
-        gaps[channel.channel_topic] = gaps.get(channel.channel_topic, 0) + channel.gaps
+        gaps[channel.channel_topic] += channel.gaps
     return dict(sorted(gaps.items()))
 
 

@@ -81,11 +81,11 @@ def _student(freedom: int) -> float:
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a scenario, with dots, in which experiments differ: no names, no seeds, no place of files."""
-    return {key: value for key, value in flatten(scenario).items() if not _is_no_condition(key)}
-
-
-def _is_no_condition(key: str) -> bool:
-    return key in _NAMES or key.partition(".")[0] in _SECTIONS or key.rpartition(".")[2] == "seed"
+    return {
+        key: value
+        for key, value in flatten(scenario).items()
+        if key not in _NAMES and key.partition(".")[0] not in _SECTIONS and key.rpartition(".")[2] != "seed"
+    }
 
 
 def repetitions(scenarios: Sequence[Mapping[str, Any]]) -> list[list[int]]:

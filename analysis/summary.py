@@ -225,6 +225,12 @@ class Summary(_Part):
     loop_age_ms: LoopAge | None = Field(
         description="Age of the first answer to each sample of the hand, on the hand's own clock; null if none came"
     )
+    loop_age_parts_ms: dict[str, list[float]] = Field(
+        default={},
+        description="By part of the loop: what it takes of that age of the median sample, and of the slow one at 99 %; "
+        "`whole` is their sum [ms]; the key is absent where fewer than 50 samples can be followed",
+    )
+    loop_age_largest: str = Field(default="", description="The largest part in words; absent where those are")
     intervals: IntervalsSummary = Field(
         description="The ends of the interval of 95 % of each figure that is estimated, from the scatter of its own "
         "samples, which may be correlated for a sixtieth of its window; without the errors of calibrations"

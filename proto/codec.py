@@ -54,7 +54,7 @@ def encode(message: Message) -> bytes:
         payload: bytes = msgpack.packb(fields, default=_fields_of)
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError("malformed", f"{type(message).__name__} cannot be sent: {error}") from error
-    if len(payload) > MAX_PLAIN_BYTES and len(payload) > (most := _MOST_BYTES[type(message)]):
+    if len(payload) > MAX_PLAIN_BYTES and len(payload) > (most := MOST_BYTES[type(message)]):
         raise WireError("oversized", _size_text(type(message).__name__, len(payload), most))
     return payload
 
@@ -240,12 +240,8 @@ _TYPED = {
 _COMPOSED = _TYPED | {
     name: rows for name, form in _FORMS.items() if not form.plain and (rows := typed_rows(form.model, form.most_bytes))
 }
-_MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
-
-
-def largest_bytes(topic: str) -> int:
-    """Return the most bytes that a message on a topic may have."""
-    return _FORMS[topic].most_bytes
+# The most bytes that a message may have, by its model.
+MOST_BYTES = {form.model: form.most_bytes for form in _FORMS.values()}
 
 
 def _read(topic: str, payload: bytes) -> tuple[_Form, dict[str, Any]]:

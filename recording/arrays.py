@@ -61,7 +61,11 @@ def column_pieces(recording: RecordingSource, channel_topic: str, fields: Sequen
         known = ", ".join(sorted(names)) or "none"
         near = probably_meant(channel_topic, names)
         raise RecordingError(f"{recording.path}: has no channel {channel_topic}; its channels are {known}{near}")
-    paths = {field: _path_of(field) for field in fields if field not in _RECORD_FIELDS}
+    paths: dict[str, _Path] = {
+        field: tuple(int(part) if part.isdecimal() else part for part in field.split("."))
+        for field in fields
+        if field not in _RECORD_FIELDS
+    }
     kinds: dict[str, set[type]] = {field: set() for field in fields}
     read = _reader(paths)
     messages = recording.messages((channel_topic,))
@@ -172,10 +176,6 @@ def _read_each(
                 raise RecordingError(f"{where}: has no field {field}, its fields are {known}") from error
             values[field].append(value)
     return [message for message, _ in taken], values
-
-
-def _path_of(field: str) -> _Path:
-    return tuple(int(part) if part.isdecimal() else part for part in field.split("."))
 
 
 def _joined(pieces: list[Column]) -> Column:

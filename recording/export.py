@@ -334,7 +334,9 @@ def viewer_schema(model: type[Record]) -> dict[str, Any]:
     A viewer in JavaScript keeps numbers as doubles, which round the time of today to 256 ns.
     """
     schema = plain_schema(model.model_json_schema())
-    times = [name for name, part in schema["properties"].items() if _is_time(name, part)]
+    times = [
+        name for name, part in schema["properties"].items() if name.endswith("_ns") and part.get("type") == "integer"
+    ]
     texts = {f"{name}{_TEXT}": {"type": "string", "description": f"{name} in digits"} for name in times}
     return {**schema, "properties": {**schema["properties"], **texts}}
 
@@ -345,10 +347,6 @@ def viewer_json(fields: Mapping[str, Any], schema: Mapping[str, Any]) -> bytes:
     known = schema["properties"]
     texts = {f"{name}{_TEXT}": str(part) for name, part in found.items() if f"{name}{_TEXT}" in known}
     return json.dumps({**found, **texts}, separators=(",", ":")).encode()
-
-
-def _is_time(name: str, schema: Mapping[str, Any]) -> bool:
-    return name.endswith("_ns") and schema.get("type") == "integer"
 
 
 def fitted(value: Any, schema: Mapping[str, Any]) -> Any:

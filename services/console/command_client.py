@@ -62,7 +62,9 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
 
     Commands cross the link forward only: a console at the slave reaches the nodes there.
     """
-    nodes = [n for n in book.nodes if not _answers_nothing(n)]
+    # the link's second socket belongs to the same process, which answers under the name of the first
+    silent = (f"{LINK}@slave", PAGE)
+    nodes = [n for n in book.nodes if not (is_console(n) or is_estop(n) or name_of(n) == "launcher" or n in silent)]
     within = [n for n in nodes if site == "master" or site_of(n) == site]
     meant = [n for n in within if is_meant(n, target)]
     if not meant:
@@ -70,11 +72,6 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
         hint = f"; {', '.join(beyond)} is commanded from the master's site" if beyond else ""
         raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(within))}{hint}")
     return meant
-
-
-def _answers_nothing(node: str) -> bool:
-    # the link's second socket belongs to the same process, which answers under the name of the first
-    return is_console(node) or is_estop(node) or name_of(node) == "launcher" or node in (f"{LINK}@slave", PAGE)
 
 
 def console_of(book: AddressBook, site: Site) -> str:

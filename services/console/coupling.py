@@ -121,7 +121,9 @@ def couple(rig: RunningRig) -> str:
     except RigError as error:
         raise RigError(f"not coupled anew: {error}; {stays}") from error
     states.require(
-        lambda: states.both_follow, _PATIENCE_S, "a hand that follows: its newest event says why; then couple again"
+        lambda: states.follows and states.hand.mode != "off",
+        _PATIENCE_S,
+        "a hand that follows: its newest event says why; then couple again",
     )
     # The base comes back from where it was withdrawn to; a hand that moves on takes it along.
     states.base_still.forget()
@@ -170,10 +172,6 @@ class _States:
     def follows(self) -> bool:
         """Whether the tip follows; where the instrument is out of sight, its half of the law says so."""
         return bool(self.tip.active)
-
-    @property
-    def both_follow(self) -> bool:
-        return self.follows and self.hand.mode != "off"
 
     @property
     def base_m(self) -> float:

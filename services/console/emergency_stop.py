@@ -241,11 +241,6 @@ def keep_stop(rig: LocalRig, reach: Reach, target: str, identifier: str) -> list
     return [device for device, message in messages.items() if not keep(kept_stop_path(rig.endpoints[device]), message)]
 
 
-def keep_for_absent(rig: LocalRig, reach: Reach, target: str) -> list[str]:
-    """Keep a stop for devices none of which runs; return those of a rig whose launcher will start them again."""
-    return keep_stop(rig, reach, target, os.urandom(12).hex()) if reach.absent else []
-
-
 def _stopped_at(reach: Reach) -> list[str]:
     """Return the nodes that a stop is sent to."""
     return [*reach.direct, *([_LINK] if reach.by_link else [])]

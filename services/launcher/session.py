@@ -75,7 +75,7 @@ class SessionNode(RigNode):
         self._is_far_ended = False
         self.start_id = ""
         self._needed = [node for node in self.nodes if node not in optional]
-        self._others = tuple(others)
+        self.others = tuple(others)
         self._wait_s = wait_s
         self._readiness = ReadinessGate(context.clock, supervisor.nodes, others, wait_s)
         self._commands: CommandClient | None = None
@@ -121,11 +121,6 @@ class SessionNode(RigNode):
         """Whether every node runs elsewhere."""
         return not self.supervisor.nodes
 
-    @property
-    def waits_for_others(self) -> bool:
-        """Whether the session needs nodes that run elsewhere."""
-        return bool(self._others)
-
     def waiting(self) -> dict[str, str]:
         return self._readiness.waiting(self.health)
 
@@ -148,7 +143,7 @@ class SessionNode(RigNode):
         own = [] if self.attached else [f"up to {READY_DEADLINE_S:g} s"]
         others = "without a limit" if self._wait_s is None else f"up to {self._wait_s:g} s"
         subject = "" if self.attached else f"for {self.liveness.site_name} "
-        return "; ".join([*own, *([f"{subject}{others}, Ctrl-C gives up"] if self._others else [])])
+        return "; ".join([*own, *([f"{subject}{others}, Ctrl-C gives up"] if self.others else [])])
 
     def on_message(self, received: Received) -> None:
         super().on_message(received)
@@ -228,7 +223,7 @@ class SessionNode(RigNode):
         self._advance_arming()
 
     def _advance_arming(self) -> None:
-        if any(node not in self.health for node in self._others):
+        if any(node not in self.health for node in self.others):
             # A node was lost while the devices were armed, and is waited for as at the start.
             self.phase, self._commands = "starting", None
             self._readiness.reset()

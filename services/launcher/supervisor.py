@@ -104,7 +104,8 @@ class Supervisor:
         return process_id
 
     def _handle_exit(self, ended: ProcessExit, report: Report) -> None:
-        last = self._last_line(ended.node) if ended.node in self._beside and ended.exit_code > 0 else ""
+        tail = self._children.log_tail(ended.node) if ended.node in self._beside and ended.exit_code > 0 else ""
+        last = f" ({tail.splitlines()[-1].strip()})" if tail else ""
         text = f"{ended.node} {_exit_text(ended)}{last}: {ended.verdict}"
         level = "error" if ended.given_up else "warning"
         report(level, text, about_node=ended.node, exit_code=ended.exit_code, life_s=ended.life_s)
@@ -112,10 +113,6 @@ class Supervisor:
             # The first failure is the cause; later ones are its consequences.
             self.bad_start = ended.exit_code == EXIT_BAD_START
             self.failure = "\n".join([text, *self._history(ended), self.log_tail_of(ended.node)])
-
-    def _last_line(self, node: str) -> str:
-        lines = self._children.log_tail(node).splitlines()
-        return f" ({lines[-1].strip()})" if lines else ""
 
     def _history(self, ended: ProcessExit) -> list[str]:
         """Return how the node ended before, and which others did: a common cause shows in several."""

@@ -382,13 +382,12 @@ class Hub:
         """Carry out a request that arrived at a time [s] and queue the answer; what a role may not do is refused."""
         session.heard_s = time.monotonic()
         if isinstance(request, HereRequest):
-            if (
-                request.stamp_s
-                and 0.0 <= (way_s := session.heard_s - request.stamp_s - request.waited_s) < _LONGEST_WAY_S
-            ):
+            way_s = session.heard_s - request.stamp_s - request.waited_s
+            if request.stamp_s and 0.0 <= way_s < _LONGEST_WAY_S:
                 session.ways_s.append(way_s)
             return
-        if session.ended:
+        # what was read of a page before its end gives it no hand
+        if session.ended or (session not in self.sessions and isinstance(request, HandRequest | LeaseRequest)):
             return
         if isinstance(request, HandRequest):
             self._push(session, request)
@@ -422,11 +421,10 @@ class Hub:
             if self._reads >= _MOST_READS:
                 raise RefusedError(f"{self._reads} parts of the recording are being read already: ask again")
             self._reads, counted = self._reads + 1, 1
-            if isinstance(request, DocumentRequest):
-                found = await asyncio.wrap_future(_in_thread(document.about))
-            else:
-                part = _in_thread(lambda: document.part(request.from_s, request.to_s, request.spans))
-                found = await asyncio.wrap_future(part)
+            work: Callable[[], Any] = document.about
+            if isinstance(request, PartRequest):
+                work = partial(document.part, request.from_s, request.to_s, request.spans)
+            found = await asyncio.wrap_future(_in_thread(work))
         except TelenanoError as error:
             return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
         finally:
@@ -582,6 +580,7 @@ class Hub:
             return
         try:
             if self._open_hand is None or session.role is Role.OBSERVER:
+                self.desk.refused.note("role", f"{session.party.label}: the force of a hand")
                 raise RefusedError("this page cannot hold the hand")
             if session is not self._holder or request.lease not in (0, self.desk.lease.number):
                 self.desk.act(session, request.lease, presses=True)

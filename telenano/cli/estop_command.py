@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, site_file_named
 from proto.errors import ConfigError, RigError, TelenanoError
-from services.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_for_absent
+from services.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, is_rig_name, rigs_with_folders
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 
@@ -167,7 +167,7 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
     if reach.direct or reach.by_link:
         emergency_stop(rig, reach, target, on_answer, os.environ.get("TELENANO_NAME", ""))
     elif reach.absent and not reach.by_console:
-        if kept := keep_for_absent(rig, reach, target):
+        if kept := keep_stop(rig, reach, target, os.urandom(12).hex()):
             raise RigError(f"{', '.join(kept)} does not run now: the stop is kept, it comes back in emergency stop")
         raise RigError("no device of the site file runs here: is `telenano up` running with this site file?")
     for device in reach.absent:

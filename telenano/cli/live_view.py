@@ -43,7 +43,7 @@ class LineView(AbstractContextManager["LineView"]):
             self._phase = rig.phase
             self._reasons, self._reminded_ns = {}, rig.clock.monotonic_ns()
             self.show(rig.status_line())
-        elif isinstance(rig, SessionNode) and rig.waits_for_others and rig.phase == "starting":
+        elif isinstance(rig, SessionNode) and rig.others and rig.phase == "starting":
             self._remind(rig)
 
     def _remind(self, session: SessionNode) -> None:

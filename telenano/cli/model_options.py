@@ -104,8 +104,11 @@ def with_options(
         @wraps(command)
         def called(**arguments: Any) -> Any:
             given = {option.field: arguments.pop(option.field) for option in options}
-            in_si = {option.field: _si(option, given[option.field]) for option in options}
-            stated = {name: value for name, value in in_si.items() if value is not None}
+            stated = {
+                option.field: value * option.unit.scale if isinstance(value, float) else value
+                for option in options
+                if (value := given[option.field]) is not None
+            }
             return command(**arguments, given={**defaults, **stated})
 
         parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in (*own[:place], *made, *own[place + 1 :])]
@@ -197,10 +200,6 @@ def _parameter(option: ModelOption) -> inspect.Parameter:
     annotation: Any = Annotated[kind, made]
     default = inspect.Parameter.empty if required else None
     return inspect.Parameter(option.field, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-
-
-def _si(option: ModelOption, value: Any) -> Any:
-    return value * option.unit.scale if isinstance(value, float) else value
 
 
 def _help(option: ModelOption) -> str:

@@ -40,7 +40,7 @@ class Point(NamedTuple):
 def points_of(sweeps: Sequence[str]) -> list[Point]:
     """Return every combination of the values of `KEY=V1,V2,…`; ConfigError says which text is wrong."""
     axes = [[(key, value) for value in values] for key, values in map(_axis, sweeps)]
-    points = [Point(", ".join(f"{_short(key)}={value}" for key, value in chosen).replace("/", "-"),
+    points = [Point(", ".join(f"{key.rpartition('.')[2]}={value}" for key, value in chosen).replace("/", "-"),
                     tuple(word for key, value in chosen for word in _option(key, value)))
               for chosen in itertools.product(*axes)]  # fmt: skip
     if len(points) > _MOST_SESSIONS:
@@ -69,10 +69,6 @@ def _axis(text: str) -> tuple[str, list[str]]:
     if key not in (own := (_DELAY, SEED)) and (near := probably_meant(key, own)):
         raise ConfigError(f"--sweep {text}: no key of a scenario{near}")
     return key.strip(), found
-
-
-def _short(key: str) -> str:
-    return key.rpartition(".")[2]
 
 
 def _option(key: str, value: str) -> tuple[str, ...]:

@@ -51,7 +51,11 @@ def _alarming(count: int, text: str) -> Text:
 
 def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
     """Draw a summary: single values, then the values by topic side by side, then every list as a table."""
-    by_topic = {key: value for key, value in summary.items() if _keyed_by_topic(value)}
+    by_topic = {
+        key: value
+        for key, value in summary.items()
+        if isinstance(value, Mapping) and value and all("/" in name for name in value)
+    }
     rest = {key: value for key, value in summary.items() if key not in by_topic}
     lists = dict(_take_lists(rest))
     parts: list[RenderableType] = [_values_table(rest, title)]
@@ -66,7 +70,7 @@ def summary_tables(summary: Mapping[str, Any], title: str) -> Group:
 def _take_lists(tree: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
     """Remove the lists of rows from a tree of values and yield them by dotted key."""
     for key, value in list(tree.items()):
-        if _is_list_of_rows(value):
+        if isinstance(value, list | tuple) and value and all(isinstance(row, Mapping) for row in value):
             yield f"{prefix}{key}", tree.pop(key)
         elif isinstance(value, Mapping):
             tree[key] = dict(value)
@@ -100,14 +104,6 @@ def _values_table(values: Mapping[str, Any], title: str) -> Table:
             text.stylize("red")
         table.add_row(Text(printable(key)), text)
     return table
-
-
-def _keyed_by_topic(value: Any) -> bool:
-    return isinstance(value, Mapping) and bool(value) and all("/" in key for key in value)
-
-
-def _is_list_of_rows(value: Any) -> bool:
-    return isinstance(value, list | tuple) and bool(value) and all(isinstance(row, Mapping) for row in value)
 
 
 def _leaves(prefix: str, tree: Mapping[str, Any]) -> list[tuple[str, Any]]:

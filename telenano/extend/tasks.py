@@ -206,7 +206,7 @@ def common_of(data: TrialData) -> Judged:
         "peak_force_n": _peak(tip.force_n),
         "hand_energy_j": _work(force_n, place_m),
         "tip_energy_j": _work(tip.force_n, tip.base_m),
-        "effort_n_s": _integral(np.abs(force_n), time_s),
+        "effort_n_s": _work(np.abs(force_n), time_s),
         "hand_path_m": math.fsum(np.abs(np.diff(place_m)).tolist()) if place_m.size > 1 else None,
     }
 
@@ -234,7 +234,3 @@ def _work(force: Series, place: Series) -> float | None:
     if place.size < 2:
         return None
     return math.fsum((0.5 * (force[1:] + force[:-1]) * np.diff(place)).tolist())
-
-
-def _integral(values: Series, time_s: Series) -> float | None:
-    return _work(values, time_s)

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from wire_contract import FOLDER, range_table, schema_of, topic_table
 
 from proto import TOPICS, Topic, experiment_messages, instrument, journal_messages, messages, network_messages
-from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, Reason, largest_bytes
+from proto.codec import MAX_ARRAYS, MAX_MESSAGE_BYTES, MOST_BYTES, Reason
 from proto.messages import MAX_ITEMS, MAX_KEYS, Message, Record
 from proto.ranges import RANGES
 
@@ -234,5 +234,5 @@ def test_the_table_shows_every_row_as_it_is() -> None:
         assert cells[0] == f"`{row.name}`"
         assert cells[3] == row.delivery
         assert cells[4] == (f"{row.rate_hz:g} Hz" if row.rate_hz else "on change")
-        assert cells[6] == f"{largest_bytes(row.name) >> 10} KiB"
+        assert cells[6] == f"{MOST_BYTES[row.model] >> 10} KiB"
         assert cells[7] == (row.bridged or "–")

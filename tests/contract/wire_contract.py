@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from pydantic.json_schema import GenerateJsonSchema
 
-from proto.codec import encode, largest_bytes
+from proto.codec import MOST_BYTES, encode
 from proto.messages import Array, Message, SessionControl
 from proto.ranges import RANGES, any_range
 from proto.topics import TOPICS, Topic
@@ -144,7 +144,7 @@ def topic_table() -> str:
             topic.delivery,
             "on change" if topic.rate_hz is None else f"{topic.rate_hz:g} Hz",
             "–" if topic.deadline_s is None else f"{topic.deadline_s:g} s",
-            f"{largest_bytes(topic.name) >> 10} KiB",
+            f"{MOST_BYTES[topic.model] >> 10} KiB",
             topic.bridged or "–",
             about,
         )

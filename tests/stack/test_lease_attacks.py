@@ -61,6 +61,12 @@ def attacks(number: int, me: str) -> list[dict[str, Any]]:
     ]
 
 
+def counted(rig: Rig) -> dict[str, int]:
+    """Return what the newest report of the page says that it has refused, by reason."""
+    reports = [each.fields() for each in rig.recording().messages("node/health") if each.src == "viz_node@master"]
+    return dict(reports[-1]["rejected"]) if reports else {}
+
+
 def turns(rig: Rig) -> int:
     """Return how many states the hand has said in the last seconds that are recorded."""
     states = rig.recording().messages("haptic/state")
@@ -92,7 +98,7 @@ def test_a_pupil_that_attacks_is_refused_and_the_loop_is_not_disturbed(
 
         teacher, address = Client(stack, given("Tina", "teacher")), given("Paul", "pupil")
         pupil = Client(stack, address)
-        shares = []
+        shares, told = [], 0
         for _ in range(ATTEMPTS):
             number = teacher.ask(k="lease", action="take")["lease"]["number"]
             before = watched(rig, teacher, pupil)
@@ -103,6 +109,7 @@ def test_a_pupil_that_attacks_is_refused_and_the_loop_is_not_disturbed(
                 refused += [pupil.ask(**attack)["ok"] is False for attack in attacks(number, pupil.me)]
                 time.sleep(0.1)
             assert all(refused) and len(refused) > 20
+            told += len(refused)
             shares.append(turns(rig) / before)
             held = LeaseRegister().look().holder
             # A machine that holds the test up for a second loses the hand, and slows the loop down by itself.
@@ -120,6 +127,9 @@ def test_a_pupil_that_attacks_is_refused_and_the_loop_is_not_disturbed(
         assert replayed["ok"], "a stop asks for none either"
         replayed = teacher.ask(k="command", command="arm", target="haptic_node", parameters={}, lease=number)
         assert not replayed["ok"] and "an earlier lease" in replayed["text"]
+        # each was counted, and so was each push of the pupil's hand
+        pushed = told // len(attacks(number, pupil.me))
+        rig.wait_until(lambda: counted(rig).get("lease", 0) >= told + pushed + 1, "the refusals in the page's report")
         gone = rig.telenano("view", "--revoke", "Paul")
         assert gone.returncode == 0, gone.stderr
         with pytest.raises(ConnectionClosed):
@@ -127,6 +137,7 @@ def test_a_pupil_that_attacks_is_refused_and_the_loop_is_not_disturbed(
                 pupil.ask(k="lease", action="ask")
         with pytest.raises(ConnectionClosed):
             Client(stack, address)
+        rig.wait_until(lambda: counted(rig).get("revoked", 0) == 2, "the page and the address that were refused")
         forces = [each.fields() for each in rig.recording().messages("operator/force")]
         assert not any(each.get("by") == "Paul" for each in forces)
         controls = [each.fields() for each in rig.recording().messages("session/control")]

@@ -268,7 +268,7 @@ def fig12(
             "verdict": summary["verdict"],
             "reason": summary["reason"],
             "holds": [hold["verdict"] for hold in summary["holds"]],
-            "loop_age_ms": summary["loop_age_ms"],
+            **{key: summary.get(key) for key in ("loop_age_ms", "loop_age_parts_ms", "loop_age_largest")},
             "one_way_ms_at": delays,
             "injected_ms": injected_ms(rig.master.out) if measured is not None else {},
             "deadlines_missed": len(deadlines),

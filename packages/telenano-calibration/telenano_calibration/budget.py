@@ -14,17 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.intervals import DEVIATIONS
+from analysis.report import split_age
 from analysis.statistics import correlated_half_width
-from recording.arrays import columns
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.haptic_node.devices.calibration import HandleCalibration
-from services.runtime.loop.freshness import DelayHistory
-from services.runtime.loop.loop_age import STAGES, WAYS, Delay, split
+from services.runtime.loop.loop_age import STAGES, TOGETHER
 from telenano.extend.commands import TelenanoError
-
-Ints = npt.NDArray[np.int64]
 
 # the scales that each figure of a summary goes with, by the name of their source
 _TIP_FORCE = ("stiffness of the cantilever", "deflection for a volt")
@@ -33,10 +30,8 @@ _SCALES = {
     "contact_x_cm": ("position of the hand for a count",),
     "release_force_nn": _TIP_FORCE,
 }
-# Below so many samples a share of a stage says nothing.
-_LEAST_SAMPLES = 50
 # These stages begin at one site and end at the other: the clocks leave open how much belongs to which way.
-_OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back")
+_OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER)
 
 
 class Source(NamedTuple):
@@ -118,10 +113,6 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
 def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[Stage]:
     """Return the stages of the loop in their order, over the hand's samples that an answer came to.
 
-    A sample is followed by its own stamp, which every message that descends from it carries. What is conflated on the
-    way has no answer, and does not count. Stamps of the slave are put on the master's clock; what the clocks leave open
-    makes one way longer and the other one shorter, and nothing of the sum.
-
     Args:
         recording: The master's recording of a session.
         timeline: What puts its stamps on the master's clock.
@@ -129,24 +120,23 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
         end_ns: When it ended.
 
     Raises:
-        TelenanoError: Fewer than 50 samples can be followed all the way.
-        RecordingError: A channel of the loop is missing.
+        TelenanoError: Fewer than 50 samples can be followed all the way, or a topic of the loop has two publishers.
     """
-    hand = columns(recording, "haptic/state", ("answered_t_ns", "answered_at_ns"))
-    answers = _first(hand["answered_t_ns"], hand["answered_at_ns"])
-    times = [_sent(recording, topic, timeline) for topic in STAGES]
-    kept = [
-        key for key in sorted(answers) if max(start_ns, 1) <= key <= end_ns and all(key in at_ns for at_ns in times)
-    ]
-    if len(kept) < _LEAST_SAMPLES:
+    for topic in STAGES:
+        sources = [channel.src for channel in recording.channels if channel.channel_topic == topic]
+        if len(sources) > 1:
+            raise TelenanoError(
+                f"{recording.path}: {topic} has {len(sources)} publishers, {sources[0]} and {sources[1]} among them, "
+                "and the loop has one"
+            )
+    parts = split_age(recording, timeline, start_ns, end_ns)
+    if not parts:
         raise TelenanoError(
-            f"{recording.path}: {len(kept)} samples of the hand can be followed from the device to the instrument and "
-            f"back, {_LEAST_SAMPLES} are needed: give the master's recording of a session whose loop was closed"
+            f"{recording.path}: fewer than 50 samples of the hand can be followed from the device to the instrument "
+            "and back: give the master's recording of a session whose loop was closed"
         )
-    passed = np.array([[key, *(at_ns[key] for at_ns in times), answers[key]] for key in kept], np.int64)
     clock = timeline.clock
     open_ms = 0.0 if clock is None else 1e3 * clock.uncertainty_s
-    parts = split(passed, tuple(STAGES), _delays(recording, kept), _device_ages(recording, kept))
     # a simulated device has no age, and on one machine there is no line
     found_s = {name: values for name, values in parts.items() if values.any()}
     loop_ms = 1e3 * np.sum(list(found_s.values()), axis=0)
@@ -157,52 +147,11 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
     return [*found, _stage("loop", loop_ms, loop_ms, 0.0)]
 
 
-def _delays(recording: RecordingSource, kept: Sequence[int]) -> dict[str, Delay]:
-    """Return what the link said of each way for each sample, or nothing where it said nothing."""
-    histories = {way: (DelayHistory(), DelayHistory()) for way in WAYS}
-    for message in recording.select(lambda channel: channel.topic == "link/delay" and channel.via == "direct"):
-        said: Any = message.decode()
-        for history, value_ns in zip(histories[said.direction], (said.delay_ns, said.transit_ns), strict=True):
-            history.record(said.hand_t_ns, value_ns)
-    return {
-        way: Delay(*(np.array([history.of(key) for key in kept], np.int64) for history in both))
-        for way, both in histories.items()
-    }
-
-
-def _device_ages(recording: RecordingSource, kept: Sequence[int]) -> npt.NDArray[np.float64]:
-    """Return how old each sample was when the hand's device stamped it [s], which only a real one says."""
-    ages: dict[int, float] = {}
-    for message in recording.select(lambda channel: channel.topic == "haptic/state" and channel.via == "direct"):
-        said: Any = message.decode()
-        if said.sample_age_s is None:
-            break
-        ages[said.t_ns] = said.sample_age_s
-    return np.array([ages.get(key, 0.0) for key in kept])
-
-
 def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[np.float64], clock_ms: float) -> Stage:
     p50, p99 = np.percentile(values_ms, [50.0, 99.0])
     mean = float(values_ms.mean())
     half = correlated_half_width(values_ms)
     return Stage(name, mean, half, float(p50), float(p99), mean / float(loop_ms.mean()), clock_ms)
-
-
-def _sent(recording: RecordingSource, topic: str, timeline: Timeline) -> dict[int, int]:
-    """Return when the first message that descends from each sample of the hand was sent, on the master's clock."""
-    found = columns(recording, topic, ("hand_t_ns", "publish_ns"))
-    src, *others = [channel.src for channel in recording.channels if channel.channel_topic == topic]
-    if others:
-        raise TelenanoError(
-            f"{recording.path}: {topic} has {1 + len(others)} publishers, {src} and {others[0]} among them, and the "
-            "loop has one"
-        )
-    return _first(found["hand_t_ns"], timeline.times_ns(src, np.asarray(found["publish_ns"], np.int64)))
-
-
-def _first(keys: npt.NDArray[Any], values: npt.NDArray[Any]) -> dict[int, int]:
-    """Return the first value of each key."""
-    return dict(zip(reversed(keys.tolist()), reversed(values.tolist()), strict=True))
 
 
 def force_rows(budgets: Sequence[Budget]) -> Iterator[dict[str, str]]:

@@ -244,8 +244,7 @@ class Subscriber:
         now = self._clock.now_ns()
         received = {topic for topic, _ in self.trackers}
         silent = [_health_of(topic, "", SequenceTracker(), now) for topic in self.topics if topic not in received]
-        sources = self.trackers.items()
-        chosen = sources if len(sources) <= MOST_REPORTED else nlargest(MOST_REPORTED, sources, key=_messages_received)
+        chosen = nlargest(MOST_REPORTED, self.trackers.items(), key=lambda source: source[1].received)
         return (*(_health_of(topic, src, t, now) for (topic, src), t in sorted(chosen)), *silent)
 
     def close(self) -> None:
@@ -464,10 +463,6 @@ def split_frames(frames: Sequence[bytes]) -> tuple[str, bytes]:
         return frames[0].decode(), frames[1]
     except UnicodeDecodeError as error:
         raise WireError("topic", f"the topic frame {frames[0][:40]!r} is not UTF-8") from error
-
-
-def _messages_received(source: tuple[tuple[str, str], SequenceTracker]) -> int:
-    return source[1].received
 
 
 def _health_of(topic: str, src: str, tracker: SequenceTracker, now_ns: int) -> InputHealth:

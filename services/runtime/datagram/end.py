@@ -400,7 +400,8 @@ class DatagramEnd:
         if self.acknowledged:
             offset = self.offset.estimate()
             self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
-            if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or self._seems_narrow()):
+            seems_narrow = 0 < min(self.incoming.measured, self._known) < _NARROW
+            if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or seems_narrow):
                 self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
         if self.incoming.wants_train:
             self.incoming.wants_train = False
@@ -409,9 +410,6 @@ class DatagramEnd:
         told = self.outgoing.told_of_queue(now_ns, self.machine)
         if told is not None:
             self._tell(*told)
-
-    def _seems_narrow(self) -> bool:
-        return 0 < min(self.incoming.measured, self._known) < _NARROW
 
     def send_train(self) -> bool:
         """Send a train of datagrams and ask for one, so that both ways are measured; return whether it was sent.

@@ -3,8 +3,6 @@
 Each imports what it needs when it runs: the summary of an hour is there before all of that would be imported.
 """
 
-import json
-from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -117,7 +115,8 @@ def cat(
         if topics and not any(map(chosen, recording.channels)):
             known = known_names(topics[0], {channel.channel_topic: None for channel in recording.channels})
             raise RecordingError(f"{files[0]}: has no channel {topics[0]}, {known}")
-        _print_lines(map(line, islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count)))
+        for message in islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count):
+            print_json(line(message))
 
 
 @app.command("filter")
@@ -316,11 +315,6 @@ def _row(path: Path) -> dict[str, Any]:
 def _bounds(origin_ns: int, start_s: float, end_s: float | None) -> tuple[int, int | None]:
     end_ns = None if end_s is None else origin_ns + round(end_s * 1e9)
     return origin_ns + round(start_s * 1e9), end_ns
-
-
-def _print_lines(lines: Iterable[dict[str, Any]]) -> None:
-    for found in lines:
-        typer.echo(json.dumps(found))
 
 
 def _print_model(model: BaseModel, as_json: bool) -> None:

@@ -40,12 +40,8 @@ def node(
 
 
 def _list(*, as_json: bool) -> None:
-    rows = [
-        {"node": row.key, "part": row.part, "required": row.required, "publishes": ", ".join(_topics_of(row.key))}
-        for row in NODES
-    ]
+    rows = []
+    for row in NODES:
+        topics = [name for name, topic in TOPICS.items() if {row.key, name_of(row.key)} & {*topic.publishers}]
+        rows.append({"node": row.key, "part": row.part, "required": row.required, "publishes": ", ".join(topics)})
     print_answer({"nodes": rows}, rows, as_json=as_json)
-
-
-def _topics_of(node: str) -> list[str]:
-    return [name for name, row in TOPICS.items() if node in row.publishers or name_of(node) in row.publishers]

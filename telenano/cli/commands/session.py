@@ -9,7 +9,6 @@ import typer
 
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
-from proto.messages import SessionEvent
 from proto.nodes import Site
 from services.console.command_client import parse_parameters, send_control
 from services.console.coupling import couple_anew
@@ -64,10 +63,9 @@ def send_command(
     """Send a command, print the answers, and exit with 1 if a node refuses or does not answer."""
     with report_errors(as_json):
         wanted = Command(command, target, parameters=parse_parameters(parameters))
-        show = (lambda event: None) if as_json else _print_event
-        answers = send_control(
-            wanted, site_file or _usual_file(site), site or "master", show, issued_ns=process_start_ns()
-        )
+        show = (lambda event: None) if as_json else lambda event: typer.echo(f"{event.src} {event.kind}: {event.text}")
+        book_file = site_file or _usual_file(site)
+        answers = send_control(wanted, book_file, site or "master", show, issued_ns=process_start_ns())
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
@@ -77,7 +75,3 @@ def send_command(
 
 def _usual_file(site: Site | None) -> Path:
     return DEFAULT_SITE_FILE if site is None else TWO_SITES_FILE
-
-
-def _print_event(event: SessionEvent) -> None:
-    typer.echo(f"{event.src} {event.kind}: {event.text}")

@@ -63,7 +63,9 @@ def view(
         list[Path] | None,
         typer.Argument(metavar="FILE", help="Recording to show, in its parts; without it the running rig."),
     ] = None,
-    demo: Annotated[bool, typer.Option("--demo", help="Show the recording of Fig. 12 that comes with telenano.")] = False,
+    demo: Annotated[
+        bool, typer.Option("--demo", help="Show the recording of Fig. 12 that comes with telenano.")
+    ] = False,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     host: HostOption = LOOPBACK,
     port: Annotated[

@@ -77,7 +77,7 @@ def keys_of(value: Any, stem: str = "") -> Iterator[str]:
         name = f"{stem}.{key}" if stem else key
         yield name
         # the keys of maps are names of channels, parameters and packages
-        if name not in ("parameters", "plugins", "rate_hz", "completeness", "seq_gaps"):
+        if name not in ("parameters", "plugins", "rate_hz", "completeness", "seq_gaps", "loop_age_parts_ms"):
             yield from keys_of(inner, name)
 
 
@@ -98,6 +98,27 @@ def test_every_summary_is_what_the_model_and_the_file_hold(
         assert json.dumps(again) == text, name
     assert write_report(recording_of("fig12_wave"), tmp_path) == summaries["wave"]
     assert (tmp_path / "summary.json").read_text() == json.dumps(summaries["wave"], indent=2) + "\n"
+
+
+@pytest.mark.parametrize("law", ["virtual_impedance", "wave"])
+def test_the_parts_of_the_age_of_the_loop_add_up_to_it_and_the_largest_is_named(
+    summaries: dict[str, dict[str, Any]], law: str
+) -> None:
+    parts = dict(summaries[law]["loop_age_parts_ms"])
+    whole, age = parts.pop("whole"), summaries[law]["loop_age_ms"]
+    for place, name in enumerate(("p50", "p99")):
+        assert sum(part[place] for part in parts.values()) == pytest.approx(whole[place], rel=0.05)
+        assert whole[place] == pytest.approx(age[name], rel=0.05)
+    # 4 ms each way on purpose
+    assert parts["link there, on purpose"] == parts["link back, on purpose"] == [4.0, 4.0]
+    largest = max(parts, key=lambda name: parts[name][0])
+    said = summaries[law]["loop_age_largest"]
+    assert said == f"{largest}: {parts[largest][0]:.3g} of {whole[0]:.3g} ms"
+
+
+def test_a_loop_that_cannot_be_followed_has_no_parts(summaries: dict[str, dict[str, Any]]) -> None:
+    for name in ("stable", "without_answers", "without_tip"):
+        assert not {"loop_age_parts_ms", "loop_age_largest"} & set(summaries[name])
 
 
 def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str, Any]]) -> None:

@@ -17,7 +17,7 @@ from processor_time import ratio_of_costs
 from wire_contract import examples, schema_of
 
 from proto import MAX_MESSAGE_BYTES, TOPICS, Message, WireError, accept, decode, decode_header, encode, read_header
-from proto.codec import _TYPED, MAX_PLAIN_BYTES, largest_bytes
+from proto.codec import _TYPED, MAX_PLAIN_BYTES, MOST_BYTES
 from proto.messages import MAX_ITEMS, MAX_KEYS, MAX_ROWS, Array, InputHealth, NodeHealth, SessionControl
 from proto.typed import typed_form
 
@@ -198,7 +198,7 @@ def _bombs() -> Iterator[tuple[str, str, bytes]]:
         ("session/control", b"\xaaparameters", (5, 100, 1000)),
         ("link/fates", b"\xa5fates", (100,)),
     ):
-        full = largest_bytes(topic)
+        full = MOST_BYTES[TOPICS[topic].model]
         for depth in depths:
             chain = b"\x81\xa1a" * depth + b"\xc0"
             count = min(MAX_ITEMS, (full - 50) // len(chain))
@@ -348,7 +348,7 @@ def test_unknown_topics_and_oversized_messages_are_refused() -> None:
     assert "haptic/state" in str(error)
     # a topic whose messages hold no maps and no data is short; the others have room for both
     for topic, most in (("haptic/state", MAX_PLAIN_BYTES), ("node/health", MAX_MESSAGE_BYTES)):
-        assert largest_bytes(topic) == most
+        assert MOST_BYTES[TOPICS[topic].model] == most
         assert refused(topic, b"\x00" * most).reason == "malformed"
         error = refused(topic, b"\x00" * (most + 1))
         assert error.reason == "oversized"
@@ -358,7 +358,7 @@ def test_unknown_topics_and_oversized_messages_are_refused() -> None:
 def test_the_longest_message_of_every_plain_topic_has_room() -> None:
     for topic, row in TOPICS.items():
         for message in examples(row).values():
-            assert 4 * len(encode(message)) < largest_bytes(topic)
+            assert 4 * len(encode(message)) < MOST_BYTES[TOPICS[topic].model]
 
 
 @pytest.mark.parametrize("topic", TOPICS)
@@ -635,7 +635,7 @@ def test_what_msgpack_cannot_hold_is_refused_when_sent(value: object) -> None:
 
 
 def test_a_message_at_the_limit_passes_and_one_byte_more_is_refused_when_sent() -> None:
-    most = largest_bytes("session/control")
+    most = MOST_BYTES[SessionControl]
     room = most - len(encode(_control(text="")))
     # a long string has a header of five bytes where the empty one has one
     largest = encode(_control(text="x" * (room - 4)))
@@ -714,7 +714,7 @@ def test_what_is_no_map_has_no_header(payload: bytes) -> None:
 
 def test_what_was_decoded_once_is_decoded_in_a_typed_pass_from_then_on(monkeypatch: pytest.MonkeyPatch) -> None:
     # It remembers so many names of nodes, and other tests in this process have used some up.
-    fresh = typed_form(TOPICS["haptic/state"].model, largest_bytes("haptic/state"))
+    fresh = typed_form(TOPICS["haptic/state"].model, MOST_BYTES[TOPICS["haptic/state"].model])
     monkeypatch.setitem(_TYPED, "haptic/state", fresh)
     fields = fields_of("haptic/state") | {"src": "a_node_that_only_this_test_has@master"}
     payload = msgpack.packb(fields)

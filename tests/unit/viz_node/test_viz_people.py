@@ -149,6 +149,13 @@ def test_a_pupil_that_sends_what_a_teacher_may_is_refused_and_counted_and_the_lo
     assert (rig.hand, rig.commander.sent) == ([], [])
     assert rig.hub.desk.refused.rejected == {"lease": 6}
     assert PAUL in rig.hub.desk.refused.last_error
+    # who only looks, and who is nobody
+    observer = Named(stack, client, people.add(OTTO, "observer", 30.0))
+    observer.send({"k": "hand", "force_n": 5.0, "held": True, "lease": number})
+    assert observer.take("hand")["text"] == "this page cannot hold the hand"
+    assert observer.lease("ask")["ok"] is False
+    assert "the token is wrong" in Page(stack, client, "made-up-token").take("refused")["text"]
+    assert rig.hub.desk.refused.rejected == {"lease": 6, "role": 2, "token": 1}
     # what anybody may
     assert pupil.ask(**command(command="mark", target="recorder"))["ok"] is True
     assert pupil.ask(k="estop")["ok"] is True

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from typing import Any
 
@@ -14,11 +14,14 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
+from test_viz_server import Rig
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from proto.errors import EndpointError
+from services.console import lease
 from services.viz_node import connections as limits
+from services.viz_node import hub as hubs
 from services.viz_node import server
 from services.viz_node.access import Access
 from services.viz_node.connections import MOST_CONNECTIONS, Connections
@@ -31,6 +34,7 @@ from services.viz_node.source import NoTransport
 ACCESS = Access("operator-token-0123", "observer-token-0123")
 # far beyond what is expected: only keeps a broken server from holding the suite
 PATIENCE_S = 30.0
+WHO = "the operator's page"
 
 
 class Source(NoTransport):
@@ -103,6 +107,57 @@ def test_huge_frames_disturb_no_page(address: str) -> None:
             assert closed.value.rcvd is not None
             assert closed.value.rcvd.code == 1009, "the code of a message that is too big"
         assert is_told_on(page)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.002)
+    assert condition()
+
+
+# a page that has the hand and presses, until it is killed
+PRESSING = """
+import sys, time, msgpack
+from websockets.sync.client import connect
+address, token, protocol = sys.argv[1:]
+with connect(f"ws://{address}/bus", origin=f"http://{address}", max_size=None) as page:
+    page.send(msgpack.packb({"k": "hello", "token": token, "protocol": int(protocol)}))
+    while True:
+        page.send(msgpack.packb({"k": "hand", "force_n": 1.0, "held": True}))
+        time.sleep(0.01)
+"""
+
+
+def test_the_hand_of_a_page_that_is_killed_is_free_when_its_connection_ends_and_not_after_a_silence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # by silence nobody loses the hand here
+    monkeypatch.setattr(lease, "VANISHED_NS", 10**15)
+    monkeypatch.setattr(hubs, "HAND_DEADLINE_S", 1e6)
+    rig, order = Rig(), list[str]()
+    rig.hub.on_lease = lambda party: order.append(party.label if party else "nobody")
+    with bind(port=0) as bound, ExitStack() as stack:
+        found = make_server(server.make_app(rig.hub, ACCESS, None))
+        running = threading.Thread(target=found.run, kwargs={"sockets": [bound]})
+        running.start()
+        stack.callback(running.join, PATIENCE_S)
+        stack.callback(lambda: setattr(found, "should_exit", True))
+        address = f"127.0.0.1:{bound.getsockname()[1]}"
+        given = [sys.executable, "-c", PRESSING, address, ACCESS.operator_token, str(PROTOCOL)]
+        page = subprocess.Popen(given)
+        stack.callback(page.kill)
+        until(lambda: rig.hub.desk.lease.presses and 1.0 in rig.hand)
+        other = opened(stack, address, ACCESS.operator_token)
+        taken(other, "snapshot")
+        page.kill()
+        page.wait(PATIENCE_S)
+        # the tip is withdrawn for it, and the next one has the hand by taking it
+        until(lambda: rig.commander.sent == [("stop", "afm_node@slave", {})])
+        assert rig.hand[-1] == 0.0
+        other.send(msgpack.packb({"k": "lease", "id": "y", "action": "take"}))
+        assert taken(other, "answer")["ok"] is True
+        until(lambda: order == ["nobody", WHO, "nobody", WHO])
 
 
 def silent(stack: ExitStack, address: str, head: bytes = b"") -> socket.socket:

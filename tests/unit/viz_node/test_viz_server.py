@@ -22,11 +22,11 @@ from proto.errors import RigError
 from services.haptic_node.operator_config import InteractiveConfig
 from services.viz_node import hub as hubs
 from services.viz_node import server
-from services.viz_node.access import Access
+from services.viz_node.access import Access, Role
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
-from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest
+from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
 from services.viz_node.source import NoTransport
 
 ACCESS = Access("operator-token-0123", "observer-token-0123", hosts=("testserver",), networks=("127.0.0.0/8",))
@@ -287,19 +287,19 @@ def test_fifty_pages_are_too_many_and_those_that_are_in_go_on(client: TestClient
         page.take("snapshot")
     for _ in range(50 - server.MOST_PAGES):
         with ExitStack() as short:
-            assert "16 pages are open" in Page(short, client).take("refused")["text"]
+            assert f"{server.MOST_PAGES} pages are open" in Page(short, client).take("refused")["text"]
     assert all(page.ask(**command())["ok"] for page in pages)
 
 
 def test_pages_that_connect_at_once_and_say_hello_later_are_no_more_than_may_be(
     client: TestClient, stack: ExitStack
 ) -> None:
-    connected = [stack.enter_context(client.websocket_connect("/bus", headers=HEADERS)) for _ in range(20)]
+    connected = [stack.enter_context(client.websocket_connect("/bus", headers=HEADERS)) for _ in range(36)]
     kinds = []
     for socket in connected:
         socket.send_bytes(msgpack.packb({"k": "hello", "token": ACCESS.operator_token, "protocol": 1}))
         kinds.append(msgpack.unpackb(socket.receive_bytes())["k"])
-    assert kinds == ["snapshot"] * server.MOST_PAGES + ["refused"] * (20 - server.MOST_PAGES)
+    assert kinds == ["snapshot"] * server.MOST_PAGES + ["refused"] * (36 - server.MOST_PAGES)
 
 
 def test_a_command_is_answered_with_what_the_nodes_said(rig: Rig, client: TestClient, stack: ExitStack) -> None:
@@ -320,7 +320,7 @@ def test_an_observer_commands_nothing(rig: Rig, client: TestClient, stack: ExitS
     assert (rig.commander.sent, rig.hand) == ([], [])
     # anybody who sees the tip may stop it
     assert page.ask(k="estop")["ok"] is True
-    assert rig.hub.desk.refused.rejected == {"role": 3}
+    assert rig.hub.desk.refused.rejected == {"role": 4}
 
 
 def test_an_emergency_stop_does_not_wait_for_the_command_before_it_and_ends_it(
@@ -527,6 +527,17 @@ def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(
         until(lambda: 2.0 in rig.hand)
     until(lambda: changes(rig) == [1.0, 0.0, 2.0, 0.0])
     until(lambda: len(rig.commander.sent) == 2)
+
+
+@pytest.mark.parametrize("request_", [HandRequest(force_n=1.0, held=True), LeaseRequest(id="x", action="take")])
+def test_what_is_read_of_a_page_that_has_left_gives_the_hand_to_nobody(rig: Rig, request_: Any) -> None:
+    async def late() -> None:
+        session = rig.hub.join(Role.OPERATOR)
+        rig.hub.leave(session)
+        await rig.hub.handle(session, request_, time.monotonic())
+
+    asyncio.run(late())
+    assert rig.hub.desk.lease.holder is None and not any(rig.hand)
 
 
 def test_a_page_that_pauses_for_a_moment_keeps_its_force(

@@ -124,7 +124,8 @@ def _axis(found: dict[str, Any], name: str, points: int, scale: float) -> Array:
         raise MapError(f"{name}: is missing; it must be the {points} points of that axis")
     axis = np.asarray(found[name])
     if axis.dtype.kind not in "fiu" or axis.shape != (points,) or not np.isfinite(axis).all():
-        raise MapError(f"{name}: must be {points} finite numbers, as value has points along it, not {_what(axis)}")
+        got = f"{axis.dtype} of shape {axis.shape}"
+        raise MapError(f"{name}: must be {points} finite numbers, as value has points along it, not {got}")
     axis = axis.astype(np.float64) * scale
     steps = np.diff(axis)
     if points > 1 and not (steps > 0.0).all():
@@ -137,10 +138,6 @@ def _axis(found: dict[str, Any], name: str, points: int, scale: float) -> Array:
     if not axis[-1] - axis[0] <= 1e-3:
         raise MapError(f"{name}: spans {axis[-1] - axis[0]:g} m, more than 1 mm: is length_unit right?")
     return axis
-
-
-def _what(axis: npt.NDArray[Any]) -> str:
-    return f"{axis.dtype} of shape {axis.shape}"
 
 
 def _known(found: dict[str, Any], name: str, known: Any) -> Any:

@@ -4,7 +4,14 @@ export interface AgePart {
   seconds: number;
 }
 
-export const PAGE = "this page's network";
+const NETWORKS: Record<string, string> = { wifi: "your Wi-Fi", cellular: "your mobile network", ethernet: "your cable" };
+
+/** Whose network the way to this page is, by what the browser says that it is connected by; most browsers do not say. */
+export function networkName(browser: unknown = globalThis.navigator): string {
+  const type = (browser as { connection?: { type?: string } } | undefined)?.connection?.type ?? "";
+  return NETWORKS[type] ?? "your network";
+}
+
 export const FRAME = "frame of this page";
 const LAST_FRAMES = 60;
 
@@ -21,7 +28,7 @@ export function medianFrame(frames: readonly number[]): number {
 export function agesOf(loop: readonly [string, number, number][], wayS: number, frameS: number): AgePart[] {
   if (loop.length < 2) return [];
   const parts = loop.slice(0, -1).map(([name, seconds]) => ({ name, seconds }));
-  if (Number.isFinite(wayS)) parts.push({ name: PAGE, seconds: wayS });
+  if (Number.isFinite(wayS)) parts.push({ name: networkName(), seconds: wayS });
   if (Number.isFinite(frameS)) parts.push({ name: FRAME, seconds: frameS });
   return parts;
 }
