@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import Self
 
 import zmq
@@ -42,15 +42,15 @@ class LiveRecording:
     A context manager: `with LiveRecording(book) as live: for message in live.messages(["afm/state"]): ...`
     """
 
-    def __init__(self, book: AddressBook) -> None:
-        """Listen as the machine that this process runs on; ConfigError when it lacks a key that the rig demands."""
+    def __init__(self, book: AddressBook, topics: Collection[str] = TOPICS) -> None:
+        """Listen for some topics as this machine; ConfigError when it lacks a key that the rig demands."""
         self._open = contextlib.ExitStack()
         participant = self._open.enter_context(open_participant(OBSERVER, book, publisher=False))
         self._network = participant.network
         self.book = book
         # The time of a reception is so far ahead of the monotonic clock [ns].
         self.epoch_offset_ns = participant.clock.epoch_offset_ns
-        self._listeners = connect(participant, shared=True)
+        self._listeners = connect(participant, wanted=lambda topic, node: topic in topics, shared=True)
         self._channels: dict[tuple[str, str, str], RecordedChannel] = {}
 
     def __enter__(self) -> Self:

@@ -1,12 +1,13 @@
 """A bridge of one's own: what it is given is every message of a running rig, with the times and names of its record."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Protocol
 
 import typer
 
+from proto import TOPICS
 from proto.errors import RigError
 from recording.messages import RecordedMessage as RecordedMessage
 from services.recorder.live import LiveRecording as LiveRecording
@@ -48,9 +49,9 @@ class Rate:
         return True
 
 
-def live_rig(site_file: Path) -> LiveRecording:
+def live_rig(site_file: Path, topics: Collection[str] = TOPICS) -> LiveRecording:
     """Return a context with the messages of the rig of a site file; ConfigError where that cannot be used."""
-    return LiveRecording(load_site(site_file))
+    return LiveRecording(load_site(site_file), topics)
 
 
 def hand_on(bridge: Bridge, live: LiveRecording, duration_s: float | None) -> None:

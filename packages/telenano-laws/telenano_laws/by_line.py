@@ -16,8 +16,7 @@ from telenano.extend.sessions import ControllerConfig
 
 MASTER, SLAVE = "controller@master", "controller@slave"
 HAND, TIP = "haptic_node@master", "afm_node@slave"
-# The last one is how the reports of a site on another machine come here.
-TOPICS = ("law/status", "node/health", "haptic/state", "node/health@master")
+TOPICS = ("law/status", "node/health", "haptic/state")
 # What a half of the law receives from the other one.
 _CROSSING = {MASTER: "teleop/backward", SLAVE: "teleop/forward"}
 # The least time between two changes of law, and how far back the line is looked at [s].

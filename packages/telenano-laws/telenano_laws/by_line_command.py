@@ -19,9 +19,11 @@ from telenano.extend.commands import (
     section_of,
 )
 from telenano.extend.sessions import AfmConfig, Command, ControllerConfig, send_control
-from telenano_laws.by_line import CANDIDATES, TOPICS, Decision, Policy, facts_of
+from telenano_laws.by_line import CANDIDATES, MASTER, TOPICS, Decision, Policy, facts_of
 
 CONTROLLERS, RECORDER = "controller", "recorder"
+# What is read so much later than it was sent [ns] leads to nothing: this process cannot keep up.
+_LATE_NS = 500_000_000
 _WANTED = ",".join(candidate.law for candidate in CANDIDATES)
 # Sends a command and returns why it was refused, or nothing.
 Send = Callable[[Command], str]
@@ -51,8 +53,11 @@ def by_line(
     made = 0
     with report_errors(False):
         policy = policy_of(scenario, laws, stiffness)
-        with live_rig(site_file) as live, contextlib.suppress(KeyboardInterrupt):
-            for message in live.messages(TOPICS, duration_s=duration):
+        with live_rig(site_file, TOPICS) as live, contextlib.suppress(KeyboardInterrupt):
+            for message in live.messages(duration_s=duration):
+                if message.src == MASTER and message.log_ns - message.publish_ns > _LATE_NS:
+                    # The hand may have moved on since.
+                    continue
                 decision = policy.take(message.topic, message.src, 1e-9 * message.publish_ns, message.decode())
                 if decision is not None:
                     made += carry_out(policy, decision, lambda command: _sent(command, site_file))
