@@ -88,6 +88,8 @@ class Curves(NamedTuple):
 # Shares of the messages that take longer, and of the time in which the newest message is older.
 SLOWER = (0.999, 0.99, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001)
 _COURSE_PARTS, _LAGS = 120, 24
+# An axis that has more between its ends is labelled at powers of ten alone.
+_WIDE = 20.0
 
 
 def curves_of(log: LineLog) -> Curves:
@@ -134,7 +136,8 @@ def network_figure(name: str, curves: Curves) -> Figure:
     memory.plot(lags_s, correlation, ".-", ms=3)
     memory.set(xlabel="lag [s]", ylabel="autocorrelation", xscale="log", ylim=(-0.1, 1.05))
     for axis in (course.yaxis, tail.xaxis, age.xaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _WIDE * low else (1.0,)))
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
     return figure

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy import special
-from telenano_networks import line_log
+from telenano_networks import line_log, measured_lines
 from telenano_networks.line_draws import delays_ns
 from telenano_networks.line_fit import (
     SHARES,
@@ -23,9 +23,11 @@ from telenano_networks.line_fit import (
     statistics,
 )
 from telenano_networks.line_log import LineLog, Segment, read_log
+from telenano_networks.line_page import SLOWER
 from telenano_networks.line_tally import correlation_of, scale_of, tally_of
 from typer.testing import CliRunner
 
+import services.viz_node
 from proto import encode
 from proto.errors import ConfigError
 from proto.messages import LinkFate, LinkFates
@@ -37,6 +39,7 @@ from services.delay_node.profiles import Profile
 from services.runtime.settings.config import validate
 from telenano.cli.root import app
 
+FOLDER = Path(services.viz_node.__path__[0]) / "web" / "gallery"
 WAYS: tuple[Direction, ...] = ("forward", "backward")
 PERIOD_S, TIME_S, PER_S, STALL_S, SPREAD = 0.02, 0.08, 0.1, 0.3, 0.2
 TRUTH = {
@@ -393,9 +396,29 @@ def test_networks_are_drawn_with_the_age_at_a_reader(tmp_path: Path) -> None:
     # a reader of the newest sees the delay and half a period
     starlink = found["starlink_driving"]
     assert starlink["delay_ms"]["p50"] < starlink["age_ms"]["p50"] < starlink["delay_ms"]["p50"] + 10.0
-    assert (tmp_path / "p" / "networks.png").read_bytes().startswith(b"\x89PNG")
+    for picture in ("networks", "starlink_driving", "clean"):
+        assert (tmp_path / "p" / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
+    curves = json.loads((tmp_path / "p" / "networks.json").read_text(encoding="utf-8"))
+    assert curves["networks"]["clean"]["memory"][1][0] is None
+    half = curves["slower"].index(0.5)
+    assert curves["networks"]["starlink_driving"]["age_ms"][half] == pytest.approx(starlink["age_ms"]["p50"], rel=0.01)
+    # the page of the operator has the same
+    shipped = json.loads((FOLDER / "networks.json").read_text(encoding="utf-8"))
+    assert shipped["slower"] == curves["slower"]
+    for what in ("delay_ms", "age_ms"):
+        found = curves["networks"]["starlink_driving"][what]
+        assert shipped["networks"]["starlink_driving"][what] == pytest.approx(found, rel=0.02), what
     refused = CliRunner().invoke(app, ["link", "picture", "mars", "--out", str(tmp_path / "p")])
     assert "unknown profile 'mars'" in refused.stderr
+
+
+def test_the_page_has_the_curves_of_every_measured_network() -> None:
+    shipped = json.loads((FOLDER / "networks.json").read_text(encoding="utf-8"))["networks"]
+    assert {name.lower() for name in measured_lines.LINES} <= shipped.keys()
+    for name, curves in shipped.items():
+        assert len(curves["delay_ms"]) == len(curves["age_ms"]) == len(SLOWER), name
+        assert len({len(one) for one in curves["course"]}) == 1, name
+        assert curves["delay_ms"] == sorted(curves["delay_ms"])
 
 
 LINES = [

@@ -1,13 +1,15 @@
+import address from "../../gallery/networks.json?url";
 import { adviceFor, delayText, lineText, type Way } from "../advice";
 import { ageText, agesOf } from "../age";
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { faultLine, faultOf, judge } from "../field";
+import { LinePictures, type LineData } from "../linecurves";
 
 const MOST_MS = 2000;
 const WAYS = ["forward", "backward"] as const;
 
-/** The link: its profile, its delay, and what that means in one sentence. Each direction is among the settings. */
+/** The link: its profile, what a measured one does, its delay, and what that means. Each direction is among the settings. */
 export class LinkPanel implements Panel {
   private readonly profile = make("select", { id: "profile", "aria-label": "Profile of the link" });
   private readonly delay = make("input", { id: "delay", type: "text", inputmode: "decimal", placeholder: "one way", "aria-label": "Delay one way, both directions, in ms" });
@@ -16,6 +18,7 @@ export class LinkPanel implements Panel {
   private readonly advice = make("div", { class: "quiet linkline", id: "advice" });
   private readonly age = make("div", { class: "quiet linkline", id: "age" });
   private readonly line = make("div", { class: "quiet linkline", id: "line" });
+  private readonly pictures = new LinePictures(make("div", { class: "linecurves", id: "line-curves", hidden: true }), () => fetch(address).then((answer) => answer.json() as Promise<LineData>));
   /** What is in force but in no list of profiles, such as `custom`; it cannot be chosen. */
   private readonly other = make("option", { disabled: true });
   private shown = "";
@@ -28,7 +31,7 @@ export class LinkPanel implements Panel {
     this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
-    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line, this.age);
+    root.append(make("div", { class: "row tight" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.advice, this.line, this.age, this.pictures.root);
   }
 
   begin(): void {
@@ -52,6 +55,7 @@ export class LinkPanel implements Panel {
         this.profile.prepend(this.other);
       }
       this.profile.value = profile;
+      void this.pictures.show(profile);
     }
     const losses = ["forward_loss", "backward_loss"].map((column) => store.last("link", column));
     const text = adviceFor(ways, losses, String(store.fact("law/status/master", "law") ?? ""));
