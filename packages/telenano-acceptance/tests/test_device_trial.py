@@ -584,5 +584,7 @@ def test_the_page_says_where_the_version_here_judges_otherwise(tmp_path: Path) -
              for line in trial.acceptance.lines]  # fmt: skip
     import msgspec
 
+    bell = msgspec.structs.replace(trial.acceptance, driver="\x1b]0;x\x07", device="a\x1b[2J | b", result="\x9b31m")
+    assert sheet_of(trial._replace(acceptance=bell)).replace("\n", " ").isprintable()
     other = trial._replace(acceptance=msgspec.structs.replace(trial.acceptance, lines=lines))
     assert judged_again(other) == ["noise at rest: pass here, fail in the file"]

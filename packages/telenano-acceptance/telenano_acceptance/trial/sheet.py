@@ -8,22 +8,33 @@ _WORDS = {"pass": "passed", "fail": "**failed**", "retake": "to be made again", 
 
 def sheet_of(trial: Trial) -> str:
     """Return the page of a trial."""
-    found = trial.acceptance
+    found, driver = trial.acceptance, _cell(trial.acceptance.driver)
     text = [
-        f"# Trial of {_cell(found.device) or found.driver}: {_word(found.result)}",
+        f"# Trial of {_cell(found.device) or driver}: {_word(found.result)}",
         "",
-        f"Driver `{found.driver}`, {found.seconds:.0f} s of motion. The tolerances are provisional.",
+        f"Driver `{driver}`, {found.seconds:.0f} s of motion. The tolerances are provisional.",
     ]
     for load in dict.fromkeys((*LOADS, *(line.load for line in found.lines))):
         if lines := [line for line in found.lines if line.load == load]:
-            text += ["", f"## {load.capitalize()}", "", "| check | result | found | wanted |", "|---|---|---|---|"]
             text += [
-                f"| {line.check} | {_word(line.result)} | {_cell(line.found)} | {_cell(line.wanted)} |"
+                "",
+                f"## {_cell(load.capitalize())}",
+                "",
+                "| check | result | found | wanted |",
+                "|---|---|---|---|",
+            ]
+            text += [
+                f"| {_cell(line.check)} | {_word(line.result)} | {_cell(line.found)} | {_cell(line.wanted)} |"
                 for line in lines
             ]
     text += ["", "## Errors", ""]
-    text += [f"- {each.where}: {_cell(each.text)}" + _places(each.places) for each in trial.errors] or ["None."]
-    text += ["", "## Versions", "", ", ".join(f"{name} {number}" for name, number in trial.versions.items()) + "."]
+    text += [f"- {_cell(each.where)}: {_cell(each.text)}" + _places(each.places) for each in trial.errors] or ["None."]
+    text += [
+        "",
+        "## Versions",
+        "",
+        ", ".join(_cell(f"{name} {number}") for name, number in trial.versions.items()) + ".",
+    ]
     return "\n".join(text) + "\n"
 
 
@@ -41,13 +52,14 @@ def judged_again(trial: Trial) -> list[str]:
 
 
 def _word(result: str) -> str:
-    return _WORDS.get(result, result)
+    return _WORDS.get(result) or _cell(result)
 
 
 def _places(places: list[str]) -> str:
-    return f" ({' > '.join(places)})" if places else ""
+    return f" ({_cell(' > '.join(places))})" if places else ""
 
 
 def _cell(text: str) -> str:
-    """Return a text for one line of Markdown."""
-    return " ".join(text.replace("|", "\\|").split())
+    """Return a text for one line of Markdown; what a terminal would obey is left out."""
+    plain = "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
+    return plain.replace("|", "\\|")
