@@ -212,7 +212,7 @@ REFUSED = {
     "oversized": ("oversized", (b"haptic/state", bytes(MAX_MESSAGE_BYTES + 1))),
     "oversized-10-MiB": ("oversized", (b"haptic/state", bytes(10 * MAX_MESSAGE_BYTES))),
     "newer": ("newer_version", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "v": 4}))),
-    "schema": ("schema", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "force": 1.0}))),
+    "schema": ("schema", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "session_s": "1"}))),
     "other-topic": ("schema", (b"session/control", GOOD)),
     "range": ("range", (b"haptic/state", payload("haptic/state", operator_force_n=(0.0, 0.0, 1e308)))),
     "twice": ("malformed", (b"haptic/state", b"\xde\x00\x12" + GOOD[3:] + b"\xa3seq\x01")),
