@@ -222,7 +222,7 @@ def _run(
         rig.read_subscriptions()
         rig.send_states()
         answers.tick(time.time_ns())
-        if rig.topics and not disturbed and passed_s > 0.6 * duration_s:
+        if rig.topics and messages.received and not disturbed and passed_s > 0.6 * duration_s:
             rig.disturb()
             disturbed, before = True, messages.received
     if disturbed:
