@@ -1,7 +1,7 @@
 """The picture of a line: what was measured beside what the link generates, or what a network of the link does alone."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -124,23 +124,30 @@ def network_figure(name: str, curves: Curves) -> Figure:
     times_s, middle, longest = (np.array(one, dtype=np.float64) for one in curves.course)
     course.plot(times_s, longest, color="C1", lw=1.0, label="longest")
     course.plot(times_s, middle, color="C0", lw=1.0, label="median")
-    course.set(xlabel="time [s]", ylabel="delay [ms]", yscale="log")
+    course.set(xlabel="time [s]", ylabel="delay [ms]", yscale=_scale_of(longest))
     course.legend(fontsize="x-small")
     for axes, values, label in (
         (tail, curves.delay_ms, "delay [ms]"),
         (age, curves.age_ms, "age at the reader [ms]"),
     ):
         axes.plot(values, SLOWER, ".-", ms=3)
-        axes.set(xlabel=label, ylabel="share above", xscale="log", yscale="log")
+        axes.set(xlabel=label, ylabel="share above", xscale=_scale_of(values), yscale="log")
     lags_s, correlation = (np.array(one, dtype=np.float64) for one in curves.memory)
     memory.plot(lags_s, correlation, ".-", ms=3)
     memory.set(xlabel="lag [s]", ylabel="autocorrelation", xscale="log", ylim=(-0.1, 1.05))
     for axis in (course.yaxis, tail.xaxis, age.xaxis):
+        if axis.get_scale() != "log":
+            continue
         low, high = axis.get_view_interval()
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < _WIDE * low else (1.0,)))
         axis.set_major_formatter(ScalarFormatter())
         axis.set_minor_formatter(NullFormatter())
     return figure
+
+
+def _scale_of(values: Iterable[float]) -> str:
+    """Return the scale of an axis: a network without any delay has nothing that a logarithm shows."""
+    return "log" if any(value > 0.0 for value in values) else "linear"
 
 
 def _short(value: float) -> float:

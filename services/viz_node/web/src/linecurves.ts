@@ -23,7 +23,7 @@ interface Chart {
   up: (value: number) => string;
 }
 
-const [WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT] = [180, 100, 38, 16, 6, 6];
+const [WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT] = [180, 100, 44, 16, 6, 6];
 const NAMESPACE = "http://www.w3.org/2000/svg";
 
 const plain = (value: number): string => String(+value.toPrecision(3));

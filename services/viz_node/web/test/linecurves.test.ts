@@ -12,8 +12,8 @@ it("has an axis around its numbers, and of a logarithm none that is not above ze
 });
 
 it("goes from corner to corner, and is broken where there is no number", () => {
-  expect(pieces([0, 1, 2], [0, 5, 10], [0, 2], [0, 10], false, false)).toEqual(["38.0,84.0 106.0,45.0 174.0,6.0"]);
-  expect(pieces([1, 10, 100], [1, 10, 100], [1, 100], [1, 100], true, true)).toEqual(["38.0,84.0 106.0,45.0 174.0,6.0"]);
+  expect(pieces([0, 1, 2], [0, 5, 10], [0, 2], [0, 10], false, false)).toEqual(["44.0,84.0 109.0,45.0 174.0,6.0"]);
+  expect(pieces([1, 10, 100], [1, 10, 100], [1, 100], [1, 100], true, true)).toEqual(["44.0,84.0 109.0,45.0 174.0,6.0"]);
   expect(pieces([0, 1, 2, 3, 4], [1, 1, null, 1, 1], [0, 4], [0, 1], false, false)).toHaveLength(2);
 });
 
