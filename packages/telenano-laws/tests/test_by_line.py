@@ -94,9 +94,14 @@ def test_the_window_forgets_what_is_older_than_it() -> None:
         (EVEN, 390.0, 0.0, "bounded_model"),
         (UNEVEN, 170.0, 0.0, "bounded_model"),
         (UNEVEN, 180.0, 0.0, "passivity"),
-        (EVEN._replace(late_s=0.03), 180.0, 0.0, "passivity"),
+        (EVEN._replace(late_s=0.025), 180.0, 0.0, "passivity"),
         (EVEN, 390.0, 1e-3, "passivity"),
         (EVEN._replace(late_s=1.0), 20.0, 0.0, "passivity"),
+        (EVEN._replace(late_s=0.06), 20.0, 0.0, "model_mediated"),
+        (EVEN._replace(late_s=0.06), 180.0, 0.0, "passivity"),
+        (EVEN._replace(late_s=0.06, stall_s=0.1), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(late_s=0.19), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(floor_s=0.001, late_s=0.06), 20.0, 0.0, "bounded_model"),
     ],
 )
 def test_the_first_law_that_bears_sample_instrument_and_line_is_chosen(
@@ -191,15 +196,15 @@ def test_a_decision_is_a_command_of_the_session_and_a_mark_with_its_reason(capsy
 def test_a_law_that_a_node_refuses_is_not_asked_for_again() -> None:
     made = policy()
     assert not carry_out(made, Decision("bounded_model", "because"), lambda command: "too slow for it")
-    made.take("law/status", MASTER, 0.0, status("passivity"))
+    made.take("law/status", MASTER, 0.0, status("model_mediated"))
     decision = made.decided(EVEN)
-    assert decision is not None and decision.law == "model_mediated" and "too slow for it" in decision.reason
+    assert decision is not None and decision.law == "passivity" and "too slow for it" in decision.reason
 
 
 def test_scenario_and_options_say_what_may_be_chosen() -> None:
     made = policy_of(Path("fig12"), "passivity,bounded_model", None)
     assert [one.law for one in made.candidates] == ["passivity", "bounded_model"]
-    with pytest.raises(ConfigError, match="--law: wave: law by-line chooses among bounded_model, model_mediated"):
+    with pytest.raises(ConfigError, match="--law: wave: law by-line chooses among model_mediated, bounded_model"):
         policy_of(Path("fig12"), "wave", None)
 
 
