@@ -29,7 +29,7 @@ DEVICE, QUEUE, TOGETHER = "device of the hand", "queue at the device", "laws and
 WAYS = {"forward": "there", "backward": "back"}
 _SLAVES = ("afm/command", "afm/state", "teleop/backward")
 # A share of the samples around a percentile, whose parts stand for it.
-_BAND = 0.02
+_BAND = 0.005
 _LEAST_SAMPLES, _MOST_SAMPLES = 20, 4000
 
 
