@@ -199,10 +199,8 @@ def upgraded(old: Home, home: Home, release: Path, before: Path) -> Iterator[str
 def uninstalled(home: Home, names: Sequence[str]) -> str:
     """Uninstall everything that the release brought, and say what of it is left in the environment and the home."""
     home.pip("uninstall", "--yes", *names)
-    left = [
-        path for path in home.environment.rglob("*")
-        if (path.name in PLACES or path.name.startswith("telenano")) and "__pycache__" not in path.parts
-    ]  # fmt: skip
+    found = (*home.environment.glob("bin/*"), *home.environment.glob("lib/python*/site-packages/*"))
+    left = [path for path in found if path.name in PLACES or path.name.startswith("telenano")]
     if left:
         raise StumbleError(f"uninstalled, and still there: {', '.join(map(str, left))}")
     kept = sorted(str(path.relative_to(home.folder)) for path in home.folder.glob(".*/*") if "telenano" in path.name)
