@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from telenano_laws import by_line
-from telenano_laws.by_line import HAND, MASTER, SLAVE, TIP, Policy
+from telenano_laws.by_line import HAND, MASTER, SLAVE, TIP, Candidate, Policy
 from telenano_laws.by_line_command import carry_out
 from virtual_rig import VirtualBus, VirtualRig
 
@@ -33,7 +33,8 @@ def course(
         "afm_node": {"environment": "spring", "spring": {"stiffness_n_per_m": stiffness_n_per_m}},
     }
     rig = VirtualRig(None, 1, (), scenario=scenario)
-    policy = Policy(ControllerConfig(), stiffness_n_per_m, window_s=1.5)
+    wanted = [Candidate("bounded_model"), Candidate("passivity")]
+    policy = Policy(ControllerConfig(), stiffness_n_per_m, wanted, window_s=1.5)
     done: list[tuple[float, str]] = []
     seen, now_s = dict.fromkeys(WATCHED, 0), 0.9
     rig.run_until(0.45)
