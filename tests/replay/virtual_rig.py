@@ -228,7 +228,8 @@ class VirtualRig:
         self._link_at_slave, self._launcher = VirtualBus(self, LINK_ENDPOINT), VirtualBus(self, LAUNCHER)
         self.loops: dict[str, NodeLoop] = {}
         for key in self.nodes:
-            node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key)))
+            period_s = self._loaded.scenario.period_s
+            node = self._node(NodeContext(key, self.clock, self.buses[key], QuietLog(key), period_s=period_s))
             # nodes start one after the other
             self.clock.advance_ns(self.draw(timing.start, "start", key))
             self.loops[key] = NodeLoop(node, self.buses[key], RealtimeStatus(fifo=True, memory_locked=False))
