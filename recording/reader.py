@@ -157,10 +157,8 @@ class Recording:
         Parameters: topics, names of channels such as `teleop/forward@slave`, all when None; start_ns (included) and
         end_ns (excluded), bounds of the time of reception [ns], none when None.
         """
-        if topics is None:
-            return self.select(None, start_ns, end_ns)
-        names = frozenset(topics)
-        return self.select(lambda channel: channel.channel_topic in names, start_ns, end_ns)
+        names = None if topics is None else frozenset(topics)
+        return self.select(lambda channel: names is None or channel.channel_topic in names, start_ns, end_ns)
 
     def select(
         self,

@@ -45,9 +45,6 @@ from telenano.cli.options import (
 )
 from telenano.cli.output import report_errors
 
-# a lesson
-_DEFAULT_MINUTES = 90.0
-
 
 class Served(NamedTuple):
     """Who may open a page, where it is served, and what ends it."""
@@ -86,7 +83,7 @@ def view(
     role: Annotated[str, typer.Option("--role", metavar="ROLE", help=f"With --for: {', '.join(ROLES)}.")] = "operator",
     minutes: Annotated[
         float, typer.Option("--for-minutes", metavar="MIN", help="With --for: how long it is valid [min].")
-    ] = _DEFAULT_MINUTES,
+    ] = 90.0,
     revoke: Annotated[
         str | None, typer.Option("--revoke", metavar="NAME", help="Revoke the address of a person at once, and end.")
     ] = None,
@@ -110,7 +107,9 @@ def view(
             _print_address_for(person, role, minutes)
             return
         if addresses:
-            _print_addresses()
+            if not (lines := served_addresses()):
+                raise ConfigError("you serve no page on this machine: `telenano up` serves one, or `telenano view`")
+            typer.echo("\n".join(lines))
             return
         if reason := missing_for_view():
             raise ConfigError(f"the view cannot be served: {reason}")
@@ -123,10 +122,9 @@ def view(
             allow=tuple(allow or ()),
         )
         tls, access = config.tls(), config.access()
-        if demo:
-            if files:
-                raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
-            files = [DEMO_RECORDING]
+        if demo and files:
+            raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
+        files = [DEMO_RECORDING] if demo else files or []
         recordings = open_indexed(files) if files else None
         if recordings is None:
             # An error says why this machine cannot join the rig before an address is shown.
@@ -138,25 +136,18 @@ def view(
             behind_others()
             if idle:
                 # A rig may be started after its page.
-                text = "no rig of this site file runs on this machine yet; the page waits for one"
-                typer.echo(f"telenano: {text}", err=True)
+                text = "telenano: no rig of this site file runs on this machine yet; the page waits for one"
+                typer.echo(text, err=True)
             # The address is shown after the last step that could fail, because its reader may open it.
             with announced(addresses_of(bound, access, tls, config.name), typer.echo):
                 _serve_again(
                     partial(_serve_rig, site_file, page)
                     if recordings is None
-                    else partial(_serve_recording, recordings, files or [], page)
+                    else partial(_serve_recording, recordings, files, page)
                 )
     # The exit code is that of the signal that ended it, as after any other command; a person ends it with Ctrl-C.
     if os.read(signals.descriptor, 1)[0] == signal.SIGTERM:
         raise SystemExit(128 + signal.SIGTERM)
-
-
-def _print_addresses() -> None:
-    if not (lines := served_addresses()):
-        raise ConfigError("you serve no page on this machine: `telenano up` serves one, or `telenano view`")
-    for line in lines:
-        typer.echo(line)
 
 
 def _print_address_for(name: str, role: str, minutes: float) -> None:
