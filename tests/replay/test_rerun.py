@@ -252,7 +252,7 @@ def say_more(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
         monkeypatch.setitem(TOPICS, "afm/state", row)
         monkeypatch.setitem(proto.codec._FORMS, "afm/state", form)
         monkeypatch.setitem(proto.codec._TYPED, "afm/state", typed_form(WarmerState, form.most_bytes))
-        monkeypatch.setitem(proto.codec._MOST_BYTES, WarmerState, form.most_bytes)
+        monkeypatch.setitem(proto.codec.MOST_BYTES, WarmerState, form.most_bytes)
         publish_as = RerunBus.publish_as
 
         def publish_more(bus: RerunBus, src: str, topic: str, fields: Mapping[str, Any]) -> Message:

@@ -26,6 +26,7 @@ WAYS = {
     ("telenano/cli/estop_command.py", "send_control"): "nothing: an emergency stop asks nobody",
     ("packages/telenano-experiments/telenano_experiments/apparatus/live.py", "send_control"): HOLDS,
     ("packages/telenano-experiments/telenano_experiments/apparatus/page_hand.py", "RigHand"): "the experiment's hold",
+    ("packages/telenano-laws/telenano_laws/by_line_command.py", "send_control"): HOLDS,
     ("packages/telenano-networks/telenano_networks/probe_command.py", "send_control"): HOLDS,
     ("benchmarks/estop.py", "send_control"): "nothing: an emergency stop asks nobody",
 }
