@@ -96,12 +96,11 @@ def test_bursts_100_us_apart_make_no_energy_on_the_bus(rig: Any, law: str, messa
         found, _ = on_the_bus(rig, cell_of(law, 80.0), KINDS["delivery_trace"])
         # whatever the machine did: no lateness may make energy
         assert_no_energy_is_made(rig, found, 80.0)
-        assert not found.guarded, found.reason
         assert found.peak_n is not None
-        if found.peak_n < 1.4 and found.tip_n == pytest.approx(1.0, abs=0.1):
+        if not found.guarded and found.peak_n < 1.4 and found.tip_n == pytest.approx(1.0, abs=0.1):
             return
         cause = held_up(rig)
-        assert cause, (found.peak_n, found.tip_n, found.guarded_share)
+        assert cause, (found.peak_n, found.tip_n, found.guarded_share, found.reason)
     machine.note(
         f"{messages} messages at once under {law}: the force, {found.tip_n:.2f} N at the tip and {found.peak_n:.2f} at "
         f"most, was not judged, because in the last of {SESSIONS} sessions {cause}"

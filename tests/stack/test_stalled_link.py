@@ -17,7 +17,9 @@ def forward(rig: Rig) -> dict[str, Any]:
 
 
 def mode(rig: Rig) -> str:
-    return str(rig.recording().messages("afm/state")[-1].decode().mode)
+    # a recorder that is behind has written nothing yet
+    states = rig.recording().messages("afm/state")
+    return str(states[-1].decode().mode) if states else ""
 
 
 def arm(rig: Rig) -> None:
