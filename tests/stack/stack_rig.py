@@ -188,6 +188,11 @@ class Rig:
         """Give what the recorder of the rig has written, up to now."""
         return self._recorded.newest(self.out)
 
+    def newest(self, topic: str) -> Any:
+        """Give the newest message of a topic in the recording, once there is one: a recorder may be behind."""
+        self.wait_until(lambda: bool(self.recording().messages(topic)), f"{topic} in the recording")
+        return self.recording().messages(topic)[-1].decode()
+
     def session_s(self) -> float:
         """Give how long the operator's programme has run, by the newest state of the hand in the recording."""
         states = self.recording().messages("haptic/state")

@@ -49,7 +49,7 @@ def states(rig: Rig, since_ns: int) -> list[Any]:
 
 
 def mode(rig: Rig) -> str:
-    return str(rig.recording().messages("afm/state")[-1].decode().mode)
+    return str(rig.newest("afm/state").mode)
 
 
 def stays_stopped(rig: Rig, since_ns: int) -> str:

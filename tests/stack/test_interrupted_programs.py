@@ -25,7 +25,7 @@ def begin(rig: Rig, *arguments: str) -> "subprocess.Popen[str]":
 
 
 def is_away(rig: Rig) -> bool:
-    state = rig.recording().messages("afm/state")[-1].decode()
+    state = rig.newest("afm/state")
     return str(getattr(state, "mode", "")) == "retracted"
 
 

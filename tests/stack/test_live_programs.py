@@ -29,7 +29,7 @@ def imaging(rig: Rig) -> Rig:
 
 
 def newest_state(rig: Rig) -> AfmState:
-    found = rig.recording().messages("afm/state")[-1].decode()
+    found = rig.newest("afm/state")
     assert isinstance(found, AfmState)
     return found
 

@@ -64,10 +64,6 @@ def rig(shared_rig: Rig) -> Rig:
     return shared_rig
 
 
-def newest(rig: Rig, topic: str) -> Any:
-    return rig.recording().messages(topic)[-1].decode()
-
-
 def decoded(rig: Rig, topic: str, since_ns: int = 0) -> list[Any]:
     return [message.decode() for message in rig.recording().messages(topic, since_ns)]
 
@@ -76,7 +72,7 @@ def wait_for_the_recorder(rig: Rig, *channels: str) -> None:
     """Wait until all that was sent on some channels until now is in the recording: something later is."""
     now_ns = time.time_ns()
     for channel in channels or ("afm/state", "haptic/state", "teleop/forward", "teleop/backward"):
-        rig.wait_until(lambda c=channel: newest(rig, c).t_ns > now_ns, f"{channel} recorded")
+        rig.wait_until(lambda c=channel: rig.newest(c).t_ns > now_ns, f"{channel} recorded")
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +151,9 @@ def test_second_rig_of_the_same_name_names_who_has_it(rig: Any, tmp_path: Any) -
 def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
 
     def rests() -> bool:
-        before = newest(rig, "afm/state")
+        before = rig.newest("afm/state")
         time.sleep(0.2)
-        after = newest(rig, "afm/state")
+        after = rig.newest("afm/state")
         moved_m = abs(after.base_position_m[2] - before.base_position_m[2])
         return after.t_ns - before.t_ns > 100_000_000 and moved_m < 20e-12 and after.tip_force_n[2] > 5e-9
 
@@ -167,7 +163,7 @@ def test_switching_the_law_moves_neither_tip_nor_hand(rig: Any) -> None:
         rig.wait_until(rests, "a tip at rest on the sample")
         switched = rig.telenano("session", "set", f"law={law}", "--target", "controller")
         assert switched.returncode == 0, switched.stdout + switched.stderr
-        rig.wait_until(lambda law=law: newest(rig, "teleop/backward").law == law, f"{law} on the bus")
+        rig.wait_until(lambda law=law: rig.newest("teleop/backward").law == law, f"{law} on the bus")
     time.sleep(0.5)
     wait_for_the_recorder(rig)
     forward, tip = decoded(rig, "teleop/forward", begin_ns), decoded(rig, "afm/state", begin_ns)
@@ -280,8 +276,8 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
             console.close()
     assert stopped.returncode == 0, stopped.stderr
     assert sorted(line.partition(":")[0] for line in stopped.stdout.splitlines()) == [f"{TIP} ack", f"{HAND} ack"]
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the AFM in emergency stop")
-    rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the hand in emergency stop")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the AFM in emergency stop")
+    rig.wait_until(lambda: rig.newest("haptic/state").estop, "the hand in emergency stop")
     stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
     took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the command"
     record("an emergency stop while a console is at work", f"both stopped, {took}")
@@ -295,7 +291,7 @@ def test_an_emergency_stop_needs_no_turn_and_is_recorded(rig: Any) -> None:
 
 
 def test_an_arm_that_waited_in_a_stopped_process_is_refused(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert newest(rig, "afm/state").mode == "estop", "left by the test before"
+    assert rig.newest("afm/state").mode == "estop", "left by the test before"
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
     begin_ns = time.time_ns()
     pid = rig.process_of(TIP)
@@ -361,7 +357,7 @@ def test_an_arm_that_waited_in_the_page_s_server_is_given_up_with_the_emergency_
     rig: Any, monkeypatch: pytest.MonkeyPatch, leaves: bool
 ) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
-    rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an instrument that was armed before")
+    rig.wait_until(lambda: rig.newest("afm/state").mode != "estop", "an instrument that was armed before")
     pid = rig.process_of("controller@slave")
     with served_page() as page_of, ExitStack() as stack:
         page = stack.enter_context(page_of(OPERATOR))
@@ -382,7 +378,7 @@ def test_an_arm_that_waited_in_the_page_s_server_is_given_up_with_the_emergency_
             time.sleep(2.0)
         finally:
             os.kill(pid, signal.SIGCONT)
-        rig.wait_until(lambda: newest(rig, "afm/state").t_ns > stopped_ns + 5 * 10**9, "what came of it")
+        rig.wait_until(lambda: rig.newest("afm/state").t_ns > stopped_ns + 5 * 10**9, "what came of it")
         assert {state.mode for state in decoded(rig, "afm/state", stopped_ns)} == {"estop"}
         assert {state.estop for state in decoded(rig, "haptic/state", stopped_ns)} == {True}
     record("an arm that waits in the page's server when an emergency stop comes", "given up; both stayed latched")
@@ -393,8 +389,8 @@ def test_an_arm_that_waited_in_the_page_s_server_is_given_up_with_the_emergency_
 
 def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     # the test before has armed both; the recording comes behind
-    rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an instrument that was armed before")
-    rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "a haptic device that was armed before")
+    rig.wait_until(lambda: rig.newest("afm/state").mode != "estop", "an instrument that was armed before")
+    rig.wait_until(lambda: not rig.newest("haptic/state").estop, "a haptic device that was armed before")
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
     with served_page() as page_of:
 
@@ -409,8 +405,8 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
         # anybody who sees the tip may stop it
         answer = ask(OBSERVER, k="estop")
         assert (answer["ok"], TIP in answer["text"], HAND in answer["text"]) == (True, True, True), answer["text"]
-        rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the AFM in emergency stop")
-        rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the hand in emergency stop")
+        rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the AFM in emergency stop")
+        rig.wait_until(lambda: rig.newest("haptic/state").estop, "the hand in emergency stop")
         stopped_ns = next(state.t_ns for state in decoded(rig, "afm/state", begin_ns) if state.mode == "estop")
         took = f"the tip {(stopped_ns - begin_ns) / 1e6:.0f} ms after the request of the page"
         record("an emergency stop from the page of the view", f"both stopped, {took}")
@@ -418,8 +414,8 @@ def test_the_emergency_stop_of_a_page_stops_the_devices(rig: Any, monkeypatch: p
         for device in ("afm_node", "haptic_node"):
             armed = ask(OPERATOR, k="command", command="arm", target=device, parameters={})
             assert armed["ok"], armed["text"]
-        rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
-        rig.wait_until(lambda: newest(rig, "afm/state").mode != "estop", "an armed instrument")
+        rig.wait_until(lambda: not rig.newest("haptic/state").estop, "an armed haptic device")
+        rig.wait_until(lambda: rig.newest("afm/state").mode != "estop", "an armed instrument")
 
 
 def answers_of(rig: Rig, node: str, since_ns: int) -> list[tuple[str, str]]:

@@ -17,9 +17,7 @@ def forward(rig: Rig) -> dict[str, Any]:
 
 
 def mode(rig: Rig) -> str:
-    # a recorder that is behind has written nothing yet
-    states = rig.recording().messages("afm/state")
-    return str(states[-1].decode().mode) if states else ""
+    return str(rig.newest("afm/state").mode)
 
 
 def arm(rig: Rig) -> None:

@@ -81,10 +81,6 @@ def chromium() -> Iterator[Any]:
         yield found
 
 
-def newest(rig: Rig, topic: str) -> Any:
-    return rig.recording().messages(topic)[-1].decode()
-
-
 @pytest.mark.endurance
 def test_a_rig_is_operated_by_keys_from_the_first_press_to_the_emergency_stop(chromium: Any, tmp_path: Path) -> None:
     rig = Rig(tmp_path)
@@ -106,10 +102,10 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     until(lambda: page.page.locator("#law-name option").count() > 1, "the forms of the law")
     # stopped and armed again
     assert "acknowledged" in page.answered(lambda: keys.press("Escape"))
-    rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the stop at the haptic device")
+    rig.wait_until(lambda: rig.newest("haptic/state").estop, "the stop at the haptic device")
     assert "acknowledged" in keys.answered("#arm")
-    rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "an armed instrument")
+    rig.wait_until(lambda: not rig.newest("haptic/state").estop, "an armed haptic device")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "an armed instrument")
     # an image, with settings of one's own
     keys.reach('[role="tab"][aria-selected="true"]')
     while page.value("document.activeElement.id") != "tab-image":
@@ -118,14 +114,14 @@ def operate(rig: Rig, keys: Keyboard) -> None:
         keys.type(f"#program-scan-{key}", value)
     assert "acknowledged" in keys.answered("#program-scan")
     page.until(f"{FILLED} === 16", "the whole image")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "a tip that is away")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "a tip that is away")
     # its profile along a line that the arrow keys move
     keys.reach("#section")
     keys.press("Enter")
     page.until("telenano.view.section.profile", "a profile")
     keys.reach("#mode-bilateral")
     keys.press("Enter")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows the hand")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "a tip that follows the hand")
     keys.type("#tip-x", "0")
     keys.type("#tip-y", "0")
     assert "acknowledged" in keys.answered("#tip-go")
@@ -135,11 +131,11 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     keys.reach("#hand-pad")
     for _ in range(14):
         keys.press("ArrowDown")
-    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+    rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
     until(lambda: float(page.page.inner_text("#felt-force").replace("–", "0")) > 0.1, "that force on the page")
     keys.choose("#law-name", "wave")
-    rig.wait_until(lambda: newest(rig, "teleop/backward").law == "wave", "the law on the bus")
-    assert newest(rig, "haptic/state").operator_force_n[2] < -0.1, "the hand is held while other keys are pressed"
+    rig.wait_until(lambda: rig.newest("teleop/backward").law == "wave", "the law on the bus")
+    assert rig.newest("haptic/state").operator_force_n[2] < -0.1, "the hand is held while other keys are pressed"
     keys.type("#delay", "20")
     assert "acknowledged" in page.answered(lambda: keys.press("Enter"))
     until(lambda: "DELAYED" in page.banners(), "the banner of the delay")
@@ -153,11 +149,11 @@ def operate(rig: Rig, keys: Keyboard) -> None:
     keys.choose("#layout", "Stability")
     page.until("telenano.scopes.specs[1].kind === 'spectrum'", "the spectrum of the forces")
     assert "acknowledged" in keys.answered("#stop")
-    rig.wait_until(lambda: newest(rig, "haptic/state").session_s < 0.0, "the end of the operator's programme")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's programme")
     assert "acknowledged" in keys.answered("#start")
-    rig.wait_until(lambda: newest(rig, "haptic/state").session_s >= 0.0, "its start")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")
     assert "acknowledged" in page.answered(lambda: keys.press("Escape"))
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the stop at the instrument")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the stop at the instrument")
     until(lambda: "EMERGENCY STOP" in page.banners(), "the banner of the stop")
     keys.check()
 

@@ -46,10 +46,6 @@ def operator(chromium: Any, view: View) -> Page:
     return page
 
 
-def newest(rig: Rig, topic: str) -> Any:
-    return rig.recording().messages(topic)[-1].decode()
-
-
 def since(rig: Rig, topic: str, begin_ns: int) -> list[Any]:
     return [message.decode() for message in rig.recording().messages(topic, begin_ns)]
 
@@ -58,14 +54,14 @@ def since(rig: Rig, topic: str, begin_ns: int) -> list[Any]:
 def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     operator.fill("#delay", "4")
     assert "acknowledged" in operator.answered(lambda: operator.click("#delay-set"))
-    rig.wait_until(lambda: newest(rig, "link/status").forward.settings.get("delay_s") == 0.004, "the delay on the bus")
+    rig.wait_until(lambda: rig.newest("link/status").forward.settings.get("delay_s") == 0.004, "the delay on the bus")
     until(lambda: "DELAYED" in operator.banners(), "the banner of the delay")
     operator.until("document.querySelector('#profile').value === 'constant delay'", "the network that is in force")
     operator.until("document.querySelector('#delay').placeholder === '4'", "the delay that is in force")
     operator.fill("#delay", "0")
     operator.answered(lambda: operator.click("#delay-set"))
     operator.answered(lambda: operator.choose("#law-name", "wave"))
-    rig.wait_until(lambda: newest(rig, "teleop/backward").law == "wave", "the law on the bus")
+    rig.wait_until(lambda: rig.newest("teleop/backward").law == "wave", "the law on the bus")
     operator.answered(lambda: operator.choose("#law-name", "virtual_impedance"))
     operator.fill("#law-virtual_impedance-force_gain", "12.5")
     operator.answered(lambda: operator.click("#law-apply"))
@@ -75,15 +71,15 @@ def test_every_control_changes_the_rig(rig: Rig, operator: Page) -> None:
     marks = lambda: [event for event in since(rig, "session/event", begin_ns) if event.kind == "mark"]  # noqa: E731
     rig.wait_until(lambda: any(mark.data.get("text") == "jump to contact" for mark in marks()), "the mark")
     operator.answered(lambda: operator.click("#stop"))
-    rig.wait_until(lambda: newest(rig, "haptic/state").session_s < 0.0, "the end of the operator's programme")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's programme")
     operator.answered(lambda: operator.click("#start"))
-    rig.wait_until(lambda: newest(rig, "haptic/state").session_s >= 0.0, "its start")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")
     assert operator.faults == []
 
 
 @pytest.mark.endurance
 def test_the_forms_and_profiles_of_the_link_change_it(rig: Rig, operator: Page) -> None:
-    link = lambda: newest(rig, "link/status")  # noqa: E731
+    link = lambda: rig.newest("link/status")  # noqa: E731
     operator.click("#tab-settings")
     forms = {"#link-forward-jitter-scale_s": "2", "#link-backward-loss-probability": "0.05"}
     for field, value in forms.items():
@@ -117,7 +113,7 @@ def test_the_programs_of_the_instrument_run_pause_and_end_from_the_page(rig: Rig
     begin_ns = time.time_ns()
     assert "acknowledged" in operator.answered(lambda: operator.click("#program-curve"))
     rig.wait_until(lambda: is_at("curve", "finished"), "a force curve")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "a tip that is away")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "a tip that is away")
     pressed_n = max(state.tip_force_n[2] for state in since(rig, "afm/state", begin_ns))
     assert pressed_n == pytest.approx(1e-8, rel=0.1)
     operator.fill("#program-scan-lines", "8")
@@ -128,17 +124,17 @@ def test_the_programs_of_the_instrument_run_pause_and_end_from_the_page(rig: Rig
     for button, state in (("pause", "paused"), ("resume", "running"), ("abort", "ended")):
         assert "acknowledged" in operator.answered(lambda button=button: operator.click(f"#program-{button}"))
         rig.wait_until(lambda state=state: is_at("scan", state), f"an image that is {state}")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "a tip that is away")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "a tip that is away")
     assert "acknowledged" in operator.answered(lambda: operator.click("#program-tactile"))
     rig.wait_until(lambda: is_at("tactile", "running"), "the tactile path")
     # ends what runs, and lets the tip follow the hand again
     operator.click("#mode-bilateral")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "a tip that follows")
     operator.fill("#tip-x", "-12")
     operator.fill("#tip-y", "7")
     assert "acknowledged" in operator.answered(lambda: operator.click("#tip-go"))
     place_m = pytest.approx((-12e-9, 7e-9), rel=1e-6)
-    rig.wait_until(lambda: newest(rig, "afm/state").base_position_m[:2] == place_m, "the tip at its place")
+    rig.wait_until(lambda: rig.newest("afm/state").base_position_m[:2] == place_m, "the tip at its place")
     files = len(list(rig.out.glob("session*.mcap")))
     assert "acknowledged" in operator.answered(lambda: operator.click("#split"))
     rig.wait_until(lambda: len(list(rig.out.glob("session*.mcap"))) == files + 1, "a new file")
@@ -156,7 +152,7 @@ def test_the_keyboard_pushes_marks_and_pauses(rig: Rig, operator: Page) -> None:
     pushes = lambda: [message.force_n[2] < -0.2 for message in since(rig, "operator/force", begin_ns)]  # noqa: E731
     rig.wait_until(lambda: any(pushes()), "the force of the keys on its topic")
     keyboard.up("ArrowDown")
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
     begin_ns = time.time_ns()
     assert "acknowledged" in operator.answered(lambda: keyboard.press("m"))
     rig.wait_until(lambda: any(event.kind == "mark" for event in since(rig, "session/event", begin_ns)), "the mark")
@@ -181,7 +177,7 @@ def test_what_is_saved_is_every_sample_that_is_shown(rig: Rig, operator: Page) -
     shown = [(round(1e9 * float(row[1])) + origin_ns, float(row[3])) for row in hand]
     assert len(shown) > 125, "of a second at 250 Hz"
     # the recorder writes a chunk at a time, so the file may have the last of them later than the page
-    rig.wait_until(lambda: newest(rig, "haptic/state").t_ns > shown[-1][0], "what is shown in the recording")
+    rig.wait_until(lambda: rig.newest("haptic/state").t_ns > shown[-1][0], "what is shown in the recording")
     sent = sorted((state.t_ns, -state.position_m[2]) for state in since(rig, "haptic/state", origin_ns))
     # the page keeps times to some hundredths of a millisecond
     after = np.clip(np.searchsorted([at for at, _ in sent], [at for at, _ in shown]), 1, len(sent) - 1)
@@ -205,16 +201,16 @@ def test_the_hand_holds_while_the_page_draws_for_longer_than_the_server_waits(ri
     def held() -> bool:
         """Press, keep the page busy for longer than the server waits, and return whether the hand went on pushing."""
         operator.press(10.0)
-        rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] < -0.2, "a hand that pushes")
+        rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] < -0.2, "a hand that pushes")
         begin_ns = time.time_ns()
         # as one long picture does: nothing else of the page runs meanwhile
         operator.value("(() => { const begun = performance.now(); while (performance.now() - begun < 700); })()")
         end_ns = time.time_ns()
-        rig.wait_until(lambda: newest(rig, "haptic/state").t_ns > end_ns, "what was recorded meanwhile")
+        rig.wait_until(lambda: rig.newest("haptic/state").t_ns > end_ns, "what was recorded meanwhile")
         pushes = [-s.operator_force_n[2] for s in since(rig, "haptic/state", begin_ns) if s.t_ns < end_ns]
         sent = [message for message in since(rig, "operator/force", begin_ns) if message.t_ns < end_ns]
         operator.page.mouse.up()
-        rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+        rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
         # and by the newest place of the arm, not by that before the picture
         return min(pushes) > 0.0 and len({message.force_n[2] for message in sent}) > 5
 
@@ -240,14 +236,14 @@ def test_what_a_node_refuses_is_said_on_the_page(operator: Page) -> None:
 def test_the_virtual_hand_presses_the_tip_and_the_force_comes_back(rig: Rig, operator: Page) -> None:
     # to 10 mm below where the arm is: 2 N at first
     operator.press(10.0)
-    rig.wait_until(lambda: newest(rig, "operator/force").force_n[2] < -0.2, "the force of the page on its topic")
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] < -0.2, "the force at the device")
-    rig.wait_until(lambda: newest(rig, "afm/state").in_contact, "the tip on the sample")
-    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+    rig.wait_until(lambda: rig.newest("operator/force").force_n[2] < -0.2, "the force of the page on its topic")
+    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] < -0.2, "the force at the device")
+    rig.wait_until(lambda: rig.newest("afm/state").in_contact, "the tip on the sample")
+    rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
     until(lambda: operator.last("command", "tip_force") > 0.1, "that force on the page")
     until(lambda: operator.last("tip", "force") > 1e-9, "the push of the sample")
     operator.page.mouse.up()
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
 # a gamepad whose stick is pushed half way, and that keeps what it was told to rumble
@@ -267,8 +263,8 @@ def test_a_gamepad_presses_with_its_stick_and_rumbles_with_the_force_that_comes_
     operator.value(GAMEPAD)
     try:
         operator.value("pad.axes[1] = 0.8")
-        rig.wait_until(lambda: newest(rig, "operator/force").force_n[2] < -0.2, "the force of the stick on its topic")
-        rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+        rig.wait_until(lambda: rig.newest("operator/force").force_n[2] < -0.2, "the force of the stick on its topic")
+        rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
         operator.until("rumbles.some((effect) => effect.strongMagnitude > 0.02)", "a gamepad that rumbles")
         strongest = operator.value("Math.max(...rumbles.map((effect) => effect.strongMagnitude))")
         felt_n = max(message.force_n[2] for message in since(rig, "haptic/command", 0))
@@ -277,12 +273,12 @@ def test_a_gamepad_presses_with_its_stick_and_rumbles_with_the_force_that_comes_
     finally:
         operator.value("pad.axes[1] = 0")
     operator.until("resets > 0", "a gamepad that rests with the hand")
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
 @pytest.mark.endurance
 def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_again(rig: Rig, operator: Page) -> None:
-    force_n = lambda: newest(rig, "haptic/state").operator_force_n[2]  # noqa: E731
+    force_n = lambda: rig.newest("haptic/state").operator_force_n[2]  # noqa: E731
 
     def hold() -> None:
         operator.follow()
@@ -303,15 +299,15 @@ def test_a_force_that_is_kept_is_released_by_a_scan_and_a_stop_and_not_taken_up_
     rig.wait_until(lambda: force_n() == 0.0, "a hand that has let go")
     operator.until(has("#hand-text", "Let go: the instrument runs a scan"), "why")
     assert operator.page.get_attribute("#hand-keep", "aria-pressed") == "false"
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "retracted", "the end of the image")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "the end of the image")
     operator.follow()
     check_nothing_presses()
     hold()
     operator.answered(lambda: operator.click("#stop"))
-    rig.wait_until(lambda: newest(rig, "haptic/state").session_s < 0.0, "the end of the operator's programme")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s < 0.0, "the end of the operator's programme")
     operator.until(has("#hand-text", "Let go: "), "why")
     operator.answered(lambda: operator.click("#start"))
-    rig.wait_until(lambda: newest(rig, "haptic/state").session_s >= 0.0, "its start")
+    rig.wait_until(lambda: rig.newest("haptic/state").session_s >= 0.0, "its start")
     check_nothing_presses()
 
 
@@ -327,7 +323,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     first = operator.value(FILLED)
     operator.until(f"{FILLED} > {first}", "a surface that grows")
     operator.until(f"{FILLED} > 24", "more than half of it")
-    rig.wait_until(lambda: newest(rig, "afm/program").state == "finished", "the end of the image")
+    rig.wait_until(lambda: rig.newest("afm/program").state == "finished", "the end of the image")
     operator.until(f"{FILLED} === 40", "the whole surface")
     published = [line for line in since(rig, "afm/scanline", begin_ns) if line.direction == "trace"]
     assert [line.line for line in published] == list(range(40))
@@ -339,7 +335,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.until(has("#program-state", "scan is finished"), "the page's word")
     # after an image the tip is away until it is armed
     operator.click("#mode-bilateral")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "a tip that follows")
     operator.click("#place-tip")
     box = operator.page.locator("#scene .solid > canvas").bounding_box()
     x, y = box["x"] + 0.56 * box["width"], box["y"] + 0.58 * box["height"]
@@ -359,7 +355,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
         return len(wanted()) > 0
 
     def is_there() -> bool:
-        at = newest(rig, "afm/state").base_position_m[:2]
+        at = rig.newest("afm/state").base_position_m[:2]
         return any(at == pytest.approx(place, rel=1e-6) for place in wanted())
 
     # At one of the places that were asked for: of those that came too late for their second the instrument takes none,
@@ -370,7 +366,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.click("#hand-keep")
     operator.press(14.0)
     operator.page.mouse.up()
-    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+    rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
     scale = operator.value("telenano.view.surface.mesh.scale.z")
     operator.choose("#stretch", "2")
     operator.click("#section")
@@ -382,7 +378,7 @@ def test_the_sample_is_imaged_from_the_page_and_the_tip_goes_where_the_pointer_s
     operator.picture("anaglyph")
     operator.choose("#stereo", "off")
     operator.click("#hand-keep")
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
 
 
 @pytest.mark.endurance
@@ -416,19 +412,19 @@ def test_the_tip_is_pressed_from_a_headset_and_stopped_there(rig: Rig, chromium:
     page.value(f"{hands}.right.updateButtonValue('trigger', 1)")
     page.until("telenano.view.headset.pressed", "a trigger that is held")
     page.value(f"{hands}.right.position.set(0.3, 1.08, -0.4)")
-    rig.wait_until(lambda: newest(rig, "operator/force").force_n[2] < -0.2, "the force of the headset on its topic")
-    rig.wait_until(lambda: newest(rig, "afm/state").in_contact, "the tip on the sample")
-    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the force that comes back")
+    rig.wait_until(lambda: rig.newest("operator/force").force_n[2] < -0.2, "the force of the headset on its topic")
+    rig.wait_until(lambda: rig.newest("afm/state").in_contact, "the tip on the sample")
+    rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the force that comes back")
     page.value(f"{hands}.right.updateButtonValue('b-button', 1)")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the stop at the instrument")
-    rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the stop at the haptic device")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the stop at the instrument")
+    rig.wait_until(lambda: rig.newest("haptic/state").estop, "the stop at the haptic device")
     page.value(f"{hands}.right.updateButtonValue('b-button', 0); {hands}.right.updateButtonValue('trigger', 0)")
     page.until("!telenano.view.headset.pressed", "a trigger that was let go")
     page.click("#vr")
     page.until("!telenano.view.headset.isPresenting", "the end of the session of the headset")
     assert page.value("telenano.view.world.scale.x") == 1.0
     page.click("#arm")
-    rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
+    rig.wait_until(lambda: not rig.newest("haptic/state").estop, "an armed haptic device")
     page.page.context.close()
 
 
@@ -491,11 +487,11 @@ def test_everything_has_a_name_and_can_be_read_in_light_and_dark(operator: Page)
 def test_the_emergency_stop_is_on_a_key(rig: Rig, operator: Page) -> None:
     answer = operator.answered(lambda: operator.page.keyboard.press("Escape"))
     assert "acknowledged" in answer
-    rig.wait_until(lambda: newest(rig, "haptic/state").estop, "the stop at the haptic device")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "estop", "the stop at the instrument")
+    rig.wait_until(lambda: rig.newest("haptic/state").estop, "the stop at the haptic device")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "estop", "the stop at the instrument")
     until(lambda: "EMERGENCY STOP" in operator.banners(), "the banner of the stop")
     # the programme of the operator goes on behind it, and nothing follows
     operator.until("document.querySelector('#start').getAttribute('aria-pressed') === 'false'", "a start that is over")
     operator.click("#theme")
     operator.click("#arm")
-    rig.wait_until(lambda: not newest(rig, "haptic/state").estop, "an armed haptic device")
+    rig.wait_until(lambda: not rig.newest("haptic/state").estop, "an armed haptic device")

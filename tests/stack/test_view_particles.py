@@ -34,7 +34,7 @@ class Pushed:
 
     def __init__(self, rig: Rig) -> None:
         self._rig, self._since_ns, self.way_m = rig, time.time_ns(), 0.0
-        self._before = newest(rig, "afm/state").base_position_m[:2]
+        self._before = rig.newest("afm/state").base_position_m[:2]
 
     def follow(self) -> float:
         """Return the way until now [m]."""
@@ -45,12 +45,6 @@ class Pushed:
                 self.way_m += math.dist(place_m, self._before)
             self._before = place_m
         return self.way_m
-
-
-def newest(rig: Rig, topic: str) -> Any:
-    """Return the newest message of a topic in the recording, once there is one."""
-    rig.wait_until(lambda: bool(rig.recording().messages(topic)), f"{topic} in the recording")
-    return rig.recording().messages(topic)[-1].decode()
 
 
 def done(page: Page, action: Callable[[], object]) -> None:
@@ -121,13 +115,13 @@ def walk(rig: Rig, page: Page) -> None:
     page.fill("#tip-y", f"{1e9 * at_y:.3f}")
     done(page, lambda: page.click("#tip-go"))
     rig.wait_until(
-        lambda: math.dist(newest(rig, "afm/state").base_position_m[:2], (at_x, at_y)) < 1e-9,
+        lambda: math.dist(rig.newest("afm/state").base_position_m[:2], (at_x, at_y)) < 1e-9,
         "a tip beside the particle",
     )
     page.click("#hand-keep")
     page.press(DEEP_MM)
     page.page.mouse.up()
-    rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
+    rig.wait_until(lambda: rig.newest("afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
     begin_ns, pushed = time.time_ns(), Pushed(rig)
     steering = begin_to_steer(page, SHARE)
     rig.wait_until(lambda: pushed.follow() > WAY_M, "a particle that was pushed a micrometre", PATIENCE_S)
@@ -139,13 +133,13 @@ def walk(rig: Rig, page: Page) -> None:
     page.picture("particles")
     page.page.mouse.up()
     page.page.wait_for_timeout(1500.0)
-    stood = newest(rig, "afm/state").base_position_m[:2]
+    stood = rig.newest("afm/state").base_position_m[:2]
     page.page.wait_for_timeout(1000.0)
     # the hand is back in its middle, and the tip stands
-    assert newest(rig, "afm/state").base_position_m[:2] == stood
+    assert rig.newest("afm/state").base_position_m[:2] == stood
     events = [row.decode().data for row in rig.recording().messages("session/event", begin_ns)]
     assert "met" in [event.get("lateral") for event in events]
-    status = newest(rig, "law/status")
+    status = rig.newest("law/status")
     assert status.passive
     assert page.faults == []
 
@@ -156,7 +150,7 @@ IMAGED_M, TARGET_M = 1.7e-6, 7.5e-7
 
 def particle_m(rig: Rig) -> tuple[float, float]:
     """Return where the simulated particle really is [m], which the page is not told."""
-    (place,) = newest(rig, "afm/particles").places_m.to_numpy().tolist()
+    (place,) = rig.newest("afm/particles").places_m.to_numpy().tolist()
     return place[0], place[1]
 
 
@@ -195,7 +189,7 @@ def imaged(rig: Rig, page: Page) -> None:
     done(page, lambda: page.click("#program-scan"))
     # The tab Image is shown, from which a person scans.
     page.until("telenano.cockpit.tip.program === 'scan'", "an image that begins")
-    rig.wait_until(lambda: newest(rig, "afm/program").state == "finished", "the end of the image", 4.0 * PATIENCE_S)
+    rig.wait_until(lambda: rig.newest("afm/program").state == "finished", "the end of the image", 4.0 * PATIENCE_S)
     page.until("!telenano.cockpit.tip.program", "a page that knows of the end")
     page.value("document.querySelector('#tab-particles').click()")
     page.until("document.querySelectorAll('#particles-list li').length === 1", "a particle in the image")
@@ -248,7 +242,7 @@ def begin_in_headset(rig: Rig, page: Page) -> int:
     page.value(TRIGGER.format(1))
     page.until("telenano.view.headset.pressed", "a trigger that is held")
     page.value(f"headset.controllers.right.position.set(0.2, {1.2 - 1e-2 * DEEP_MM}, -0.4)")
-    rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
+    rig.wait_until(lambda: rig.newest("afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
     return int(page.page.evaluate(HAND, [SHARE, DEEP_MM]))
 
 
@@ -262,7 +256,7 @@ def take_over(rig: Rig, page: Page, headset: bool) -> None:
         if "By hand" in page.value(said):
             break
         assert time.monotonic() < end, page.page.inner_text("#answers")
-    rig.wait_until(lambda: newest(rig, "afm/state").mode == "follow", "a tip that follows the hand")
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "a tip that follows the hand")
 
 
 def keys_choose(page: Page) -> None:
@@ -299,7 +293,7 @@ def taken_over(rig: Rig, page: Page, headset: bool) -> None:
         page.click("#hand-keep")
         page.press(DEEP_MM)
         page.page.mouse.up()
-        rig.wait_until(lambda: newest(rig, "afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
+        rig.wait_until(lambda: rig.newest("afm/state").tip_force_n[2] > 7e-9, "a tip that presses")
     steering = begin_in_headset(rig, page) if headset else begin_to_steer(page, SHARE)
     rig.wait_until(lambda: math.dist(particle_m(rig), middle) > 1e-7, "a particle that the hand has pushed", PATIENCE_S)
     page.value(f"clearInterval({steering})")

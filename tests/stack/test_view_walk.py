@@ -3,7 +3,7 @@
 import logging
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -26,10 +26,6 @@ DEEP_MM, PUSH_MM, AGAIN_MM = 14.0, 6.0, 8.0
 WATCHED_S = 6.0
 # with which hand and tip press in steady state
 HELD_N = 1.0
-
-
-def newest(rig: Rig, topic: str) -> Any:
-    return rig.recording().messages(topic)[-1].decode()
 
 
 class Watched(NamedTuple):
@@ -93,7 +89,7 @@ def walk(rig: Rig, page: Page) -> None:
     page.press(DEEP_MM)
     # the pointer is free, and the hand stays where it is
     page.page.mouse.up()
-    rig.wait_until(lambda: newest(rig, "haptic/command").force_n[2] > 0.1, "the sample felt")
+    rig.wait_until(lambda: rig.newest("haptic/command").force_n[2] > 0.1, "the sample felt")
     still = held(rig, 0.1 * HELD_N)
     assert still.mean_n > 0.5 * HELD_N
     for delay_ms in DELAYS_MS:
@@ -111,15 +107,15 @@ def walk(rig: Rig, page: Page) -> None:
     assert "DELAYED" in page.banners()
     page.picture("oscillates")
     assert "acknowledged" in page.answered(lambda: page.choose("#law-name", LAW))
-    rig.wait_until(lambda: newest(rig, "teleop/backward").law == LAW, "the law on the bus")
+    rig.wait_until(lambda: rig.newest("teleop/backward").law == LAW, "the law on the bus")
     # hand and tip stand where the swing had them, so the sample may be higher or lower now: press again
     page.press(AGAIN_MM)
     page.page.mouse.up()
     again = held(rig, 0.1 * swinging.peak_to_peak_n)
     assert again.mean_n > 0.2 * HELD_N
-    assert newest(rig, "afm/state").in_contact
-    assert newest(rig, "link/status").forward.delay_mean_s == pytest.approx(1e-3 * delay_ms, rel=0.1)
+    assert rig.newest("afm/state").in_contact
+    assert rig.newest("link/status").forward.delay_mean_s == pytest.approx(1e-3 * delay_ms, rel=0.1)
     page.picture("holds")
     page.click("#hand-keep")
-    rig.wait_until(lambda: newest(rig, "haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
+    rig.wait_until(lambda: rig.newest("haptic/state").operator_force_n[2] == 0.0, "a hand that has let go")
     assert page.faults == []
