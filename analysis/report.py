@@ -559,7 +559,7 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
         start_ns: When the session began, on the master's clock [ns].
         end_ns: When it ended.
     """
-    # by topic its publisher, or what the link brought of it
+    # A topic is followed at its publisher, or else as the link brought it.
     known = {each.topic: each for each in sorted(recording.channels, key=lambda each: each.channel_topic, reverse=True)}
     topics = [topic for topic in loop_age.STAGES if topic in known]
     if not topics or "link/delay" not in known:
@@ -579,7 +579,7 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
     said = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
     delays = {}
     for way in loop_age.WAYS:
-        # what is said last of a sample counts from it on
+        # The newest delay that was said of a sample counts from that sample on.
         of_way = {name: values[said["direction"] == way][::-1] for name, values in said.items()}
         from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
         at = np.searchsorted(from_ns, keys, side="right")

@@ -386,7 +386,7 @@ class Hub:
             if request.stamp_s and 0.0 <= way_s < _LONGEST_WAY_S:
                 session.ways_s.append(way_s)
             return
-        # what was read of a page before its end gives it no hand
+        # A request that was read of a page before its end gives it no hand.
         if session.ended or (session not in self.sessions and isinstance(request, HandRequest | LeaseRequest)):
             return
         if isinstance(request, HandRequest):

@@ -68,7 +68,7 @@ def corpus(folder: Path) -> None:
 
 def telenano(folder: Path, *words: str) -> None:
     """Run a command in the folder."""
-    subprocess.run([sys.executable, "-m", "telenano", *words], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-P", "-m", "telenano", *words], cwd=folder, check=True, stdout=subprocess.DEVNULL)
 
 
 if __name__ == "__main__":

@@ -173,6 +173,6 @@ def test_a_law_of_a_package_is_still_a_law(folder: Path, tmp_path: Path) -> None
     lines = (f"[{group}]\n" + "".join(f"{a} = {b}\n" for a, b in names.items()) for group, names in entries.items())
     (known / "entry_points.txt").write_text("\n".join(lines))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (tmp_path, package, ROOT)))}
-    command = [sys.executable, "-m", "telenano", "law", "check", "law_of_a_release"]
+    command = [sys.executable, "-P", "-m", "telenano", "law", "check", "law_of_a_release"]
     done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

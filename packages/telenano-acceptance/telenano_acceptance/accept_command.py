@@ -14,23 +14,25 @@ if TYPE_CHECKING:
     from telenano_acceptance.take import Guide, Kind, Step, Take, Verdict
 
 _NOT_ACCEPTED = 1
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="A key of haptic_node.* or afm_node.* (repeat)."),
+]
+MassOption = Annotated[
+    float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass to hang at the handle; 0: none.")
+]
+StopOption = Annotated[
+    str, typer.Option("--independent-stop", metavar="TEXT", help="How the drives are stopped without the computer.")
+]
 
 
 def accept(
     driver: Annotated[
         str, typer.Option("--device", metavar="DRIVER", help="Value of haptic_node.driver: the device to judge.")
     ] = "simulated_impedance",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A key of haptic_node.* or afm_node.* (repeat)."),
-    ] = None,
-    mass: Annotated[
-        float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass to hang at the handle; 0: none.")
-    ] = 0.0,
-    stop: Annotated[
-        str,
-        typer.Option("--independent-stop", metavar="TEXT", help="How the drives are stopped without the computer."),
-    ] = "",
+    settings: SettingsOption = None,
+    mass: MassOption = 0.0,
+    stop: StopOption = "",
     calibration: Annotated[
         Path | None,
         typer.Option("--calibration", metavar="FILE", help="Calibration of an instrument: it is judged instead."),

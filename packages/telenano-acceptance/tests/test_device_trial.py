@@ -428,7 +428,18 @@ def test_questions_are_answered_on_the_terminal_and_the_page_is_the_same_from_th
 @check
 def test_ctrl_c_at_a_question_ends_it_with_a_file(tmp_path: Path) -> None:
     path = tmp_path / "trial.zip"
-    command = [sys.executable, "-u", "-m", "telenano", "device", "trial", "simulated_impedance", "--out", str(path)]
+    command = [
+        sys.executable,
+        "-P",
+        "-u",
+        "-m",
+        "telenano",
+        "device",
+        "trial",
+        "simulated_impedance",
+        "--out",
+        str(path),
+    ]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert any("Begin?" in line for line in process.stdout)

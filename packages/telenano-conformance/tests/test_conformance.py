@@ -438,7 +438,7 @@ def test_a_client_of_the_specification_passes_over_sockets(tmp_path: Path) -> No
 
 def test_the_command_names_the_mistake_of_a_client_and_fails(tmp_path: Path) -> None:
     # `telenano conformance` is the same function, whose options the documents are compared with
-    command = [sys.executable, "-m", "telenano_conformance", "--duration", "1.5"]
+    command = [sys.executable, "-P", "-m", "telenano_conformance", "--duration", "1.5"]
     with Client(tmp_path, in_ms=True) as client:
         command += ["--client", client.address, "--rig", client.kit]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

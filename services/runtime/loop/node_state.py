@@ -20,7 +20,7 @@ from proto.errors import ConfigError, RecordingError
 T = TypeVar("T")
 # payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]
 FindInput = Callable[[str, str, int, int, int], bytes]
-# from the values of a state by the names of its fields, NamedTuples within as lists, to those of the version after it
+# It makes the values of the next version from those of one, by the names of the fields; NamedTuples within are lists.
 Migration = Callable[[dict[str, Any]], dict[str, Any]]
 
 

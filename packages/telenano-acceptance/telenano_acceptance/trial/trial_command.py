@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telenano.extend.commands import ConfigError, TelenanoError, flag_overrides, report_errors
+from telenano_acceptance.accept_command import MassOption, SettingsOption, StopOption
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,17 +28,9 @@ def trial(
         Path | None, typer.Option("--calibration", metavar="FILE", help="Calibration of the instrument or handle.")
     ] = None,
     port: Annotated[str | None, typer.Option("--port", metavar="DEVICE", help="Serial port of a handle.")] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A key of haptic_node.* or afm_node.* (repeat)."),
-    ] = None,
-    mass: Annotated[
-        float, typer.Option("--mass", min=0.0, max=5.0, metavar="KG", help="Mass to hang at the handle; 0: none.")
-    ] = 0.0,
-    stop: Annotated[
-        str,
-        typer.Option("--independent-stop", metavar="TEXT", help="How the drives are stopped without the computer."),
-    ] = "",
+    settings: SettingsOption = None,
+    mass: MassOption = 0.0,
+    stop: StopOption = "",
     yes: Annotated[bool, typer.Option("--yes", help="Answer every question with yes: for emulators only.")] = False,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="The file to write; default: trial-DRIVER.zip.")
