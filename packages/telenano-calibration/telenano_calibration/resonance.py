@@ -40,6 +40,8 @@ _FEW_LINES = 2.0
 _SAME_AREA = math.log(1.5)
 # Each line of a window is a fit for itself; Q is what a broadened peak tells least of.
 _STARTS_OF_Q = (1.0, 4.0, 16.0)
+# The standard error of log s^2 is smaller than this, or the fit tells nothing.
+_KNOWN_TO = 1.0
 _TURN = 2.0 * math.pi
 Shape = Callable[[float, float, float], Array]
 
@@ -99,7 +101,8 @@ def fit_spectrum(
         averages: How many periodograms each line is the mean of.
 
     Raises:
-        ValueError: The fit ends at a bound, which the message names, or the peak has too few lines.
+        ValueError: The fit ends at a bound, which the message names, the peak has too few lines, or the mean square
+            is not known to a factor of e.
     """
     low, high = BAND[0] * resonance_hz, min(BAND[1] * resonance_hz, 0.45 * rate_hz)
     chosen = (frequency_hz > low) & (frequency_hz < high)
@@ -132,7 +135,13 @@ def fit_spectrum(
         for bound in bounds:
             if abs(math.log(value / bound)) < 1e-3 or not bounds[0] < value < bounds[1]:
                 raise ValueError(f"the fit of the resonance ends at the bound of its {name}, {form.format(bound)}")
-    covariance = np.asarray(np.linalg.inv(information)[:3, :3] / averages, dtype=np.float64)
+    covariance = _inverse(information)[:3, :3] / averages
+    # Where the lines hardly tell, rounding decides where the search ends.
+    if not 0.0 < covariance[0, 0] < _KNOWN_TO**2:
+        raise ValueError(
+            f"no resonance is known from these lines: the mean square near {f0:.6g} Hz has a standard error of more"
+            " than a factor of e; a tone of the electronics has such a peak"
+        )
     return Resonance(s2, f0, q, max(float(free[3]) * unit, 0.0), math.sqrt(float(covariance[0, 0])), covariance)
 
 
@@ -174,7 +183,10 @@ def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
             step[i] = _DIFFERENCE
             slopes[i] = (logs(free + step) - present) / _DIFFERENCE
         information = slopes @ slopes.T
-        move = np.linalg.solve(information, slopes @ (power * np.exp(-present) - 1.0))
+        try:
+            move = np.linalg.solve(information, slopes @ (power * np.exp(-present) - 1.0))
+        except np.linalg.LinAlgError:
+            break
         share = 1.0
         while share > 1e-6:
             after = free + share * move
@@ -189,6 +201,13 @@ def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
         if gained < _ENOUGH:
             break
     return _Fit(least, free, information, unit)
+
+
+def _inverse(information: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.inv(information), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return np.full_like(information, np.inf)
 
 
 def _seen_through(kernel: Array, places: npt.NDArray[np.int_], rate_hz: float, s2: float, f0: float, q: float) -> Array:

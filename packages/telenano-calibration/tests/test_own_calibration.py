@@ -132,11 +132,17 @@ def test_a_peak_of_few_lines_gives_the_stiffness_of_its_window(window: Any, line
     assert float(np.mean(ks)) == pytest.approx(K, rel=0.12)
 
 
-def test_a_tone_is_no_resonance() -> None:
-    frequency = RATE / 256 * np.arange(1, 129)
-    mean = np.where(np.arange(128) == 17, 1e-23, 1e-27)
-    with pytest.raises(ConfigError, match=r"no resonance has the area of the peak|ends at the bound of its Q"):
-        stiffness_of_spectrum(frequency, mean / M_PER_V**2, KNOWN)
+@pytest.mark.parametrize("lines", [128, 512])
+@pytest.mark.parametrize("times_of_floor", [1e3, 1e4, 1e6])
+def test_a_tone_is_no_resonance(times_of_floor: float, lines: int) -> None:
+    """Which of three reasons stands against it, rounding decides, and so the processor."""
+    frequency = 0.5 * RATE / lines * np.arange(1, lines + 1)
+    for place in range(16 * lines // 128, 19 * lines // 128):
+        mean = np.where(np.arange(lines) == place, times_of_floor * 1e-27, 1e-27)
+        with pytest.raises(
+            ConfigError, match=r"no resonance has the area|ends at the bound of its Q|no resonance is known"
+        ):
+            stiffness_of_spectrum(frequency, mean / M_PER_V**2, KNOWN)
 
 
 @pytest.mark.endurance
