@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import select
 import shutil
 import struct
 import termios
@@ -39,6 +40,8 @@ def test_bytes_go_both_ways_without_waiting(pty: tuple[int, str]) -> None:
     port = SerialPort(name, 1_000_000)
     assert port.read() == b""
     os.write(master, b"\x01\x02\x00")
+    # The kernel hands the line over some time later.
+    assert select.select([port._descriptor], [], [], 10.0)[0]
     assert port.read() == b"\x01\x02\x00"
     assert port.write(b"\x03\x00")
     assert os.read(master, 10) == b"\x03\x00"
@@ -61,6 +64,7 @@ def test_full_buffer_drops_the_frame_and_the_next_begins_behind_a_zero(pty: tupl
     with contextlib.suppress(BlockingIOError):
         got += os.read(master, 65536)
     assert port.write(b"\x22\0")
+    assert select.select([master], [], [], 10.0)[0]
     got += os.read(master, 65536)
     *frames, _ = got.split(b"\0")
     assert frames[-1] == b"\x22"
