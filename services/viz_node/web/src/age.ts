@@ -12,10 +12,11 @@ export function networkName(browser: unknown = globalThis.navigator): string {
   return NETWORKS[type] ?? "your network";
 }
 
+export const QUEUE = "queue for the next picture of the rig";
 export const FRAME = "frame of this page";
 const LAST_FRAMES = 60;
 
-/** Between two frames in the middle of the last ones [s]. */
+/** The middle one of the last times between two frames, or two pictures of the rig: from [ms] to [s]. */
 export function medianFrame(frames: readonly number[]): number {
   const last = frames.slice(-LAST_FRAMES).sort((a, b) => a - b);
   return last.length ? last[last.length >> 1]! / 1e3 : NaN;
@@ -23,12 +24,14 @@ export function medianFrame(frames: readonly number[]): number {
 
 /**
  * The age of what is felt at a page by its parts: those of the loop, the way to the page and back, over which force and
- * answer go, and a frame of the page, as requestAnimationFrame has it.
+ * answer go, half of the time between two pictures of the rig, for which what happened waits on average until it is
+ * sent, and a frame of the page, as requestAnimationFrame has it.
  */
-export function agesOf(loop: readonly [string, number, number][], wayS: number, frameS: number): AgePart[] {
+export function agesOf(loop: readonly [string, number, number][], wayS: number, pictureS: number, frameS: number): AgePart[] {
   if (loop.length < 2) return [];
   const parts = loop.slice(0, -1).map(([name, seconds]) => ({ name, seconds }));
   if (Number.isFinite(wayS)) parts.push({ name: networkName(), seconds: wayS });
+  if (Number.isFinite(pictureS)) parts.push({ name: QUEUE, seconds: pictureS / 2 });
   if (Number.isFinite(frameS)) parts.push({ name: FRAME, seconds: frameS });
   return parts;
 }

@@ -60,6 +60,9 @@ let dirty = false;
 let built = "";
 let writtenAt = 0;
 let before = 0;
+/** Between pictures of the rig, and when the last one came [ms]. */
+const pictures: number[] = [];
+let pictureAt = 0;
 
 connection.onState = (state, text) => {
   const was = commands.link;
@@ -91,6 +94,10 @@ connection.onFrame = (frame: ServerFrame) => {
     begin();
   } else if (frame.k === "tick") {
     const had = hasExperiment(cockpit);
+    if (pictureAt) pictures.push(begun - pictureAt);
+    if (pictures.length > FRAMES_KEPT) pictures.shift();
+    pictureAt = begun;
+    store.pictureS = medianFrame(pictures);
     store.take(frame);
     // an experiment has begun: its panel is there from now on
     if (!had && hasExperiment(cockpit)) regions.begin();

@@ -48,6 +48,8 @@ export class Store {
   age: NonNullable<Tick["age"]> = [];
   /** The way from the server to this page and back [s], NaN until it is known. */
   wayS = NaN;
+  /** Between two pictures that the server sends of the rig [s], NaN until it is known. */
+  pictureS = NaN;
   /** Between two frames of this page, as requestAnimationFrame has them [s], NaN until it is known. */
   frameS = NaN;
   lease: LeaseFacts = { number: 0, holder: "", label: "", what: "page", kept: false, asking: [] };

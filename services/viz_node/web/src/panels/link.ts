@@ -62,7 +62,7 @@ export class LinkPanel implements Panel {
     if (this.advice.textContent !== text) this.advice.textContent = text;
     const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends"].map((key) => store.fact(`line/${way}`, key))));
     if (this.line.textContent !== line) this.line.textContent = line;
-    const { short, long } = ageText(agesOf(store.age, store.wayS, store.frameS));
+    const { short, long } = ageText(agesOf(store.age, store.wayS, store.pictureS, store.frameS));
     if (this.age.textContent !== short) this.age.textContent = short;
     this.age.title = long;
     // an empty field shows what is in force, as those of the settings do; what somebody is typing stays
