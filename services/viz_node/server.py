@@ -24,7 +24,7 @@ from services.viz_node.page_session import Session
 from services.viz_node.people import Person
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 
-MOST_PAGES = 16
+MOST_PAGES = 32
 _HELLO_S = SILENCE_S
 # a token is tried once a connection, and a connection takes this long
 _WRONG_TOKEN_S = 0.5
