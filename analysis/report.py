@@ -577,16 +577,34 @@ def split_age(recording: RecordingSource, timeline: Timeline, start_ns: int, end
         return {}
     passed_ns = np.column_stack([keys, *(at_ns[np.searchsorted(own, keys)] for own, at_ns in ways)])
     said = columns(recording, "link/delay", ("direction", "hand_t_ns", "delay_ns", "transit_ns"))
-    delays = {}
+    delays, datagrams = {}, _datagrams(recording, timeline)
     for way in loop_age.WAYS:
         # The newest delay that was said of a sample counts from that sample on.
         of_way = {name: values[said["direction"] == way][::-1] for name, values in said.items()}
         from_ns, place = np.unique(of_way["hand_t_ns"], return_index=True)
         at = np.searchsorted(from_ns, keys, side="right")
-        both = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
-        delays[way] = loop_age.Delay(*both)
+        added_ns, line_ns = (np.concatenate(([0], of_way[name][place]))[at] for name in ("delay_ns", "transit_ns"))
+        if way in datagrams and (sender := f"teleop/{way}") in topics:
+            due_ns = passed_ns[:, topics.index(sender) + 1] + added_ns
+            line_ns = np.maximum(line_ns, loop_age.took_from(due_ns, *datagrams[way]))
+        delays[way] = loop_age.Delay(added_ns, line_ns)
     device_s = dict(zip(hand["t_ns"].tolist(), np.nan_to_num(hand["sample_age_s"]).tolist(), strict=True))
     return loop_age.split(passed_ns, topics, delays, np.array([device_s.get(key, 0.0) for key in keys.tolist()]))
+
+
+def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tuple[Series, Series]]:
+    """Return by direction when each datagram that arrived had left, rising, and how long it took [ns]."""
+    found: dict[str, list[Series]] = {}
+    for message, _ in readable(recording.messages(("link/network",)), LeftOut()):
+        report: Any = message.decode()
+        arrived = report.lost_flag.to_numpy() == 0
+        if report.clock.valid and arrived.any():
+            took_ns, at_ns = (each.to_numpy()[arrived] for each in (report.delay_ns, report.arrived_ns))
+            found.setdefault(report.direction, []).append(
+                np.column_stack([timeline.times_ns(message.src, at_ns) - took_ns, took_ns])
+            )
+    rows = {way: np.concatenate(parts) for way, parts in found.items()}
+    return {way: tuple(each[np.argsort(each[:, 0])].T) for way, each in rows.items()}
 
 
 def _first(keys: Series, values: Series) -> tuple[Series, Series]:

@@ -20,7 +20,7 @@ from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.haptic_node.devices.calibration import HandleCalibration
-from services.runtime.loop.loop_age import STAGES, TOGETHER
+from services.runtime.loop.loop_age import STAGES, TOGETHER, WITH_JITTER
 from telenano.extend.commands import TelenanoError
 
 # the scales that each figure of a summary goes with, by the name of their source
@@ -31,7 +31,7 @@ _SCALES = {
     "release_force_nn": _TIP_FORCE,
 }
 # These stages begin at one site and end at the other: the clocks leave open how much belongs to which way.
-_OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER)
+_OF_TWO_CLOCKS = ("law of the slave", "law of the master", "line there", "line back", TOGETHER, WITH_JITTER)
 
 
 class Source(NamedTuple):

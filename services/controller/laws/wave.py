@@ -138,19 +138,20 @@ class Inbox(NamedTuple):
 class MasterState(NamedTuple):
     """The mass, the incoming wave, what has left (int F_e dt / b [m], wave energy [J]), F_0 [N] and its work [J].
 
-    `up`: the line is taken up; `stood_s`: for how long the hand has stood, because its device was off [s].
+    `up`: the line is taken up, by default it was never; `stood_s`: for how long the hand has stood, because its device
+    was off [s].
     """
 
     mass: Mass
     inbox: Inbox
-    impulse_m: float
-    sent_j: float
-    wave_sqrt_w: float
-    bias_n: float
-    granted_j: float
-    begun: bool
-    up: bool
-    stood_s: float
+    impulse_m: float = 0.0
+    sent_j: float = 0.0
+    wave_sqrt_w: float = 0.0
+    bias_n: float = 0.0
+    granted_j: float = 0.0
+    begun: bool = False
+    up: bool = False
+    stood_s: float = 0.0
 
 
 class SlaveState(NamedTuple):
@@ -162,59 +163,17 @@ class SlaveState(NamedTuple):
 
     position_m: float
     inbox: Inbox
-    anchor_m: float
-    sent_m: float
-    sent_j: float
-    wave_sqrt_w: float
-    reserve_j: float
-    last_m: float
-    last_n: float
-    bias_n: float
-    granted_j: float
-    coupled: bool
-    begun: bool
-
-
-@compiled
-def master_state(
-    mass: Mass,
-    inbox: Inbox,
-    impulse_m: float = 0.0,
-    sent_j: float = 0.0,
-    wave_sqrt_w: float = 0.0,
-    bias_n: float = 0.0,
-    granted_j: float = 0.0,
-    begun: bool = False,
-    up: bool = False,
-    stood_s: float = 0.0,
-) -> MasterState:
-    """Return a state by the names of its fields; the defaults are those of a line that was never taken up."""
-    return MasterState(
-        mass, inbox, impulse_m, sent_j, wave_sqrt_w, bias_n, granted_j, begun, up, stood_s,
-    )  # fmt: skip
-
-
-@compiled
-def slave_state(
-    position_m: float,
-    inbox: Inbox,
-    anchor_m: float = 0.0,
-    sent_m: float = 0.0,
-    sent_j: float = 0.0,
-    wave_sqrt_w: float = 0.0,
-    reserve_j: float = 0.0,
-    last_m: float = 0.0,
-    last_n: float = 0.0,
-    bias_n: float = 0.0,
-    granted_j: float = 0.0,
-    coupled: bool = False,
-    begun: bool = False,
-) -> SlaveState:
-    """Return a state by the names of its fields; the defaults are those of a line that was never taken up."""
-    return SlaveState(
-        position_m, inbox, anchor_m, sent_m, sent_j, wave_sqrt_w, reserve_j, last_m, last_n, bias_n,
-        granted_j, coupled, begun,
-    )  # fmt: skip
+    anchor_m: float = 0.0
+    sent_m: float = 0.0
+    sent_j: float = 0.0
+    wave_sqrt_w: float = 0.0
+    reserve_j: float = 0.0
+    last_m: float = 0.0
+    last_n: float = 0.0
+    bias_n: float = 0.0
+    granted_j: float = 0.0
+    coupled: bool = False
+    begun: bool = False
 
 
 @compiled
@@ -246,7 +205,7 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def _begun(mass: Mass) -> MasterState:
-    return master_state(mass=mass, inbox=emptied(0.0, 0.0))
+    return MasterState(mass=mass, inbox=emptied(0.0, 0.0))
 
 
 @compiled
@@ -286,7 +245,7 @@ def master_receive(
     coupled = is_coupled(p, signal)
     stood = 0.0 if hand.following else state.stood_s + dt
     if not (coupled and (hand.following or (state.up and stood <= p.silence_limit_s))):
-        state = master_state(
+        state = MasterState(
             mass=let_go(p, state.mass, hand, signal),
             inbox=emptied(position, signal.energy_j),
             sent_j=state.sent_j,
@@ -318,7 +277,7 @@ def master_receive(
         granted += abs(bias * velocity) * period
         force += bias
         bias *= params.fade
-    state = master_state(
+    state = MasterState(
         mass=mass,
         inbox=inbox,
         impulse_m=impulse,
@@ -337,7 +296,7 @@ def master_receive(
 def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     base, force = tip.base_position_m, params.mass.force_scale * tip.force_n
-    return slave_state(position_m=base, inbox=emptied(0.0, 0.0), last_m=base, last_n=force)
+    return SlaveState(position_m=base, inbox=emptied(0.0, 0.0), last_m=base, last_n=force)
 
 
 @compiled
@@ -353,7 +312,7 @@ def slave_receive(
     coupled = is_coupled(p, signal) and tip.following
     if not coupled:
         base = state.position_m if tip.following else signal.position_m
-        state = slave_state(
+        state = SlaveState(
             position_m=base,
             inbox=emptied(position, signal.energy_j),
             anchor_m=base,
@@ -387,7 +346,7 @@ def slave_receive(
         way = min(way, allowed / b * dt)
     reserve = state.reserve_j + came_j
     base = followed(p, state.position_m, tip) + p.position_scale * way
-    state = slave_state(
+    state = SlaveState(
         position_m=base,
         inbox=inbox,
         anchor_m=anchor,
@@ -424,7 +383,7 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
         reserve -= 0.5 * wave * wave * dt
         sent_m += math.sqrt(2.0 / b) * wave * dt
         sent_j += 0.5 * wave * wave * dt
-    state = slave_state(
+    state = SlaveState(
         position_m=state.position_m,
         inbox=state.inbox,
         anchor_m=state.anchor_m,
@@ -448,7 +407,7 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
     ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m
     mass = rescaled(old.mass, new.mass, state.mass)
-    return master_state(
+    return MasterState(
         mass=mass,
         inbox=state.inbox,
         impulse_m=state.impulse_m * ratio,

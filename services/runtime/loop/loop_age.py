@@ -1,8 +1,9 @@
 """Where the age of what a hand feels comes from: the parts of the way of its samples, by the stamps of messages.
 
 Every message of the loop carries the stamp of the sample of the hand that it descends from. What the link adds on
-purpose, and the least that the line between two machines takes besides, are known from link/delay; the rest of a stage
-is that of who sends next. So the parts of a sample add up to its age by construction.
+purpose, and the least that the line between two machines takes besides, are known from link/delay; a recording of
+every datagram has what the line took of each. The rest of a stage is that of who sends next, and has the jitter of the
+line in it where the datagrams are not known. So the parts of a sample add up to its age by construction.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,8 +27,11 @@ STAGES = {
     "haptic/command": "law of the master",
 }
 DEVICE, QUEUE, TOGETHER = "device of the hand", "queue at the device", "laws and instrument"
+WITH_JITTER = f"{TOGETHER}, and jitter of the line"
 WAYS = {"forward": "there", "backward": "back"}
 _SLAVES = ("afm/command", "afm/state", "teleop/backward")
+# By so much the clocks of two machines may differ after they were compared [ns]; datagrams are further apart.
+_CLOCKS_OPEN_NS = 200_000
 # A share of the samples around a percentile, whose parts stand for it.
 _BAND = 0.005
 _LEAST_SAMPLES, _MOST_SAMPLES = 20, 4000
@@ -60,6 +64,7 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
     """
     order, known = list(STAGES), ["", *topics]
     found: dict[str, Floats] = {DEVICE: device_s}
+    together = WITH_JITTER if any(delay.line_ns.any() for delay in delays.values()) else TOGETHER
     for number, topic in enumerate(topics):
         rest = passed_ns[:, number + 1] - passed_ns[:, number]
         first = order.index(known[number]) + 1 if known[number] else 0
@@ -74,10 +79,21 @@ def split(passed_ns: Ints, topics: Sequence[str], delays: Mapping[str, Delay], d
                     _seconds(on_purpose),
                     _seconds(line),
                 )
-        name = STAGES[topic] if len(crossed) == 1 else TOGETHER
+        name = STAGES[topic] if len(crossed) == 1 else together
         found[name] = _seconds(rest) + found.get(name, 0.0)
     found[QUEUE] = _seconds(passed_ns[:, -1] - passed_ns[:, -2])
     return found
+
+
+def took_from(due_ns: Ints, left_ns: Ints, took_ns: Ints) -> Ints:
+    """Return what the line took of messages that were due at times [ns]: the first datagram that left then had them.
+
+    Args:
+        due_ns: When each was sent or, over a link with a delay, due; shape (messages,).
+        left_ns: When each datagram that arrived had left, rising, on the same clock; shape (datagrams,).
+        took_ns: What each of them took.
+    """
+    return np.asarray(took_ns[np.minimum(np.searchsorted(left_ns, due_ns - _CLOCKS_OPEN_NS), took_ns.size - 1)])
 
 
 def _seconds(time_ns: Ints) -> Floats:

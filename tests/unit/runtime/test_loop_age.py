@@ -7,7 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.runtime.loop.loop_age import STAGES, TOGETHER, Delay, LoopAge, Part, in_words, parts_of, split
+from services.runtime.loop.loop_age import (
+    STAGES,
+    TOGETHER,
+    WITH_JITTER,
+    Delay,
+    LoopAge,
+    Part,
+    in_words,
+    parts_of,
+    split,
+    took_from,
+)
 
 MS = 1_000_000
 T_NS = 10**18
@@ -69,6 +80,23 @@ def test_of_whom_nothing_is_known_the_parts_are_told_together() -> None:
     found = {part.name: part.p50_s for part in age.parts()}
     assert found[TOGETHER] == pytest.approx(1e-9 * sum(OWN.values()), rel=1e-9)
     assert found["link there, on purpose"] == pytest.approx(20e-3, rel=1e-9)
+    # between two machines the rest has what the line takes beyond its least
+    loop(age, there_ms=20, back_ms=10, line_ns=MS, topics=("afm/state", "haptic/command"))
+    assert {part.name for part in age.parts()} >= {WITH_JITTER, "line there"}
+
+
+@pytest.mark.parametrize("clocks_open_ns", [-150_000, 0, 150_000])
+def test_the_line_of_a_sample_is_that_of_the_datagram_that_carried_it(clocks_open_ns: int) -> None:
+    """Also where datagrams overtake one another, and the clocks are known to 0.15 ms."""
+    random = np.random.default_rng(1)
+    due_ns = T_NS + MS * np.arange(2000)
+    left_ns = due_ns + random.integers(60_000, 250_000, due_ns.size) + clocks_open_ns
+    took_ns = random.integers(10 * MS, 30 * MS, due_ns.size)
+    lost = random.random(due_ns.size) < 0.05
+    found = took_from(due_ns[~lost], left_ns[~lost], took_ns[~lost])
+    assert (found == took_ns[~lost]).all()
+    # what was lost came with the next one
+    assert (took_from(due_ns, left_ns[~lost], took_ns[~lost])[lost] >= 10 * MS).all()
 
 
 def test_too_few_samples_have_no_parts_and_a_loop_that_is_never_answered_takes_no_memory() -> None:
