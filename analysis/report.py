@@ -600,9 +600,8 @@ def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tupl
         arrived = report.lost_flag.to_numpy() == 0
         if report.clock.valid and arrived.any():
             took_ns, at_ns = (each.to_numpy()[arrived] for each in (report.delay_ns, report.arrived_ns))
-            found.setdefault(report.direction, []).append(
-                np.column_stack([timeline.times_ns(message.src, at_ns) - took_ns, took_ns])
-            )
+            left_ns = timeline.times_ns(message.src, at_ns) - took_ns
+            found.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
     rows = {way: np.concatenate(parts) for way, parts in found.items()}
     return {way: tuple(each[np.argsort(each[:, 0])].T) for way, each in rows.items()}
 

@@ -138,20 +138,19 @@ class Inbox(NamedTuple):
 class MasterState(NamedTuple):
     """The mass, the incoming wave, what has left (int F_e dt / b [m], wave energy [J]), F_0 [N] and its work [J].
 
-    `up`: the line is taken up, by default it was never; `stood_s`: for how long the hand has stood, because its device
-    was off [s].
+    `up`: the line is taken up; `stood_s`: for how long the hand has stood, because its device was off [s].
     """
 
     mass: Mass
     inbox: Inbox
-    impulse_m: float = 0.0
-    sent_j: float = 0.0
-    wave_sqrt_w: float = 0.0
-    bias_n: float = 0.0
-    granted_j: float = 0.0
-    begun: bool = False
-    up: bool = False
-    stood_s: float = 0.0
+    impulse_m: float
+    sent_j: float
+    wave_sqrt_w: float
+    bias_n: float
+    granted_j: float
+    begun: bool
+    up: bool
+    stood_s: float
 
 
 class SlaveState(NamedTuple):
@@ -163,17 +162,17 @@ class SlaveState(NamedTuple):
 
     position_m: float
     inbox: Inbox
-    anchor_m: float = 0.0
-    sent_m: float = 0.0
-    sent_j: float = 0.0
-    wave_sqrt_w: float = 0.0
-    reserve_j: float = 0.0
-    last_m: float = 0.0
-    last_n: float = 0.0
-    bias_n: float = 0.0
-    granted_j: float = 0.0
-    coupled: bool = False
-    begun: bool = False
+    anchor_m: float
+    sent_m: float
+    sent_j: float
+    wave_sqrt_w: float
+    reserve_j: float
+    last_m: float
+    last_n: float
+    bias_n: float
+    granted_j: float
+    coupled: bool
+    begun: bool
 
 
 @compiled
@@ -205,7 +204,7 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def _begun(mass: Mass) -> MasterState:
-    return MasterState(mass=mass, inbox=emptied(0.0, 0.0))
+    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0)
 
 
 @compiled
@@ -248,9 +247,13 @@ def master_receive(
         state = MasterState(
             mass=let_go(p, state.mass, hand, signal),
             inbox=emptied(position, signal.energy_j),
+            impulse_m=0.0,
             sent_j=state.sent_j,
+            wave_sqrt_w=0.0,
+            bias_n=0.0,
             granted_j=state.granted_j,
             begun=state.begun,
+            up=False,
             stood_s=stood,
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
@@ -296,7 +299,7 @@ def master_receive(
 def slave_start(params: WaveParams, tip: TipMeasurement) -> SlaveState:
     """Start at the position of the base."""
     base, force = tip.base_position_m, params.mass.force_scale * tip.force_n
-    return SlaveState(position_m=base, inbox=emptied(0.0, 0.0), last_m=base, last_n=force)
+    return SlaveState(base, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, base, force, 0.0, 0.0, False, False)
 
 
 @compiled
@@ -316,10 +319,15 @@ def slave_receive(
             position_m=base,
             inbox=emptied(position, signal.energy_j),
             anchor_m=base,
+            sent_m=0.0,
             sent_j=state.sent_j,
+            wave_sqrt_w=0.0,
+            reserve_j=0.0,
             last_m=state.last_m,
             last_n=state.last_n,
+            bias_n=0.0,
             granted_j=state.granted_j,
+            coupled=False,
             begun=state.begun,
         )
         return state, SlaveReference(base, True)
