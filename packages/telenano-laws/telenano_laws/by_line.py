@@ -27,6 +27,8 @@ STOOD_M = 5e-5
 _COASTING_S = 0.02
 # The line stands still while nothing has come for longer than this [s].
 STALL_S = 0.05
+# A stall is a silence of this length or more, and stalls are counted over so long a time [s].
+SILENT_S, STALLS_S = 0.1, 60.0
 # Signals whose ages differ by no more than so many periods come after the same time.
 _EVEN_PERIODS = 2.0
 
@@ -34,65 +36,71 @@ _EVEN_PERIODS = 2.0
 class Line(NamedTuple):
     """What a line did over a window of time.
 
-    Times in s: floor, the least age of the hand's sample behind an answer; late, the age that one answer of a hundred
-    exceeds; stall, the longest time without an answer; seen, how long it was looked at. lost: share of the signals that
-    never came, of both ways together.
+    Times in s: floor, the least age of the hand's sample behind an answer; median, and slow and late, the ages that
+    one answer of ten and of a hundred exceeds; silence, the longest time without an answer; seen, how long it was
+    looked at. lost: share of the signals that never came, of both ways together; stalls: how many the last minute had.
     """
 
     floor_s: float
+    median_s: float
+    slow_s: float
     late_s: float
-    stall_s: float
+    silence_s: float
     lost: float
     seen_s: float
+    stalls: int = 0
 
     @property
     def spread_s(self) -> float:
-        """How much later than the least the latest answers but one of a hundred come [s]."""
-        return self.late_s - self.floor_s
+        """How much later than the least nine answers of ten come at most [s]."""
+        return self.slow_s - self.floor_s
 
     def is_even(self, period_s: float) -> bool:
         """Return whether every signal came, after the same time within two periods [s]."""
-        return self.lost == 0.0 and max(self.spread_s, self.stall_s) <= _EVEN_PERIODS * period_s
+        latest_s = max(self.late_s - self.floor_s, self.silence_s)
+        return self.lost == 0.0 and self.stalls == 0 and latest_s <= _EVEN_PERIODS * period_s
 
     def __str__(self) -> str:
         """Return the line in words."""
         return (
-            f"floor {1e3 * self.floor_s:.3g} ms, spread {1e3 * self.spread_s:.3g} ms, longest stall"
-            f" {1e3 * self.stall_s:.3g} ms, {100.0 * self.lost:.2g} % lost"
+            f"floor {1e3 * self.floor_s:.3g} ms, spread {1e3 * self.spread_s:.3g} ms, longest silence"
+            f" {1e3 * self.silence_s:.3g} ms, {self.stalls} stalls in a minute, {100.0 * self.lost:.2g} % lost"
         )
 
 
 class Candidate(NamedTuple):
     """A law, and the lines over which it is wanted.
 
-    Times in s: longest, the greatest age of an answer; shortest, what the least age is at least; least_spread and
-    most_spread, of the ages; most_stall, the longest time without an answer.
+    longest: the median age of the answers at most [s], which a stall of some seconds does not move. It is wanted where
+    the least age is at least `shortest` and the spread at least `least_spread` [s], and where a minute has
+    `least_stalls` or more.
     """
 
     law: str
     longest_s: float = math.inf
     shortest_s: float = 0.0
     least_spread_s: float = 0.0
-    most_spread_s: float = math.inf
-    most_stall_s: float = math.inf
+    least_stalls: int = 0
 
     def unwanted(self, line: Line) -> str:
         """Return what of a line the law is not wanted for; empty where it is wanted."""
-        if line.late_s > self.longest_s:
-            return f"answers are {1e3 * line.late_s:.3g} ms old, and it follows up to {1e3 * self.longest_s:.3g} ms"
+        if line.median_s > self.longest_s:
+            return f"answers are {1e3 * line.median_s:.3g} ms old, and it follows up to {1e3 * self.longest_s:.3g} ms"
+        if self.least_stalls and line.stalls >= self.least_stalls:
+            return ""
         if line.floor_s < self.shortest_s:
             return f"it is wanted from ages of {1e3 * self.shortest_s:.3g} ms on"
-        if not self.least_spread_s <= line.spread_s <= self.most_spread_s:
-            least_ms, most_ms = 1e3 * self.least_spread_s, 1e3 * self.most_spread_s
-            return f"its spread is from {least_ms:.3g} to {most_ms:.3g} ms"
-        return f"its stalls are up to {1e3 * self.most_stall_s:.3g} ms" if line.stall_s > self.most_stall_s else ""
+        return (
+            "" if line.spread_s >= self.least_spread_s else f"its spread is from {1e3 * self.least_spread_s:.3g} ms on"
+        )
 
 
-# In the order in which they are wanted. Over a line like Starlink, whose ages vary and which does not stand still for
-# long, model_mediated has the least tracking error, over all others bounded_model up to ages over which it has 0.35.
+# In the order in which they are wanted. bounded_model holds the hand back by as much as the line was late, and so for
+# seconds after a stall; model_mediated does not, and has the least tracking error over lines that wander, as Starlink
+# does, or stand still every now and then. Over all others that is bounded_model, up to ages over which it has 0.35.
 # What passivity follows late, it follows late over any line.
 CANDIDATES = (
-    Candidate("model_mediated", 0.2, shortest_s=0.01, least_spread_s=0.01, most_spread_s=0.1, most_stall_s=0.08),
+    Candidate("model_mediated", 0.2, shortest_s=0.02, least_spread_s=0.02, least_stalls=2),
     Candidate("bounded_model", 0.7),
     Candidate("passivity"),
 )
@@ -112,15 +120,20 @@ class LineWindow:
         """Look back for a time [s]."""
         self._window_s = window_s
         self._ages: deque[tuple[float, float, float]] = deque()
+        self._stalls_s: deque[float] = deque()
         # By half: time [s], signals received and lost since its start.
         self._counts: dict[str, deque[tuple[float, int, int]]] = {half: deque() for half in _CROSSING}
 
     def forget(self) -> None:
-        """Forget the ages, because a half that begins anew has heard nothing."""
+        """Forget the ages, because a half that begins anew has heard nothing; its line stood still as often."""
         self._ages.clear()
 
     def add_age(self, time_s: float, age_s: float, silence_s: float) -> None:
         """Take the age of the hand's sample behind the newest answer, and the time since that answer came [s]."""
+        if silence_s >= SILENT_S and (not self._ages or self._ages[-1][2] < SILENT_S):
+            self._stalls_s.append(time_s)
+        while self._stalls_s and self._stalls_s[0] < time_s - STALLS_S:
+            self._stalls_s.popleft()
         self._ages.append((time_s, age_s, silence_s))
         while self._ages[0][0] < time_s - self._window_s:
             self._ages.popleft()
@@ -145,10 +158,13 @@ class LineWindow:
         lost = sum(max(counts[-1][2] - counts[0][2], 0) for counts in self._counts.values() if counts)
         return Line(
             floor_s=ages[0],
+            median_s=ages[len(ages) // 2],
+            slow_s=ages[min(math.ceil(0.9 * len(ages)), len(ages) - 1)],
             late_s=ages[min(math.ceil(0.99 * len(ages)), len(ages) - 1)],
-            stall_s=max(silence for _, _, silence in self._ages),
+            silence_s=max(silence for _, _, silence in self._ages),
             lost=lost / (received + lost) if received > 0 else 0.0,
             seen_s=self._ages[-1][0] - self._ages[0][0],
+            stalls=len(self._stalls_s),
         )
 
 

@@ -27,7 +27,7 @@ from telenano_laws.by_line_command import carry_out, policy_of
 from telenano.extend.commands import ConfigError
 from telenano.extend.sessions import Command, ControllerConfig
 
-EVEN = Line(0.02, 0.021, 0.001, 0.0, 10.0)
+EVEN = Line(0.02, 0.02, 0.021, 0.021, 0.001, 0.0, 10.0)
 UNEVEN = EVEN._replace(lost=0.01)
 STATUS_S = 0.1
 
@@ -66,19 +66,32 @@ def watched(made: Policy, law: str, begin_s: float, end_s: float, age_s: float =
 def test_a_line_is_its_floor_its_spread_its_longest_stall_and_what_both_ways_lost() -> None:
     window = LineWindow(10.0)
     for n in range(1001):
-        window.add_age(0.01 * n, 0.1 if n % 20 == 0 else 0.03, 0.07 if n == 500 else 0.001)
+        window.add_age(0.01 * n, 0.1 if n % 8 == 0 else 0.03, 0.07 if n == 500 else 0.001)
     for half, topic in ((MASTER, "teleop/backward"), (SLAVE, "teleop/forward")):
         window.add_counts(half, 0.0, health(topic, 1000, 50).inputs)
         window.add_counts(half, 10.0, health(topic, 1900, 150 if half == MASTER else 50).inputs)
     line = window.line()
     assert line is not None
-    assert line == pytest.approx((0.03, 0.1, 0.07, 100.0 / 1900.0, 10.0))
-    assert str(line) == "floor 30 ms, spread 70 ms, longest stall 70 ms, 5.3 % lost"
+    assert line == pytest.approx((0.03, 0.03, 0.1, 0.1, 0.07, 100.0 / 1900.0, 10.0, 0))
+    assert str(line) == "floor 30 ms, spread 70 ms, longest silence 70 ms, 0 stalls in a minute, 5.3 % lost"
+
+
+def test_stalls_are_counted_once_each_for_a_minute_also_over_a_change_of_law() -> None:
+    window = LineWindow(10.0)
+    for n in range(900):
+        # silent for 0.3 s each at 20 s and at 50 s
+        silence_s = max(0.1 * n % 30.0 - 20.0, 0.0) + 0.05
+        window.add_age(0.1 * n, 0.02, silence_s if silence_s <= 0.3 else 0.001)
+        line = window.line()
+        if n == 400:
+            window.forget()
+        assert line is not None
+        assert line.stalls == sum(begin < 0.1 * n + 1e-9 < begin + 60.0 for begin in (20.1, 50.1, 80.1))
 
 
 def test_the_window_forgets_what_is_older_than_it() -> None:
     window = LineWindow(2.0)
-    window.add_age(0.0, 0.5, 0.4)
+    window.add_age(0.0, 0.5, 0.09)
     window.add_counts(MASTER, 0.0, health("teleop/backward", 10, 10).inputs)
     for n in range(1, 6):
         window.add_age(float(n), 0.02, 0.0)
@@ -96,12 +109,19 @@ def test_the_window_forgets_what_is_older_than_it() -> None:
         (UNEVEN, 180.0, 0.0, "passivity"),
         (EVEN._replace(late_s=0.025), 180.0, 0.0, "passivity"),
         (EVEN, 390.0, 1e-3, "passivity"),
-        (EVEN._replace(late_s=1.0), 20.0, 0.0, "passivity"),
-        (EVEN._replace(late_s=0.06), 20.0, 0.0, "model_mediated"),
-        (EVEN._replace(late_s=0.06), 180.0, 0.0, "passivity"),
-        (EVEN._replace(late_s=0.06, stall_s=0.1), 20.0, 0.0, "bounded_model"),
-        (EVEN._replace(late_s=0.19), 20.0, 0.0, "bounded_model"),
-        (EVEN._replace(floor_s=0.001, late_s=0.06), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(median_s=0.8, slow_s=0.9, late_s=1.0), 20.0, 0.0, "passivity"),
+        # what follows a stall says nothing of the line otherwise
+        (EVEN._replace(late_s=1.0), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(slow_s=0.4, late_s=1.0, stalls=1), 20.0, 0.0, "model_mediated"),
+        (EVEN._replace(slow_s=0.06, late_s=0.09), 20.0, 0.0, "model_mediated"),
+        (EVEN._replace(slow_s=0.06, late_s=0.09), 180.0, 0.0, "passivity"),
+        (EVEN._replace(slow_s=0.035), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(median_s=0.21, slow_s=0.25), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(floor_s=0.001, slow_s=0.06), 20.0, 0.0, "bounded_model"),
+        # one stall in a minute may be an outage, two are the line's own
+        (EVEN._replace(floor_s=0.001, stalls=1), 20.0, 0.0, "bounded_model"),
+        (EVEN._replace(floor_s=0.001, stalls=2), 20.0, 0.0, "model_mediated"),
+        (EVEN._replace(median_s=0.21, stalls=2), 20.0, 0.0, "bounded_model"),
     ],
 )
 def test_the_first_law_that_bears_sample_instrument_and_line_is_chosen(
