@@ -1,5 +1,6 @@
 """`telenano device trial`: each emulator whole, each of its faults found on the page, and what the file has in it."""
 
+import gc
 import json
 import shutil
 import signal
@@ -448,6 +449,24 @@ def test_ctrl_c_at_a_question_ends_it_with_a_file(tmp_path: Path) -> None:
         assert process.wait() == 1, output
     assert "the person has ended it" in output
     assert {line.result for line in read_trial(path).acceptance.lines} == {"pass", "retake"}
+
+
+def test_the_collector_leaves_alone_what_was_there_before_the_device_is_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Going through all of it takes a tenth of a second, which a watchdog takes for the death of this process."""
+    frozen: list[int] = []
+
+    def record(guide: Guide) -> Any:
+        frozen.append(gc.get_freeze_count())
+        raise EndedError("enough")
+
+    monkeypatch.setattr("telenano_acceptance.trial.devices.tried", lambda *settings: Tried(record, ()))
+    try:
+        assert typed(tmp_path, "", "dhd")[0] != 0
+        assert frozen[0] > 10_000
+    finally:
+        gc.unfreeze()
 
 
 def test_yes_is_for_emulators_only(tmp_path: Path) -> None:

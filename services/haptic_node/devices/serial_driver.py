@@ -74,10 +74,9 @@ class SerialHandle:
         # The number of the last session that was ready; it changes with each boot of the device.
         self._session: int | None = None
         self.state: wire.State | None = None
-        # Frame counters: dropped because the port was full, and missing from the sequence.
+        # Frame counters: dropped because the port was full, missing from the sequence, left out without a new sample.
         self.dropped = 0
         self.missed = 0
-        # Frames with no newer sample than the one before: they are left out.
         self.repeated = 0
         self.reader = wire.FrameReader()
         self._modes: tuple[int, ...] = (MODE_OFF,)
@@ -313,8 +312,9 @@ class SerialHandle:
             self._lose(now_ns, f"{self.path}: {reset_text(self.hello.session, state.session)}")
             return
         if self._phase is _Phase.READY and self.state is not None and not _is_newer(state, self.state):
-            # A frame that comes again or out of turn is no sign of life, and its place is none of now.
+            # A frame that comes again or out of turn is no sign of life; a second one of a sample is not missing.
             self.repeated += 1
+            self.missed -= state.time_us == self.state.time_us and state.seq != self.state.seq
             return
         self._received_ns = now_ns
         if self._phase is _Phase.CONFIGURING:

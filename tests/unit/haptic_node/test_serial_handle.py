@@ -141,6 +141,15 @@ def test_dropped_frames_are_counted_by_their_numbers(line: Line) -> None:
     assert line.driver.report.status == "ok"
 
 
+def test_two_commands_in_one_period_of_the_device_lose_no_frame(line: Line) -> None:
+    """The clocks of host and device drift, so that this comes about once a second."""
+    for _ in range(5):
+        tick(line, count=10)
+        line.driver.write(OFF)
+        tick(line, count=2)
+    assert (line.driver.missed, line.driver.repeated) == (0, 5)
+
+
 def test_silent_device_is_stale_and_then_lost(line: Line) -> None:
     tick(line, count=5)
     line.to_host = lambda sent: b""
