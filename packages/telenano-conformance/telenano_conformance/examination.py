@@ -19,6 +19,7 @@ from telenano_conformance.rules import Account, Finding
 _HANDSHAKE_S = 5.0
 _TICK_MS = 10
 _STATES_S = 0.02
+_SETTLED_S = 0.3
 _COMMANDER, _NODE = "console@master", "afm_node@slave"
 _FAILED = (
     zmq.EVENT_HANDSHAKE_FAILED_AUTH,
@@ -55,7 +56,7 @@ class _Rig:
         self._socket = socket
         self._numbers: dict[tuple[str, str], int] = {}
         self.topics: set[str] = set()
-        self._due_s = 0.0
+        self._due_s, self._subscribed_s = 0.0, time.monotonic()
         states = {"haptic/state": "haptic_node@master", "afm/state": _NODE}
         self._states = {topic: (src, _content(topic)) for topic, src in states.items()}
 
@@ -79,7 +80,12 @@ class _Rig:
         while self._socket.poll(0):
             told = self._socket.recv()
             if told[:1] == b"\x01":
+                self._subscribed_s = time.monotonic()
                 self.topics |= {topic for topic in TOPICS if topic.encode().startswith(told[1:])}
+
+    def is_heard(self) -> bool:
+        """Whether commands are subscribed to, and nobody has subscribed just now: others may come before the client."""
+        return "session/control" in self.topics and time.monotonic() - self._subscribed_s > _SETTLED_S
 
     def send_states(self) -> None:
         """Send the states of a rig fifty times a second, with a key that the client does not know."""
@@ -208,12 +214,7 @@ def _run(
                 commands.take(sent.fields, time.time_ns())
             elif answers is not None and rig is not None and sent.topic == "session/event":
                 answers.take(sent.fields)
-            if (
-                answers is not None
-                and rig is not None
-                and sent.topic not in NO_NODES
-                and "session/control" in rig.topics
-            ):
+            if answers is not None and rig is not None and sent.topic not in NO_NODES and rig.is_heard():
                 answers.begin(str(sent.fields.get("src")), time.time_ns())
         _connection_events(account, monitor)
         commands.tick(time.time_ns())
