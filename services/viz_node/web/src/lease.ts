@@ -15,7 +15,8 @@ export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: s
   const isMine = lease.holder !== "" && lease.holder === me;
   const first = lease.asking.find(([id]) => id !== me);
   const asks = first ? `; ${first[1]} asks for it` : "";
-  const text = isMine && lease.kept ? "You have the hand" : lease.holder && !isMine ? `Hand: ${lease.label}` : "Nobody has the hand";
+  const mine = lease.kept ? "You have the hand" : "You have the hand for now";
+  const text = isMine ? mine : lease.holder ? `Hand: ${lease.label}` : "Nobody has the hand";
   const actions: LeaseAction[] = [];
   if (role === "observer" || role === "participant") return { text, actions };
   const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];

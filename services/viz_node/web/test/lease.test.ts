@@ -21,7 +21,7 @@ describe("the lease of the hand on the page", () => {
     expect(said(lease(paul), "operator")).toEqual(["Hand: Paul", "Ask"]);
     expect(said(lease({ ...paul, asking: [[ME, "Otto"]] }), "operator")).toEqual(["Hand: Paul; you have asked"]);
     // what lasts as long as an act is not taken
-    expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["Nobody has the hand", "Take"]);
+    expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["You have the hand for now", "Take"]);
     expect(said(lease({ holder: "x", label: "the program at the rig", what: "program", kept: true }), "operator")).toEqual(["Hand: the program at the rig", "Take"]);
   });
   test("a command names the lease that was taken, and not that of the command before it", () => {
