@@ -154,7 +154,10 @@ site: setup ## Build the documents as a site in out/site.
 	@echo "out/site/index.html; to search in it: python3 -m http.server -d out/site"
 
 # the pictures of the gallery and of the tutorial, each by the command beside it; look at them before you commit them
-pictures: setup ## Draw the pictures of the documents again.
+pictures: setup ## Draw the pictures of the documents again, and the curves of the measured networks on the page.
+	$(BIN)/telenano link picture --out out/lines $(foreach line,cicv5g starlink att verizon private_5g urllc,\
+	  $(basename $(notdir $(wildcard presets/networks/$(line)_*.yaml))))
+	cp out/lines/networks.json services/viz_node/web/gallery/networks.json
 	TELENANO_PICTURES=docs $(BIN)/pytest -m endurance tests/stack/test_pictures.py
 
 # wheels, source distribution, inventory and licences of a release, tried with every Python there is, in out/dist;
