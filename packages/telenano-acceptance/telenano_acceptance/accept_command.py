@@ -58,13 +58,11 @@ def accept(
     with report_errors(as_json):
         from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
         from telenano_acceptance.instrument.checks import INSTRUMENT
-        from telenano_acceptance.take import SILENT, Guide, keep_collector_away, overall, read_take
+        from telenano_acceptance.take import SILENT, Guide, overall, read_take
 
         kind: Kind[Any]
         take: Take[Any]
         given, guide = flag_overrides(settings or []), SILENT if as_json else Guide(_tell)
-        if taken is None:
-            keep_collector_away()
         if taken is not None:
             kind, take = read_take(taken, HAPTIC_DEVICE, INSTRUMENT)
         elif calibration is not None or "afm_node" in given:

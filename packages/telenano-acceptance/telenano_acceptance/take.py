@@ -3,7 +3,6 @@
 Nothing but rows, steps and facts is read by the checks, so that a take can be judged again from its file.
 """
 
-import gc
 import json
 import time
 import zipfile
@@ -206,15 +205,6 @@ class Clock(NamedTuple):
 
 
 MACHINE = Clock(time.monotonic_ns, lambda deadline_ns: time.sleep(max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)))
-
-
-def keep_collector_away() -> None:
-    """Leave what is there out of every later collection, before a device is opened.
-
-    To look through all that was imported takes a tenth of a second, which the watchdog of a device takes for a death.
-    """
-    gc.collect()
-    gc.freeze()
 
 
 class Recorder:

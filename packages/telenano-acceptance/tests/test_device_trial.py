@@ -22,7 +22,7 @@ import test_haptic_acceptance as simulated
 import test_instrument_acceptance as instruments
 from handle_line import Line, calibration
 from telenano_acceptance.handle.take import facts_of, record_take
-from telenano_acceptance.haptic_device import simulated_link
+from telenano_acceptance.haptic_device import devices, simulated_link
 from telenano_acceptance.haptic_device.devices import make_take
 from telenano_acceptance.haptic_device.take import Facts
 from telenano_acceptance.haptic_device.take import record_take as record_haptic_take
@@ -39,7 +39,9 @@ from typer.testing import CliRunner
 
 from proto.errors import ConfigError
 from services.haptic_node.config import HapticConfig
+from services.runtime.loop import realtime
 from telenano.cli.root import app
+from telenano.extend.commands import run_ahead
 from telenano.extend.emulators import CouplingConfig
 
 check = pytest.mark.check("makes a whole trial of an emulated device")
@@ -457,14 +459,19 @@ def test_the_collector_leaves_alone_what_was_there_before_the_device_is_opened(
     """Going through all of it takes a tenth of a second, which a watchdog takes for the death of this process."""
     frozen: list[int] = []
 
-    def record(guide: Guide) -> Any:
+    def opened(*settings: Any) -> None:
         frozen.append(gc.get_freeze_count())
         raise EndedError("enough")
 
-    monkeypatch.setattr("telenano_acceptance.trial.devices.tried", lambda *settings: Tried(record, ()))
+    monkeypatch.setattr(devices.ProcessLink, "open", opened)
+    monkeypatch.setattr(realtime, "apply_realtime", lambda *settings: None)
     try:
-        assert typed(tmp_path, "", "dhd")[0] != 0
+        assert typed(tmp_path, "", "haply")[0] != 0
         assert frozen[0] > 10_000
+        # guards and emulators do so as well, and the trials of the other devices
+        gc.unfreeze()
+        run_ahead()
+        assert gc.get_freeze_count() > 10_000
     finally:
         gc.unfreeze()
 

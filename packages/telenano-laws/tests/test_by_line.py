@@ -110,7 +110,7 @@ def test_the_window_forgets_what_is_older_than_it() -> None:
         (EVEN._replace(late_s=0.025), 180.0, 0.0, "passivity"),
         (EVEN, 390.0, 1e-3, "passivity"),
         (EVEN._replace(median_s=0.8, slow_s=0.9, late_s=1.0), 20.0, 0.0, "passivity"),
-        # what follows a stall says nothing of the line otherwise
+        # What follows a stall says nothing of the line otherwise.
         (EVEN._replace(late_s=1.0), 20.0, 0.0, "bounded_model"),
         (EVEN._replace(slow_s=0.4, late_s=1.0, stalls=1), 20.0, 0.0, "model_mediated"),
         (EVEN._replace(slow_s=0.06, late_s=0.09), 20.0, 0.0, "model_mediated"),
@@ -118,7 +118,7 @@ def test_the_window_forgets_what_is_older_than_it() -> None:
         (EVEN._replace(slow_s=0.035), 20.0, 0.0, "bounded_model"),
         (EVEN._replace(median_s=0.21, slow_s=0.25), 20.0, 0.0, "bounded_model"),
         (EVEN._replace(floor_s=0.001, slow_s=0.06), 20.0, 0.0, "bounded_model"),
-        # one stall in a minute may be an outage, two are the line's own
+        # One stall in a minute may be an outage, two are the line's own.
         (EVEN._replace(floor_s=0.001, stalls=1), 20.0, 0.0, "bounded_model"),
         (EVEN._replace(floor_s=0.001, stalls=2), 20.0, 0.0, "model_mediated"),
         (EVEN._replace(median_s=0.21, stalls=2), 20.0, 0.0, "bounded_model"),

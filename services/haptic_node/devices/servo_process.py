@@ -7,7 +7,6 @@ ends with the node.
 """
 
 import contextlib
-import gc
 import json
 import mmap
 import os
@@ -358,7 +357,7 @@ def _as_tuples(value: Any) -> Any:
 def _run_ahead() -> None:
     """Request the scheduling of the nodes, on any processor: the node that started this one stays on its own."""
     from services.runtime.loop.log import StructuredLog, configure_logging
-    from services.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime
+    from services.runtime.loop.realtime import PROCESSORS_VARIABLE, apply_realtime, freeze_garbage
     from services.runtime.settings.scenario import RealtimeConfig
 
     if hasattr(os, "sched_setaffinity"):
@@ -367,8 +366,7 @@ def _run_ahead() -> None:
             os.sched_setaffinity(0, held or range(os.cpu_count() or 1))
     configure_logging()
     apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("servo"), "servo")
-    gc.collect()
-    gc.freeze()
+    freeze_garbage(disable=False)
 
 
 if __name__ == "__main__":

@@ -17,11 +17,12 @@ Section = TypeVar("Section", bound=BaseModel)
 def run_ahead() -> None:
     """Request the scheduling of the nodes: a real device has a processor of its own, whatever else runs here."""
     from services.runtime.loop.log import StructuredLog, configure_logging
-    from services.runtime.loop.realtime import apply_realtime
+    from services.runtime.loop.realtime import apply_realtime, freeze_garbage
     from services.runtime.settings.scenario import RealtimeConfig
 
     configure_logging()
     apply_realtime(RealtimeConfig(cpus="free"), StructuredLog("device"), "device")
+    freeze_garbage(disable=False)
 
 
 def section_of(scenario: Path | None, name: str, model: type[Section]) -> Section:

@@ -95,7 +95,7 @@ def test_the_line_of_a_sample_is_that_of_the_datagram_that_carried_it(clocks_ope
     lost = random.random(due_ns.size) < 0.05
     found = took_from(due_ns[~lost], left_ns[~lost], took_ns[~lost])
     assert (found == took_ns[~lost]).all()
-    # what was lost came with the next one
+    # A sample whose datagram was lost came with the next one.
     assert (took_from(due_ns, left_ns[~lost], took_ns[~lost])[lost] >= 10 * MS).all()
 
 

@@ -1,5 +1,6 @@
 """The devices that a take can be made of, by the name of their driver."""
 
+import gc
 from collections.abc import Mapping
 from typing import Any
 
@@ -52,6 +53,9 @@ def make_take(
         raise ConfigError(f"haptic_node.driver = {config.driver} is no device that takes a force: {known}")
     settings_of_driver = getattr(config, driver.name) or driver.config()
     link = ProcessLink(driver.name, settings_of_driver.model_dump(mode="json"))
+    # As run_ahead does for the other devices: a full collection would hold up the motion for a tenth of a second.
+    gc.collect()
+    gc.freeze()
     link.open()
     try:
         facts = Facts(link.capabilities, config.coupling.to_settings(link.capabilities), mass_kg, independent_stop)

@@ -59,13 +59,11 @@ def trial(
             return
         if driver is None:
             raise ConfigError("name what is tried, such as `telenano device trial haply`, or give --read FILE")
-        from telenano_acceptance.take import keep_collector_away
         from telenano_acceptance.trial.devices import tried
 
         path = out or Path(f"trial-{driver}.zip")
         device = tried(driver, flag_overrides(settings or []), calibration, port, mass, stop)
         questions = Questions(typer.echo, yes=yes, is_emulated=device.is_emulated)
-        keep_collector_away()
         with questions.hear():
             made = make_trial(driver, device, questions.guide, questions.computer)
         _write(path, made)
