@@ -167,10 +167,11 @@ class _HandSample(Record):
 class HapticState(real.HandCounts, real.CoupledHand, _Extended):
     """The operator's device: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     additions: ClassVar[Mapping[str, int]] = {
         **dict.fromkeys(("device", "sample_age_s", *real.HAND_COUNTS), 2),
         **dict.fromkeys(real.COUPLED_HAND, 3),
+        "armed": 4,
     }
 
     position_m: PositionVector = Field(
@@ -196,6 +197,11 @@ class HapticState(real.HandCounts, real.CoupledHand, _Extended):
     step_s: DurationS = Field(description="Time that this step of the device covers [s]")
     device: real.DeviceStatus | None = real.DEVICE
     sample_age_s: DurationS | None = real.SAMPLE_AGE_S
+    armed: bool | None = Field(
+        default=None,
+        description="A person has armed the hand since its start and its last emergency stop, and it is there: a tip"
+        " follows no other hand; absent counts as false",
+    )
 
 
 class OperatorForce(_Extended):
@@ -231,8 +237,19 @@ class _Teleop(Message, _HandSample):
     energy_j: EnergyJ | None = Field(description="Energy that entered at this side [J]; nil where the law has none")
 
 
-class TeleopForward(_Teleop):
+_HAND_ARMED = Field(
+    default=None,
+    description="The hand was armed in the sample of hand_seq: a tip follows no other command; absent counts as false",
+)
+
+
+class TeleopForward(_Teleop, _Extended):
     """From the master half of a law to the slave half."""
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = {"hand_armed": 2}
+
+    hand_armed: bool | None = _HAND_ARMED
 
 
 class TeleopBackward(_Teleop):
@@ -246,8 +263,8 @@ class TeleopBackward(_Teleop):
 class AfmCommand(_Extended, _HandSample):
     """What the slave half of the law asks of the AFM."""
 
-    version: ClassVar[int] = 2
-    additions: ClassVar[Mapping[str, int]] = {"lateral_m": 2}
+    version: ClassVar[int] = 3
+    additions: ClassVar[Mapping[str, int]] = {"lateral_m": 2, "hand_armed": 3}
 
     mode: Literal["position", "hold", "retract"] = Field(description="Follow base_position_m, stay, or withdraw")
     base_position_m: PositionVector = Field(
@@ -258,15 +275,18 @@ class AfmCommand(_Extended, _HandSample):
         description="Where a hand that moves the tip across the sample wants the stage, x and y in the AFM frame [m]; "
         "absent while it does not",
     )
+    hand_armed: bool | None = _HAND_ARMED
 
 
 class AfmState(real.FeltChannel, real.StageVolts, _Extended, _HandSample):
     """The AFM: what was measured and what was really applied."""
 
-    version: ClassVar[int] = 3
+    version: ClassVar[int] = 4
     additions: ClassVar[Mapping[str, int]] = {
-        **dict.fromkeys(("device", "sample_age_s", *real.STAGE_VOLTS), 2), **dict.fromkeys(real.FELT_CHANNEL, 3)
-    }  # fmt: skip
+        **dict.fromkeys(("device", "sample_age_s", *real.STAGE_VOLTS), 2),
+        **dict.fromkeys(real.FELT_CHANNEL, 3),
+        **dict.fromkeys(("armed", "placed"), 4),
+    }
 
     command_seq: Count = Field(description="seq of the afm/command in force; meaningful once hand_t_ns > 0")
     base_position_m: PositionVector = Field(description="Base position applied after every limit [m]; z = -x_s")
@@ -281,6 +301,15 @@ class AfmState(real.FeltChannel, real.StageVolts, _Extended, _HandSample):
     step_s: DurationS = Field(description="Time that this step of the instrument covers [s]")
     device: real.DeviceStatus | None = real.DEVICE
     sample_age_s: DurationS | None = real.SAMPLE_AGE_S
+    armed: bool | None = Field(
+        default=None,
+        description="The tip was armed and may move; in mode retracted it waits for a command of an armed hand",
+    )
+    placed: bool | None = Field(
+        default=None,
+        description="The commanded base has reached its reference after every limit, or the program that was begun with"
+        " arming is under way",
+    )
 
 
 class AfmScanline(_Extended):

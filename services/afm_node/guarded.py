@@ -35,14 +35,17 @@ Event = Callable[[str, str, str], None]
 class AfmMemory(msgspec.Struct, array_like=True):
     """What is remembered from step to step.
 
-    The state of the guard; the command in force, and when it was received [ns]; forces on the tip at the last step [N];
-    where the tip is, and where a person wants it; the times of the last report of a program, of the last step, and of
-    the next one [ns]; what is felt, None where it is the force; the number of the last look at the particles.
+    The state of the guard; the newest command; the newest one whose hand was armed, which is the one in force, and when
+    it was received [ns]; forces on the tip at the last step [N]; where the tip is, and where a person wants it; the
+    times of the last report of a program, of the last step, and of the next one [ns]; what is felt, None where it is
+    the force; the number of the last look at the particles; whether the tip was placed at the last step, and whether
+    that is still to be reported after arming.
     """
 
     guard: safety.SafetyState
     command: AfmCommand | None = None
-    command_received_ns: int = 0
+    followed: AfmCommand | None = None
+    followed_received_ns: int = 0
     force_n: float = 0.0
     lateral_n: tuple[float, float] = (0.0, 0.0)
     place: Place = Place(0.0, 0.0)
@@ -52,6 +55,8 @@ class AfmMemory(msgspec.Struct, array_like=True):
     due_ns: int = 0
     felt: FeltState | None = None
     particles_look: int = 0
+    placed: bool = False
+    places: bool = False
 
     def asks(self, base_m: float, action: int, command_age_s: float, *now: bool) -> safety.SafetyInputs:
         """Return what the guard is asked; `now`: whether to arm, whether to stop, and whether the device is lost."""
@@ -91,6 +96,10 @@ class Step:
             "meniscus": sample.meniscus,
             "mode": safety.MODE_NAMES[self.allowed.mode],
             "limited": self.allowed.limited != 0,
+            "armed": self.follows
+            or self.allowed.mode == safety.MODE_HOLD
+            or safety.is_wished(self.allowed.mode, self.allowed.reason),
+            "placed": memory.placed,
             "step_s": self.elapsed_s,
             **self.said,
         }

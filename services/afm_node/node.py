@@ -2,7 +2,7 @@
 
 import contextlib
 import math
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from proto.errors import RefusedError, cause
 from proto.instrument import MOST_TEXT
@@ -42,6 +42,10 @@ _NO_COMMAND = AfmCommand(
 _WITHDRAWAL = _NO_COMMAND.model_copy(update={"mode": "retract"})
 _ACTION_CODES = {name: code for code, name in safety.ACTION_NAMES.items()}
 _LONGEST_STEP_S = LONGEST_STEP_NS * 1e-9
+_ARMED = {
+    safety.MODE_FOLLOW: "armed: the tip follows fresh commands of an armed hand",
+    safety.MODE_RETRACTED: "armed: the tip stays withdrawn until a fresh command of an armed hand comes",
+}
 _ALARMING = (
     safety.REASON_ESTOP,
     safety.REASON_FORCE_LIMIT,
@@ -70,6 +74,9 @@ class AfmNode(DeviceNode):
     the hand's sample which it descends from, less what the link has delayed on purpose. A process that stalled counts
     that time as silence, whatever waits for it. While a program runs (`programs`), it moves the tip behind the same
     guard, and commands only pace the steps.
+
+    A command is in force only if the hand was armed in the sample that it descends from; any other is answered, and
+    counts as none. So the order in which hand and tip are armed, and who arms them, make no difference.
     """
 
     inputs = INPUTS
@@ -138,7 +145,8 @@ class AfmNode(DeviceNode):
         message = received.message
         if type(message) is AfmCommand:
             self._memory.command = message
-            self._memory.command_received_ns = received.received_ns
+            if message.hand_armed is True:
+                self._memory.followed, self._memory.followed_received_ns = message, received.received_ns
             command_age_s = self._command_age_s()
             self.stale += command_age_s > self._limits.command_deadline_s
             self._step(self.clock.monotonic_ns(), command_age_s)
@@ -170,7 +178,7 @@ class AfmNode(DeviceNode):
         """Arm the tip and begin what the scenario begins then: both, or neither where one of the two is refused."""
         if self._programs.name:
             raise RefusedError(f"not armed: a {self._programs.name} is running; abort it first")
-        begin, text = self._config.begin, "armed: the tip follows fresh commands"
+        begin, text = self._config.begin, ""
         if begin is not None and self._memory.guard.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD):
             try:
                 # The guard judges below whether it lets the tip go, and no program steps before that.
@@ -178,9 +186,10 @@ class AfmNode(DeviceNode):
             except RefusedError as error:
                 raise RefusedError(f"not armed: {error}") from error
         done = self._step(self.clock.monotonic_ns(), self._command_age_s(), arm=True)
+        self._memory.places = True
         if done.arm_refusal == safety.ARM_NOT_REFUSED:
             self._report_reach()
-            return text
+            return text or _ARMED[done.mode]
         self._programs.end()
         if done.arm_refusal != safety.ARM_REFUSED_ALREADY_ARMED:
             raise RefusedError(f"not armed: {safety.ARM_REFUSAL_NAMES[done.arm_refusal]}")
@@ -253,7 +262,8 @@ class AfmNode(DeviceNode):
             self._step(now_ns, max(self._command_age_s(), stalled_s))
 
     def _command_age_s(self) -> float:
-        return self.freshness.command_age_s(self._memory.command, self._memory.command_received_ns, self.clock.now_ns())
+        memory = self._memory
+        return self.freshness.command_age_s(memory.followed, memory.followed_received_ns, self.clock.now_ns())
 
     def _step(
         self,
@@ -276,7 +286,7 @@ class AfmNode(DeviceNode):
             self._publish_state(step)
             self._report_program()
             return step.allowed
-        command = wanted or memory.command or _NO_COMMAND
+        command = wanted or memory.followed or _NO_COMMAND
         base_m, action = to_paper_axis(command.base_position_m), _ACTION_CODES[command.mode]
         place, (x_m, y_m, _) = memory.pointer, command.base_position_m
         if command.lateral_m:
@@ -293,9 +303,11 @@ class AfmNode(DeviceNode):
         """Publish what was done and measured, and what the parts of the instrument have besides."""
         command = self._memory.command or _NO_COMMAND
         numbers = {"command_seq": command.seq, "hand_seq": command.hand_seq, "hand_t_ns": command.hand_t_ns}
+        self._memory.placed = step.follows if self._programs.name else safety.is_placed(step.allowed)
         self.publish("afm/state", **numbers, **step.fields(self._memory))
         self._instrument.parts.report(step, self._memory)
         self._report_changes(step.allowed)
+        self._report_place(step.allowed.base_m)
         self.steps += 1
 
     def _report_program(self) -> None:
@@ -322,5 +334,26 @@ class AfmNode(DeviceNode):
         self.state = "running" if allowed.mode in (safety.MODE_FOLLOW, safety.MODE_HOLD) else "safe"
         level = "warning" if allowed.reason in _ALARMING else "info"
         mode, reason = safety.MODE_NAMES[allowed.mode], safety.REASON_NAMES[allowed.reason]
+        facts: dict[str, Any] = {}
         text = f"the AFM is in mode {mode}: {reason}"
-        self.event("mode", level, text, mode=mode, reason=reason, base_position_m=allowed.base_m)
+        if safety.is_wished(allowed.mode, allowed.reason):
+            text += ", and waits for a fresh command of an armed hand"
+        elif (allowed.mode, allowed.reason) == (safety.MODE_FOLLOW, safety.REASON_ARMED) and self._memory.followed:
+            wanted_m = to_paper_axis(self._memory.followed.base_position_m)
+            facts["placing_s"] = safety.placing_s(self._limits, allowed.base_m, wanted_m)
+            text += (
+                f"; its base goes from {1e9 * allowed.base_m:.4g} nm to {1e9 * wanted_m:.4g} nm at"
+                f" {1e9 * self._limits.base_speed_m_per_s:.4g} nm/s, for {facts['placing_s']:.2g} s"
+            )
+        self.event("mode", level, text, mode=mode, reason=reason, base_position_m=allowed.base_m, **facts)
+
+    def _report_place(self, base_m: float) -> None:
+        """Report once after each arming that the tip is placed, or that the arming is void."""
+        memory = self._memory
+        mode, reason = memory.guard.mode, memory.guard.reason
+        if memory.places and memory.placed:
+            text = f"the tip is placed: its base is at {1e9 * base_m:.4g} nm"
+            facts = {"mode": safety.MODE_NAMES[mode], "reason": safety.REASON_NAMES[reason], "base_position_m": base_m}
+            self.event("mode", "info", text, placed=True, **facts)
+        is_armed = mode in (safety.MODE_FOLLOW, safety.MODE_HOLD) or safety.is_wished(mode, reason)
+        memory.places = memory.places and is_armed and not memory.placed

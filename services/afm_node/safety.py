@@ -10,8 +10,14 @@ Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ES
    jump after it.
 5. RETRACTING ends in RETRACTED; both are left by arming only.
 
-Arming is one-shot. It is accepted with a device that is there and the base retracted, in RETRACTED, or in ESTOP once
-released, and only while a fresh position command exists; otherwise the outputs carry the reason of the refusal.
+A command counts as fresh by the hand behind it: `command_age_s` is the age of the newest command that descends from a
+sample in which the hand was armed. So the tip follows no hand that is stopped, lost or silent, whoever arms the tip and
+in whatever order the devices are armed. A program of the instrument has no hand, and its references have no age.
+
+Arming is a wish: it is accepted with a device that is there and the base retracted, in RETRACTED, or in ESTOP once
+released; otherwise the outputs carry the reason of the refusal. The tip stays in RETRACTED, for the reason ARMED, until
+a fresh position command comes, and FOLLOW begins with that. A stop, a retraction or the loss of the device ends the
+wish.
 
 `reason` is why the last transition happened. The arrival in RETRACTED keeps the reason of the retraction, so that it
 can still be read when the operator comes back.
@@ -37,14 +43,12 @@ REASON_NAMES: dict[int, str] = {
 }
 
 ARM_NOT_REFUSED, ARM_REFUSED_ESTOP, ARM_REFUSED_ALREADY_ARMED, ARM_REFUSED_RETRACTING = range(4)
-ARM_REFUSED_NO_COMMAND, ARM_REFUSED_NO_POSITION, ARM_REFUSED_DEVICE_LOST = range(4, 7)
+ARM_REFUSED_DEVICE_LOST = 4
 ARM_REFUSAL_NAMES: dict[int, str] = {
     ARM_NOT_REFUSED: "not_refused",
     ARM_REFUSED_ESTOP: "estop_active",
     ARM_REFUSED_ALREADY_ARMED: "already_armed",
     ARM_REFUSED_RETRACTING: "still_retracting",
-    ARM_REFUSED_NO_COMMAND: "no_fresh_command",
-    ARM_REFUSED_NO_POSITION: "no_position_command",
     ARM_REFUSED_DEVICE_LOST: "device_lost",
 }
 
@@ -82,9 +86,10 @@ class SafetyState(NamedTuple):
 class SafetyInputs(NamedTuple):
     """One tick of inputs.
 
-    reference_m: base position asked for [m]; command_age_s: age of that command [s], infinite if none ever came;
-    action: ACTION_*; arm_requested: now; estop: pressed; force_n: tip force last measured [N], repulsive positive;
-    device_lost: nothing is known of the tip, and nothing reaches the base; lateral_n: force across the tip [N].
+    reference_m: base position asked for [m]; command_age_s: age of that command, and of the armed hand behind it [s],
+    infinite if none ever came; action: ACTION_*; arm_requested: now; estop: pressed; force_n: tip force last measured
+    [N], repulsive positive; device_lost: nothing is known of the tip, and nothing reaches the base; lateral_n: force
+    across the tip [N].
     """
 
     reference_m: float
@@ -128,13 +133,42 @@ def safety_step(
     if inputs.arm_requested:
         refusal = _arm_refusal(params, state, inputs)
         if refusal == ARM_NOT_REFUSED:
-            mode, reason = MODE_FOLLOW, REASON_ARMED
+            mode, reason = MODE_RETRACTED, REASON_ARMED
+    if is_wished(mode, reason):
+        if inputs.device_lost:
+            reason = REASON_DEVICE_LOST
+        elif _fresh(params, inputs):
+            if inputs.action == ACTION_POSITION:
+                mode = MODE_FOLLOW
+            elif inputs.action == ACTION_RETRACT:
+                reason = REASON_RETRACT_REQUESTED
     slower = _slower(params, state, mode, dt)
     speed = params.base_speed_m_per_s - slower
     base, limited = _next_base(params, state.base_m, mode, inputs.reference_m, speed, dt)
     if mode == MODE_RETRACTING and base <= params.retract_position_m:
         mode = MODE_RETRACTED
     return SafetyState(mode, base, reason, slower), SafetyOutputs(base, mode, limited, reason, refusal)
+
+
+@compiled
+def is_wished(mode: int, reason: int) -> bool:
+    """Return whether the tip was armed, and waits, withdrawn, for a command that it may follow."""
+    return mode == MODE_RETRACTED and reason == REASON_ARMED
+
+
+@compiled
+def is_placed(allowed: SafetyOutputs) -> bool:
+    """Return whether the commanded base has reached its reference after every limit: no speed limit holds it back.
+
+    What the base does behind the command, such as drift and creep, is no part of it.
+    """
+    return allowed.mode == MODE_FOLLOW and allowed.limited & LIMITED_BY_SPEED == 0
+
+
+def placing_s(params: SafetyParams, base_m: float, reference_m: float) -> float:
+    """Return how long the commanded base takes from base_m to a reference that stands at reference_m [s]."""
+    target = min(max(reference_m, params.base_min_m), params.base_max_m)
+    return abs(target - base_m) / params.base_speed_m_per_s
 
 
 @compiled
@@ -180,9 +214,7 @@ def _arm_refusal(params: SafetyParams, state: SafetyState, inputs: SafetyInputs)
         return ARM_REFUSED_ALREADY_ARMED
     if state.mode == MODE_RETRACTING or state.base_m > params.retract_position_m:
         return ARM_REFUSED_RETRACTING
-    if not _fresh(params, inputs):
-        return ARM_REFUSED_NO_COMMAND
-    return ARM_NOT_REFUSED if inputs.action == ACTION_POSITION else ARM_REFUSED_NO_POSITION
+    return ARM_NOT_REFUSED
 
 
 @compiled

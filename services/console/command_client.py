@@ -3,7 +3,7 @@
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from services.console.lease import FREE_COMMANDS, MOST_LETTERS
 from services.console.lease_register import NAME_VARIABLE, Hold, acting
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.bus.publisher import ZmqPublisher, publish_end
+from services.runtime.loop.arming import ARM
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.security.keyring import MACHINE_VARIABLE, Keyring, this_machine
 from services.runtime.wiring.observer import RIG_HINT, require_rig
@@ -93,6 +94,21 @@ def _machines_here(book: AddressBook) -> list[str] | None:
     return [this_machine(keyring)] if MACHINE_VARIABLE in os.environ else keyring.names()
 
 
+def arm_devices(
+    site_file: Path,
+    site: Site,
+    on_answer: Callable[[SessionEvent], None],
+    is_wanted: Callable[[], bool] = lambda: True,
+    *,
+    issued_ns: int | None = None,
+    by: str | None = None,
+) -> dict[str, SessionEvent]:
+    """Arm hand and tip, as far as this site reaches them, and wait until the tip is placed; as `send_controls`."""
+    book = load_site(site_file)
+    steps = [step for step in ARM if site == "master" or set(step.expected) <= set(addressed(book, "*", site))]
+    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+
+
 def send_control(
     command: Command,
     site_file: Path,
@@ -104,16 +120,38 @@ def send_control(
     retry_ns: int = 0,
     by: str | None = None,
 ) -> dict[str, SessionEvent]:
-    """Send a command to a running rig; which nodes have to answer follows from its target and the site file.
+    """Send one command as `send_controls` does; which nodes answer follows from its target and the site file.
+
+    Raises:
+        ConfigError: No node is meant, or this site has no console.
+        RigError, EndpointError, RefusedError: As of `send_controls`.
+    """
+    meant = addressed(load_site(site_file), command.target, site)
+    wanted = replace(command, expected=() if is_pattern(command.target) else tuple(meant))
+    return send_controls([wanted], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, retry_ns=retry_ns, by=by)
+
+
+def send_controls(
+    commands: Sequence[Command],
+    site_file: Path,
+    site: Site,
+    on_answer: Callable[[SessionEvent], None],
+    is_wanted: Callable[[], bool] = lambda: True,
+    *,
+    issued_ns: int | None = None,
+    retry_ns: int = 0,
+    by: str | None = None,
+) -> dict[str, SessionEvent]:
+    """Send commands to a running rig, each after the one before has succeeded.
 
     A command that has waited since it was given does not move a device that an emergency stop has stopped meanwhile.
     What moves something needs the hand, which this process has for the time of the command where nobody has it.
 
     Args:
-        command: The command.
+        commands: The commands, with the nodes that have to answer, none for a pattern.
         site_file: The site file of the rig.
         site: The site at which the command is typed.
-        on_answer: Called with each answer when it comes.
+        on_answer: Called with each answer when it comes, and with the report that the tip is placed.
         is_wanted: Called before each sending; once it returns false, nothing more is sent.
         issued_ns: When a person gave the command, on the monotonic clock of this machine [ns]; None means now.
         retry_ns: How long the command is tried again after a refusal [ns].
@@ -123,32 +161,32 @@ def send_control(
         The answers by node, refusals included.
 
     Raises:
-        RigError: Nodes do not answer, no rig is there, the command is no longer wanted, or an emergency stop made it
-            void.
+        RigError: Nodes do not answer, no rig is there, the tip was not placed, the command is no longer wanted, or an
+            emergency stop made it void; the message says which of several commands were carried out.
         EndpointError: Another console is at work.
         RefusedError: Somebody else has the hand.
     """
     if by is None:
         by = os.environ.get(NAME_VARIABLE, "")[:MOST_LETTERS]
-        lease: AbstractContextManager[Hold | None] = nullcontext() if command.name in FREE_COMMANDS else acting()
+        is_free = all(command.name in FREE_COMMANDS for command in commands)
+        lease: AbstractContextManager[Hold | None] = nullcontext() if is_free else acting()
         with lease as hold:
             still = is_wanted if hold is None else (lambda: is_wanted() and hold.is_held())
-            return send_control(
-                command, site_file, site, on_answer, still, issued_ns=issued_ns, retry_ns=retry_ns, by=by
+            return send_controls(
+                commands, site_file, site, on_answer, still, issued_ns=issued_ns, retry_ns=retry_ns, by=by
             )
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
     book = load_site(site_file)
-    meant = addressed(book, command.target, site)
     try:
         console = console_of(book, site)
     except ConfigError as error:
         raise ConfigError(f"{site_file}: {error}") from error
     require_rig(book, site_file)
+    answers: dict[str, SessionEvent] = {}
     with open_participant(console, book) as participant:
         publisher = _bind(participant)
         subscribers = participant.subscribers(book.sources(console, ["session/event", "node/health"]))
-        expected = () if is_pattern(command.target) else tuple(meant)
-        wanted = [replace(command, expected=expected, by=by)]
+        wanted = [replace(command, by=by) for command in commands]
         client = CommandClient(participant.clock, publisher.publish, wanted, retry_ns=retry_ns, issued_ns=issued_ns)
         attention = Attention(time.monotonic())
         while not (given_up := not is_wanted()) and not client.advance():
@@ -160,21 +198,34 @@ def send_control(
             for received in (message for subscriber in subscribers for message in subscriber.receive()):
                 message = received.message
                 attention.heard(message, time.monotonic())
-                if isinstance(message, SessionEvent) and client.on_event(message):
+                if isinstance(message, SessionEvent) and (client.on_event(message) or client.is_place(message)):
+                    answers[message.src] = message
                     on_answer(message)
         # the next command comes from a process that counts anew
         publish_end(publisher, console)
+    names = ", ".join(dict.fromkeys(command.name for command in commands))
     if client.void:
-        raise RigError(client.failure)
+        raise RigError(f"{client.failure}{_half_done(answers, client)}")
     if given_up:
-        raise RigError(f"{command.name} was given up before all had answered: a node may have carried it out")
+        text = f"{names} was given up before all had answered: a node may have carried it out"
+        raise RigError(f"{text}{_half_done(answers, client)}")
     if not attention.last_s:
         raise RigError(f"{client.failure}; no node reports: {RIG_HINT}")
-    if not client.answers and not expected:
+    if not client.answers and not commands[-1].expected:
+        meant = addressed(book, commands[-1].target, site)
         raise RigError(f"{client.failure}: {attention.why(meant, time.monotonic())}")
-    if not set(expected) <= set(client.answers):
-        raise RigError(client.failure)
-    return client.answers
+    if client.failure and (len(commands) > 1 or not client.refusals or not client.has_all_answers):
+        raise RigError(f"{client.failure}{_half_done(answers, client)}")
+    return answers
+
+
+def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> str:
+    """Return in words what several commands have done, and which of them were not sent; empty for one command."""
+    if not client.unsent and len(answers) < 2:
+        return ""
+    done = [f"{node} {event.kind}: {event.text}" for node, event in answers.items() if event.kind != "refused"]
+    unsent = [f"{command.name} was not sent to {command.target}" for command in client.unsent]
+    return "".join(f"; {each}" for each in [*done, *unsent])
 
 
 class Attention:

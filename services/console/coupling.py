@@ -2,8 +2,8 @@
 
 A law sends the tip to x_ref = alpha_p x + offset. What the hand does while the tip follows and the hand does not, as in
 a stall, goes into the offset, so that neither jumps. Only over a retracted tip it is zero, in every law (docs/laws.md).
-So the tip is withdrawn by its own guard, and armed again when the hand is at rest: it goes to alpha_p x at the speed
-limit of the base, and each law begins with the energy of a first session.
+So the tip is withdrawn by its own guard, and armed again when the hand is at rest, until it reports that it is placed:
+it goes to alpha_p x at the speed limit of the base, and each law begins with the energy of a first session.
 """
 
 import math
@@ -28,8 +28,6 @@ TOPICS = ("haptic/state", "afm/state", "teleop/backward")
 PRESSING_N = 0.5
 # The hand is at rest when it has stayed within this way [m] for so long.
 _REST_M, _REST_S, _REST_PATIENCE_S = 1e-3, 0.3, 10.0
-# So does a base that has come back.
-_SAME_BASE_M, _STANDS_S = 5e-10, 0.2
 _LOOK_S, _PATIENCE_S, _RETRACT_S = 0.1, 5.0, 20.0
 _LATCHED = "emergency stop"
 
@@ -117,7 +115,7 @@ def couple(rig: RunningRig) -> str:
     stays = "the tip stays withdrawn until it is armed"
     states.require(lambda: states.hand_still.for_s(_REST_S), _REST_PATIENCE_S, f"a hand at rest; {stays}")
     try:
-        rig.send(Command("arm", name_of(TIP)), _RETRACT_S)
+        rig.send(Command("arm", name_of(TIP), (TIP,), placed=True), _RETRACT_S)
     except RigError as error:
         raise RigError(f"not coupled anew: {error}; {stays}") from error
     states.require(
@@ -125,9 +123,6 @@ def couple(rig: RunningRig) -> str:
         _PATIENCE_S,
         "a hand that follows: its newest event says why; then couple again",
     )
-    # The base comes back from where it was withdrawn to; a hand that moves on takes it along.
-    states.base_still.forget()
-    states.until(lambda: states.base_still.for_s(_STANDS_S), _PATIENCE_S)
     return (
         f"hand and tip are coupled anew: the tip went from {1e9 * before_m:.1f} to {1e9 * states.base_m:.1f} nm, for a"
         f" hand at {1e3 * to_paper_axis(states.hand.reference_m):.2f} mm"
@@ -162,7 +157,7 @@ class _States:
         self.hand: Any = None
         self.tip: Any = None
         self._afm: AfmState | None = None
-        self.hand_still, self.base_still = _Still(_REST_M), _Still(_SAME_BASE_M)
+        self.hand_still = _Still(_REST_M)
 
     @property
     def known(self) -> bool:
@@ -196,6 +191,8 @@ class _States:
         hand, press_n = self.hand, abs(to_paper_axis(self.hand.operator_force_n))
         if hand.estop or (self._afm is not None and self._afm.mode == "estop"):
             return "a device is in emergency stop, which `telenano session arm` releases"
+        if hand.armed is not True:
+            return "the hand is not armed, which `telenano session arm` does"
         if hand.device == "lost":
             return "the device of the hand is lost or refused; its newest event says why"
         if self.follows and hand.mode == "off":
@@ -218,6 +215,5 @@ class _States:
                 self.hand_still.forget()
         elif isinstance(message, AfmState):
             self._afm = message
-            self.base_still.add(message.base_position_m[2:], message.t_ns)
         elif isinstance(message, TeleopBackward):
             self.tip = message

@@ -28,8 +28,6 @@ from services.runtime.loop.node_state import FindInput
 
 # A hand whose device is lost counts as that of an inactive site; a simulated device reports nothing.
 _FOLLOWING_DEVICE = (None, "ok")
-# A hand that is lost is silent for so long [ns], which is more than a tip holds before it is withdrawn.
-_LOST_NS = 1_000_000_000
 # The hand comes to rest like a free virtual mass while this half waits for the other one.
 _COASTING_S = 0.005
 # A way of the tip across the sample that is worth a signal of its own [m].
@@ -45,8 +43,8 @@ class MasterState(NamedTuple):
 
     across: the lateral path, where it has a mode of its own, and sent_m, its reference as it was sent last [m]; hand,
     reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
-    switch_s: time since a change of law [s]; lost_ns: since when the hand's device is lost [ns], 0 while it is not;
-    answered: number and time stamp [ns] of the sample of the hand that the newest answer descends from.
+    switch_s: time since a change of law [s]; armed: whether the hand was armed in its newest sample; answered: number
+    and time stamp [ns] of the sample of the hand that the newest answer descends from.
     """
 
     half: HalfState
@@ -55,7 +53,7 @@ class MasterState(NamedTuple):
     reference: MasterReference
     tip_reference_m: float
     switch_s: float
-    lost_ns: int
+    armed: bool
     answered: tuple[int, int]
     slave_status: LawStatus | None
     across: LateralMasterState
@@ -80,7 +78,7 @@ class MasterController(ControllerHalf):
         self.reference = MasterReference(0.0, 0.0, 0.0, False)
         self._tip_reference_m = 0.0
         self._switch_s = 0.0
-        self._lost_ns = 0
+        self._armed = False
         self.timing = integration.master_begin()
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
@@ -94,7 +92,7 @@ class MasterController(ControllerHalf):
             reference=self.reference,
             tip_reference_m=self._tip_reference_m,
             switch_s=self._switch_s,
-            lost_ns=self._lost_ns,
+            armed=self._armed,
             answered=self._answered_hand_stamp,
             slave_status=self._slave_status,
             across=self._across,
@@ -105,7 +103,7 @@ class MasterController(ControllerHalf):
         self.restore_half(state.half)
         self.timing, self.hand, self.reference = state.timing, state.hand, state.reference
         self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
-        self._lost_ns = state.lost_ns
+        self._armed = state.armed
         self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
         self._across, self.across.sent_m = state.across, state.sent_m
 
@@ -167,9 +165,6 @@ class MasterController(ControllerHalf):
         self.law_state = self._resumed(self.reference, tip_m)
 
     def _on_hand(self, message: HapticState) -> None:
-        if self._hand_is_lost(message):
-            self.hand, self.state = self.hand._replace(following=False), "safe"
-            return
         commanded, repeated = self._settle(), message.device == "stale"
         self.timing, found = integration.master_sampled(
             self.timing, self.timing_params, message.t_ns, repeated, commanded
@@ -181,21 +176,10 @@ class MasterController(ControllerHalf):
         if found.periods:
             self._send_signal(found.periods * self.config.period_s)
 
-    def _hand_is_lost(self, message: HapticState) -> bool:
-        """Return whether this half keeps silent: nobody is at the hand, as after its node was killed.
-
-        The tip holds and withdraws meanwhile, by the deadlines of its own guard. After that this half goes on with an
-        inactive hand, so that the tip can be armed.
-        """
-        if message.device != "lost":
-            self._lost_ns = 0
-            return False
-        self._lost_ns = self._lost_ns or message.t_ns
-        return message.t_ns - self._lost_ns < _LOST_NS
-
     def _take_sample(self, message: HapticState, dt_s: float, *, begins: bool) -> None:
         """Take up where the hand is, dt_s [s] after the last sample, and count the work that it did on its way."""
         self._hand_stamp = (message.seq, message.t_ns)
+        self._armed = message.armed is True
         following = self.hand.following
         self.hand = HandSample(
             to_paper_axis(message.position_m),
@@ -227,7 +211,8 @@ class MasterController(ControllerHalf):
         # What the hand moves across is sent whether or not the dead band passes the law's signal.
         if self.passes_deadband(signal, dt_s) or self._has_moved_across():
             self.across.sent_m = self.across.own_m
-            self.publish("teleop/forward", **self.signal_fields(signal), force_n=to_site_frame(signal.force_n))
+            force_n = to_site_frame(signal.force_n)
+            self.publish("teleop/forward", **self.signal_fields(signal), force_n=force_n, hand_armed=self._armed)
         self.steps += 1
         slave = self._slave_status
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)

@@ -7,6 +7,7 @@ from proto.messages import AfmState, LinkDelay, TeleopForward
 from services.controller import energy, integration
 from services.controller.clamp import clamped
 from services.controller.config import ControllerConfig
+from services.controller.entering import LET_IN_M_PER_S, Entry, entry_at_start, entry_step, shown_tip
 from services.controller.half import ZERO_XY, ControllerHalf, HalfState
 from services.controller.integration import Settled, SlaveTiming, TimingParams
 from services.controller.lateral import DIRECT, LateralSlaveState, hand_moves, lateral_slave_at_rest, lateral_slave_step
@@ -27,16 +28,18 @@ _MOST_OUTSTANDING = 7
 class SlaveState(NamedTuple):
     """The state of the slave half.
 
-    tip, reference: the newest sample, and the newest reference; asked_m: the references of the newest commands, the
+    tip, reference: the newest sample, and the newest reference; hand_armed: whether the hand was armed in the sample
+    that the newest signal descends from; asked_m: the references of the newest commands, the
     newest first, and carried_out_m, that of the one which the instrument had carried out at its newest sample [m];
     lateral_n: force on the tip in x and y [N]; instrument_ns: time of the newest sample [ns]; occupied_until_ns: by a
-    program of the instrument [ns].
+    program of the instrument [ns]; entry: how far the tip is let in to where the hand is.
     """
 
     half: HalfState
     timing: SlaveTiming
     tip: TipMeasurement
     reference: SlaveReference
+    hand_armed: bool
     asked_m: tuple[float, ...]
     carried_out_m: float
     lateral_n: tuple[float, float]
@@ -44,10 +47,15 @@ class SlaveState(NamedTuple):
     instrument_lost: bool
     occupied_until_ns: int
     across: LateralSlaveState
+    entry: Entry
 
 
 class SlaveController(ControllerHalf):
-    """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out."""
+    """The half at the instrument's site: teleop/forward in, afm/command out; afm/state in, teleop/backward out.
+
+    Whatever the law says, a command asks the instrument to follow only where the hand was armed in the sample behind
+    it, and says so. The guard of the instrument judges the same by itself (`services.afm_node.safety`).
+    """
 
     inputs = ("teleop/forward", "afm/state", "afm/program", "link/delay", "session/control")
     state_kind = SlaveState
@@ -59,6 +67,7 @@ class SlaveController(ControllerHalf):
         super().__init__(context, config)
         self.tip = NO_TIP
         self.reference = SlaveReference(0.0, True)
+        self._hand_armed = False
         self.timing = integration.slave_begin()
         self._clamp = config.clamp_params()
         self._instrument_ns = 0
@@ -68,6 +77,7 @@ class SlaveController(ControllerHalf):
         # The instrument images or measures by itself until then, and obeys no hand.
         self._occupied_until_ns = 0
         self._across = lateral_slave_at_rest()
+        self._entry = entry_at_start()
 
     def capture(self) -> SlaveState:
         return SlaveState(
@@ -75,6 +85,7 @@ class SlaveController(ControllerHalf):
             timing=self.timing,
             tip=self.tip,
             reference=self.reference,
+            hand_armed=self._hand_armed,
             asked_m=self._asked_m,
             carried_out_m=self._carried_out_m,
             lateral_n=self.across.own_n,
@@ -82,15 +93,17 @@ class SlaveController(ControllerHalf):
             instrument_lost=self._instrument_lost,
             occupied_until_ns=self._occupied_until_ns,
             across=self._across,
+            entry=self._entry,
         )
 
     def restore(self, state: SlaveState, find: FindInput) -> None:
         self.restore_half(state.half)
         self.timing, self.tip, self.reference = state.timing, state.tip, state.reference
+        self._hand_armed = state.hand_armed
         self._asked_m, self._carried_out_m = state.asked_m, state.carried_out_m
         self.across.own_n, self._instrument_ns = state.lateral_n, state.instrument_ns
         self._instrument_lost, self._occupied_until_ns = state.instrument_lost, state.occupied_until_ns
-        self._across = state.across
+        self._across, self._entry = state.across, state.entry
 
     def started(self) -> Any:
         return self.law.slave_start(self.params, self.tip)
@@ -151,6 +164,7 @@ class SlaveController(ControllerHalf):
         self.timing, settled = integration.slave_unanswered(self.timing, early)
         self._settle(settled)
         self._hand_stamp = (message.hand_seq, message.hand_t_ns)
+        self._hand_armed = message.hand_armed is True
         understood = self.receive_signal(message)
         self.switching = self.switching and not (understood and message.active)
         self.timing, begins = integration.slave_signalled(
@@ -184,18 +198,23 @@ class SlaveController(ControllerHalf):
         tip = TipMeasurement(*self.tip[:-1], self._asked_m[0] - self._carried_out_m)
         self.law_state, wanted = self.law.slave_receive(self.params, self.law_state, signal, tip, dt_s)
         self.reference = clamped(self._clamp, wanted, signal, tip)
+        force_scale = self.config.law_config().force_scale
+        self._entry = entry_step(self._entry, self.reference.position_m, tip, force_scale, dt_s)
 
     def _publish_command(self, *, answers: bool) -> None:
-        mode: Literal["position", "hold"] = "position" if self.reference.active else "hold"
+        follows = self.reference.active and self._hand_armed
+        mode: Literal["position", "hold"] = "position" if follows else "hold"
         is_direct = self.lateral.motion.mode == DIRECT
         moves = not is_direct and hand_moves(self._across)
+        base_m = self.reference.position_m - self._entry.offset_m
         across = {"lateral_m": (self._across.x_m, self._across.y_m)} if moves else {}
         command = self.publish(
             "afm/command",
             mode=mode,
-            base_position_m=(*(self.across.far if is_direct else ZERO_XY), 0.0 - self.reference.position_m),
+            base_position_m=(*(self.across.far if is_direct else ZERO_XY), 0.0 - base_m),
             hand_seq=self._hand_stamp[0],
             hand_t_ns=self._hand_stamp[1],
+            hand_armed=self._hand_armed,
             **across,
         )
         self.timing = integration.slave_commanded(self.timing, command.seq, answers)
@@ -217,7 +236,8 @@ class SlaveController(ControllerHalf):
 
     def _on_instrument(self, message: AfmState, now_ns: int) -> None:
         self.across.own_m, self.across.own_n = message.base_position_m[:2], message.tip_force_n[:2]
-        self.tip = TipMeasurement(
+        followed = self.tip.following
+        measured = TipMeasurement(
             base_position_m=to_paper_axis(message.base_position_m),
             force_n=message.tip_force_n[2],
             separation_m=message.separation_m,
@@ -227,6 +247,9 @@ class SlaveController(ControllerHalf):
             and not (self._occupied_until_ns and self.clock.now_ns() < self._occupied_until_ns),
             outstanding_m=0.0,
         )
+        self.tip = shown_tip(self._entry, measured)
+        if self.tip.following and not followed and self._entry.offset_m > 0.0:
+            self._report_offset(self._entry.offset_m)
         self.state = "running" if self.tip.following else "safe"
         if self._instrument_lost:
             self._instrument_lost = False
@@ -242,6 +265,16 @@ class SlaveController(ControllerHalf):
             self.timing, self.timing_params, now_ns, number, self.switching, follows
         )
         self._settle(settled)
+
+    def _report_offset(self, offset_m: float) -> None:
+        """Report that hand and tip begin apart, because the hand is beyond where the tip may go at once."""
+        apart_m = offset_m / self.config.law_config().position_scale
+        text = (
+            f"the hand is {1e3 * apart_m:.3g} mm beyond where the tip may go at once: the base begins"
+            f" {1e9 * offset_m:.3g} nm short of it, and is let in at {1e9 * LET_IN_M_PER_S:g} nm/s while the tip"
+            " presses little"
+        )
+        self.event("mode", "warning", text, offset_m=offset_m, apart_m=apart_m)
 
     def _count_port_energy(self) -> None:
         section = self.config.law_config()

@@ -170,7 +170,7 @@ class HapticNode(DeviceNode):
             if self._memory.estop_requested:
                 raise RefusedError("not armed: an emergency stop came in this period of the device")
             self._memory.arm_requested = True
-            return "armed: the motor follows fresh commands"
+            return "armed: the tip may follow the hand, and the motor follows fresh commands"
         if control.command == "set" and "operator" in control.parameters:
             return self._set_operator(control)
         if control.command == "set":
@@ -257,6 +257,7 @@ class HapticNode(DeviceNode):
             reference_m=to_site_frame(applied.position_reference_m),
             mode=safety.MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
+            armed=applied.armed,
             limited=applied.reason in _LIMITS or _device_limited(reading),
             session_s=tick.session_s,
             answered_seq=command.hand_seq,

@@ -6,6 +6,9 @@ device and for a real one. It never trusts the controller: what it lets through 
 No jump at the hand: whenever position control begins (at start, after a lost link, after an e-stop) the applied
 reference starts at the present position and moves towards the commanded one at no more than the speed limit. So
 control comes back by itself as soon as commands are fresh, and no distance is too great for that.
+
+Arming is for the tip: it follows only a hand that a person has armed since its start and since its last emergency stop
+(`services.afm_node.safety`). The motor of a hand that was never armed is off because nothing follows it.
 """
 
 import math
@@ -47,11 +50,15 @@ class SafetyParams(NamedTuple):
 
 
 class SafetyState(NamedTuple):
-    """What the guard remembers: the latch, the mode it applied last and the reference it let through."""
+    """What the guard remembers: the latch, the mode it applied last and the reference it let through.
+
+    armed: a person has armed the hand since its start, and no emergency stop has come since.
+    """
 
     estop_latched: bool
     mode: int
     position_reference_m: float
+    armed: bool = False
 
 
 class SafetyInputs(NamedTuple):
@@ -73,13 +80,17 @@ class SafetyInputs(NamedTuple):
 
 
 class SafetyOutputs(NamedTuple):
-    """Command to the driver. A reference that the mode does not use is the present position, or zero force."""
+    """Command to the driver. A reference that the mode does not use is the present position, or zero force.
+
+    armed: the hand is armed and there, so that a tip may follow it.
+    """
 
     mode: int
     position_reference_m: float
     force_reference_n: float
     reason: int
     estop_latched: bool
+    armed: bool
 
 
 @compiled
@@ -129,6 +140,7 @@ def step(
     exactly at a limit.
     """
     latched = inputs.estop or (state.estop_latched and not inputs.arm_requested)
+    armed = not latched and (state.armed or inputs.arm_requested)
     reason = _refusal(params, inputs, latched)
     mode = inputs.command_mode if reason == REASON_NONE else MODE_OFF
     position, force = inputs.position_m, 0.0
@@ -138,4 +150,5 @@ def step(
     elif mode == MODE_FORCE:
         force = min(max(inputs.force_reference_n, -params.max_force_n), params.max_force_n)
         reason = REASON_NONE if force == inputs.force_reference_n else REASON_FORCE_LIMIT
-    return SafetyState(latched, mode, position), SafetyOutputs(mode, position, force, reason, latched)
+    after = SafetyState(latched, mode, position, armed)
+    return after, SafetyOutputs(mode, position, force, reason, latched, armed and not inputs.device_lost)

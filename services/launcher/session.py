@@ -13,6 +13,7 @@ from services.launcher.recorder_wait import LastMessages, RecorderWait
 from services.launcher.rig_node import RigNode
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
+from services.runtime.loop.arming import ARM_HAND, ARM_TIP, START, for_stand_in
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.loop.node import NodeContext
 
@@ -21,12 +22,6 @@ _STOP_ANSWER_NS = 2_000_000_000
 # A refused command is repeated for so long.
 _REFUSAL_RETRY_NS = 5_000_000_000
 
-# The AFM is armed before the haptic device, so that the hand never moves a reference that nothing follows.
-BEGIN = (
-    Command("arm", "afm_node", (TIP,)),
-    Command("arm", "haptic_node", (HAND,)),
-    Command("start", "*", (HAND,)),
-)
 END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # Where the nodes keep running without a session, the tip must not stay on the sample without an operator.
 WITHDRAW_TIP = Command("stop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
@@ -137,7 +132,7 @@ class SessionNode(RigNode):
         if self.phase == "running":
             silent = f"; silent: {', '.join(self.liveness.silent)}" if self.liveness.silent else ""
             return f"running for {self.duration_s:g} s, Ctrl-C stops it cleanly{silent}"
-        return {"arming": "arming the devices", "ending": "stopping", "over": "stopped"}[self.phase]
+        return {"arming": "arming the devices and placing the tip", "ending": "stopping", "over": "stopped"}[self.phase]
 
     def _time_limits(self) -> str:
         own = [] if self.attached else [f"up to {READY_DEADLINE_S:g} s"]
@@ -208,8 +203,7 @@ class SessionNode(RigNode):
 
     def _arm(self) -> None:
         self.phase = "arming"
-        # a device that a replay stands in for is not armed from here, and its operator starts by itself
-        steps = [step for step in BEGIN if set(step.expected) <= set(self._needed)]
+        steps = self._first_steps()
         steps = [*(step for recording in self._external for step in recording.begin_steps()), *steps]
         self._commands = CommandClient(
             self.clock,
@@ -221,6 +215,11 @@ class SessionNode(RigNode):
             releases_stops=False,
         )
         self._advance_arming()
+
+    def _first_steps(self) -> list[Command]:
+        """Return the commands that begin the session; a stand-in for the hand gets those that the hand would get."""
+        of_hand = [ARM_HAND, START] if HAND in self._needed else [for_stand_in(step) for step in (ARM_HAND, START)]
+        return [of_hand[0], *([ARM_TIP] if TIP in self._needed else []), of_hand[1]]
 
     def _advance_arming(self) -> None:
         if any(node not in self.health for node in self.others):

@@ -8,7 +8,7 @@ from typing import Any
 from proto.errors import ConfigError, TelenanoError
 from proto.messages import Scalar
 from proto.nodes import TIP, VIEW
-from services.console.command_client import send_control
+from services.console.command_client import arm_devices, send_control
 from services.console.coupling import couple_anew
 from services.console.emergency_stop import Answer, LocalRig, emergency_stop
 from services.numerics.frames import to_site_frame
@@ -47,9 +47,11 @@ class RigCommander:
         if command not in _NAMES:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)
-        answers = send_control(
-            wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by
-        )
+        given: dict[str, Any] = {"is_wanted": is_wanted, "issued_ns": issued_ns, "by": by}
+        if (wanted.name, target) == ("arm", _EVERYBODY):
+            answers = arm_devices(self._site_file, "master", lambda event: None, **given)
+        else:
+            answers = send_control(wanted, self._site_file, "master", lambda event: None, **given)
         return {src: (event.kind, event.text) for src, event in answers.items()}
 
     def estop(self, by: str) -> dict[str, tuple[str, str]]:

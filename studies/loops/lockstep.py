@@ -17,15 +17,19 @@ The guards judge the age of the hand's sample behind a command, less the delay o
 
 So a signal released between two ticks acts in the tick in which it arrives, as on the bus: a constant round trip of T
 delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds half a period to that (`theory`).
+The session begins when the tip is placed, as the instrument says on the bus (`services.afm_node.safety.is_placed`).
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from proto.errors import RigError
 from services.afm_node.physics.step import AfmParams, initial_afm_state
+from services.afm_node.safety import REASON_NAMES, SafetyParams, placing_s
 from services.controller.config import ControllerConfig
 from services.controller.deadband import deadband, initial_deadband_state
 from services.controller.lateral import hand_moves as moves_stage
@@ -73,6 +77,10 @@ from studies.loops.sites import (
 Series = npt.NDArray[np.float64]
 
 _NEVER_NS = 2**62
+# Until the tip is placed a signal and its answer cross the link so often.
+_PLACING_ROUND_TRIPS = 4.0
+# Both halves and the hand have begun after this time [s], at the slowest rate of the rig.
+_BEGINNING_S = 0.05
 COLUMNS = (
     "time_s",
     "hand_force_n",
@@ -112,6 +120,7 @@ def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: Af
     """Prepare a rig: the hand where its configuration puts it and off, the instrument retracted."""
     halves = Halves(
         law=controller.params(),
+        force_scale=controller.law_config().force_scale,
         band=controller.deadband.to_params(),
         clamp=controller.clamp_params(),
         master=controller.master_timing(),
@@ -119,6 +128,12 @@ def build_rig(controller: ControllerConfig, haptic: HapticConfig, instrument: Af
         period_s=controller.period_s,
     )
     return Rig(halves, haptic.to_params(), haptic.initial_state(), instrument, initial_afm_state(instrument))
+
+
+def time_to_place_s(limits: SafetyParams, round_trip_s: float, reference_m: float = 0.0) -> float:
+    """Return the time before a session in which a tip with these limits comes to its reference [m], over a link [s]."""
+    way_s = placing_s(limits, limits.retract_position_m, reference_m)
+    return way_s + _PLACING_ROUND_TRIPS * round_trip_s + _BEGINNING_S
 
 
 @dataclass(frozen=True)
@@ -165,13 +180,14 @@ def simulate(
     Args:
         rig: The rig.
         schedule: The arrivals of `link.schedule_of`, whose number of ticks is the length of the run.
-        session_tick: The tick at which the operator's programme starts. The instrument is armed and comes to its
-            reference before it.
+        session_tick: The tick at which the operator's program starts (`time_to_place_s`), or later, when the tip is
+            placed.
         hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
         path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
 
     Raises:
         ValueError: No tick is left for the session.
+        RigError: The tip was not placed in all of these ticks.
         ConfigError: A model cannot be compiled; no tick has run.
     """
     if not 0 <= session_tick < schedule.ticks:
@@ -179,14 +195,23 @@ def simulate(
     rows = np.empty((len(COLUMNS), schedule.ticks))
     start = rig.haptic_start, rig.instrument_start
     given = (rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, path)
-    done = compiled_call(_run, given)
-    columns: dict[str, Any] = dict(zip(COLUMNS, rows[:, session_tick:done], strict=True))
+    start, done = compiled_call(_run, given)
+    if start < 0:
+        limits, newest = rig.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
+        why = (
+            f"its base is at {1e9 * newest['base_position_m']:.4g} nm, from {1e9 * limits.retract_position_m:.4g} nm at"
+            f" no more than {1e9 * limits.base_speed_m_per_s:.4g} nm/s"
+        )
+        if math.isfinite(newest["withdrawn_s"]):
+            why = f"its guard has withdrawn it ({REASON_NAMES[int(newest['instrument_reason'])]})"
+        raise RigError(f"the tip was not placed within {schedule.ticks * rig.period_s:.3g} s of arming: {why}")
+    columns: dict[str, Any] = dict(zip(COLUMNS, rows[:, start:done], strict=True))
     for name in ("in_contact", "hand_following"):
         columns[name] = columns[name].astype(bool)
     for name in ("instrument_mode", "instrument_reason"):
         columns[name] = columns[name].astype(np.int64)
-    columns["withdrawn_s"] = columns["withdrawn_s"] - session_tick * rig.period_s
-    columns["across"] = None if path is None else path.rows[session_tick:done]
+    columns["withdrawn_s"] = columns["withdrawn_s"] - start * rig.period_s
+    columns["across"] = None if path is None else path.rows[start:done]
     return Trajectory(**columns)
 
 
@@ -224,8 +249,12 @@ def _run(
     rows: Series,
     steers: Hand | None,
     path: AcrossPath | None,
-) -> int:
-    """Fill `rows` (columns, ticks) with the closed loop, and return how many; the module's text gives the order."""
+) -> tuple[int, int]:
+    """Fill `rows` (columns, ticks) with the closed loop; the module's text gives the order.
+
+    Returns:
+        The tick at which the session began, -1 if it never did, and how many rows were filled.
+    """
     # `simulate` keeps all arrays until the end, so that no call in here need count references to them.
     halves, haptic, instrument = borrowed((halves, haptic, instrument))
     haptic_state, instrument_state = borrowed((haptic_state, instrument_state))
@@ -247,22 +276,27 @@ def _run(
     i = instrument_at(instrument_state, period_ns)
     hand_energy_j, f, b, before = 0.0, 0, 0, m.hand
     across = across_at_rest()
+    start = -1
     for n in range(schedule.ticks):
         now_ns = n * period_ns
-        session_s = (n - session_tick) * dt if n >= session_tick else -1.0
+        if start < 0 and n >= session_tick and i.placed:
+            start = n
+        # ticks of the session, negative before it
+        since = n - start if start >= 0 else n - schedule.ticks
+        session_s = since * dt if start >= 0 else -1.0
         haptic_state, hand = hand_stepped(haptic, haptic_state, m.command, now_ns, session_s, dt)
         hand_energy_j += 0.5 * (hand.force_n + before.force_n) * (hand.position_m - before.position_m)
         before = hand
         if path is not None:
             own_n = (0.0, 0.0)
             if steers is not None:
-                own_n = across_steered(path, across, hand_moves(steers, n - session_tick))
+                own_n = across_steered(path, across, hand_moves(steers, since))
             across = across_sampled(path, across, hand, counts(m, path, now_ns), n, session_s, dt, own_n)
             hand = guided(across, hand)
         elif steers is not None:
             if steers.state[PHASE] == DONE:
-                return n
-            steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, n - session_tick)
+                return start, n
+            steers.forward[n & mask, 0], steers.forward[n & mask, 1] = hand_moves(steers, since)
         m, forward[n & mask], sent_forward[n & mask] = master_with_sample(halves, m, hand, now_ns)
         end_ns = now_ns + period_ns
         while True:
@@ -311,14 +345,14 @@ def _run(
             put_answer(path.rows[n, STAGE_X:], i.lateral)
             if steers is not None:
                 path.rows[n, PARTICLE_X], path.rows[n, PARTICLE_Y] = steers.state[TRUE_X], steers.state[TRUE_Y]
-    return schedule.ticks
+    return start, schedule.ticks
 
 
 @inlined
 def _record(row: Series, session_s: float, m: Master, tip: TipMeasurement, hand_energy_j: float, i: Instrument) -> None:
     """Write down what stands at the end of a tick, in the order of COLUMNS."""
     row[0], row[1], row[2], row[3] = session_s, m.hand.force_n, m.hand.position_m, m.command.position_m
-    row[4], row[5], row[6], row[7] = m.rendered_n, tip.base_position_m, tip.force_n, tip.separation_m
+    row[4], row[5], row[6], row[7] = m.rendered_n, i.base_m, tip.force_n, tip.separation_m
     row[8], row[9] = hand_energy_j, i.energy_j
     row[10], row[11], row[12] = int(tip.in_contact), i.mode, int(m.hand.following)
     row[13], row[14] = i.reason, i.withdrawn_s

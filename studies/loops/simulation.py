@@ -5,6 +5,7 @@ seconds of Fig. 12 take a fraction of one. What the processes add to it, their o
 jitter, is not in it.
 """
 
+import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from presets import find_scenario
 from proto.errors import ConfigError
 from recording.column_table import ColumnTable
 from services.afm_node.config import SAMPLES, AfmConfig
+from services.afm_node.over_map import guard_of as limits_of
 from services.afm_node.over_map import read_params
 from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.over_surface import over_surface
@@ -32,11 +34,8 @@ from services.runtime.settings.config import merge, nested, read_yaml, validate
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from studies.loops import across
 from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Trajectory, build_rig, simulate
+from studies.loops.lockstep import Trajectory, build_rig, simulate, time_to_place_s
 from studies.loops.push_hand import Hand as PushHand
-
-# before the session begins the instrument is armed and comes to its reference
-_SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
 
 _COLUMNS = {
     "time_s": ("s", "Time since the start of the operator's programme"),
@@ -295,7 +294,8 @@ def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers |
         raise ConfigError(f"{origin}: haptic_node.disturbances: a lockstep has none; only `up` can run them")
     trip_s = link.forward.delay_s + link.backward.delay_s
     period_s = controller.period_s
-    settle = round((_SETTLE_S + _SETTLE_ROUND_TRIPS * trip_s) / period_s)
+    reference_m = controller.law_config().position_scale * haptic.device.start_position_m
+    settle = math.ceil(time_to_place_s(limits_of(afm), trip_s, reference_m) / period_s)
     ticks = settle + max(1, round(loaded.scenario.duration_s / period_s))
     rig = build_rig(controller, haptic, instrument_params(afm, origin, ticks * period_s))
     schedule, path = schedule_of(link, ticks, period_s), None

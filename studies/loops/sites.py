@@ -14,6 +14,7 @@ from services.afm_node.physics.step import step as instrument_step
 from services.controller import integration
 from services.controller.clamp import ClampParams, clamped
 from services.controller.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from services.controller.entering import Entry, entry_at_start, entry_step, shown_tip
 from services.controller.integration import Heard, MasterTiming, Settled, SlaveTiming, TimingParams
 from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
 from services.haptic_node import safety as haptic_safety
@@ -31,9 +32,13 @@ _RATE_NS = round(LOOP_DEADLINE_S * 1e9)
 
 
 class Halves(NamedTuple):
-    """Constants of the two halves: the law, the dead band, the clamp behind the slave half, and their timing."""
+    """Constants of the two halves: the law, the dead band, the clamp behind the slave half, and their timing.
+
+    force_scale: alpha_f of the law, newtons at the hand per newton at the tip.
+    """
 
     law: Any
+    force_scale: float
     band: DeadbandParams
     clamp: ClampParams
     master: TimingParams
@@ -114,6 +119,7 @@ class Slave(NamedTuple):
     """The slave half: timing, law, newest signal, what the instrument measured, and what it is to do.
 
     hand_ns, the time that its command counts from: that of the hand's sample, told delay included [ns]; -1 for none.
+    entry: how far the tip is let in to where the hand is.
     """
 
     timing: SlaveTiming
@@ -122,6 +128,7 @@ class Slave(NamedTuple):
     tip: TipMeasurement
     reference: SlaveReference
     hand_ns: int
+    entry: Entry
 
 
 class Lateral(NamedTuple):
@@ -139,13 +146,16 @@ class Lateral(NamedTuple):
 class Instrument(NamedTuple):
     """The instrument: its state, when it stepped last, when it steps by itself [ns], and its energy [J].
 
-    reason: why its mode last changed; withdrawn_s: when it last ceased to follow [s], NaN if it never did.
+    base_m: where its base is [m]; placed: whether that is where it was asked to be; reason: why its mode last changed;
+    withdrawn_s: when it last ceased to follow [s], NaN if it never did.
     """
 
     state: Any
     stepped_ns: int
     due_ns: int
     armed: bool
+    base_m: float
+    placed: bool
     mode: int
     energy_j: float
     reason: int
@@ -248,7 +258,7 @@ def slave_with_signal(halves: Halves, s: Slave, signal: PortSignal, hand_ns: int
     elif begins:
         law, _ = slave_receive(halves.law, law, NO_SIGNAL, s.tip, halves.period_s)
     told_ns = hand_ns + _told(now_ns - hand_ns)
-    s = Slave(timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=told_ns)
+    s = Slave(timing=timing, law=law, signal=signal, tip=s.tip, reference=s.reference, hand_ns=told_ns, entry=s.entry)
     return _slave_stepped(halves, s, now_ns, timing.pacing.elapsed, True)
 
 
@@ -257,14 +267,17 @@ def _slave_stepped(halves: Halves, s: Slave, now_ns: int, elapsed: int, answers:
     """Step the slave half and command the instrument."""
     timing = integration.slave_stepped(s.timing, halves.slave, now_ns, elapsed)
     signal = _latest(s.signal, timing.heard, now_ns, 0.0)
-    law, wanted = slave_receive(halves.law, s.law, signal, s.tip, timing.pacing.step * halves.period_s)
+    dt = timing.pacing.step * halves.period_s
+    law, wanted = slave_receive(halves.law, s.law, signal, s.tip, dt)
+    reference = clamped(halves.clamp, wanted, signal, s.tip)
     return Slave(
         timing=integration.slave_commanded(timing, timing.commands.newest + 1, answers),
         law=law,
         signal=s.signal,
         tip=s.tip,
-        reference=clamped(halves.clamp, wanted, signal, s.tip),
+        reference=reference,
         hand_ns=s.hand_ns,
+        entry=entry_step(s.entry, reference.position_m, s.tip, halves.force_scale, dt),
     )
 
 
@@ -281,16 +294,18 @@ def _instrument_stepped(
     x_m, y_m = lateral.x_m, lateral.y_m
     if i.armed and now_ns <= lateral.until_ns:
         x_m, y_m = x_m + lateral.speed_x_m_per_s * dt, y_m + lateral.speed_y_m_per_s * dt
-    asked = AfmInputs(s.reference.position_m, age_s, action, arm, False, x_m, y_m)
+    asked = AfmInputs(s.reference.position_m - s.entry.offset_m, age_s, action, arm, False, x_m, y_m)
     state, answer = instrument_step(params, i.state, asked, dt)
     felt, allowed = answer.sample, answer.allowed
-    moved = felt.base_m - s.tip.base_position_m if i.armed else 0.0
-    tip = _tip_of(answer)
+    moved = felt.base_m - i.base_m if i.armed else 0.0
+    tip = shown_tip(s.entry, _tip_of(answer))
     after = Instrument(
         state=state,
         stepped_ns=now_ns,
         due_ns=now_ns + (command_wait_ns(period_ns) if commanded else period_ns),
         armed=i.armed or allowed.mode == afm_safety.MODE_FOLLOW,
+        base_m=felt.base_m,
+        placed=afm_safety.is_placed(allowed),
         mode=allowed.mode,
         energy_j=i.energy_j + 0.5 * (felt.force_n + s.tip.force_n) * moved,
         reason=allowed.reason,
@@ -316,6 +331,8 @@ def driven(i: Instrument, lateral: Lateral) -> Instrument:
         stepped_ns=i.stepped_ns,
         due_ns=i.due_ns,
         armed=i.armed,
+        base_m=i.base_m,
+        placed=i.placed,
         mode=i.mode,
         energy_j=i.energy_j,
         reason=i.reason,
@@ -367,7 +384,9 @@ def carried_out(
     i, tip = _instrument_stepped(params, i, s, halves.slave.period_ns, now_ns, True)
     s, settled = _slave_measured(halves, s, tip, now_ns)
     law, signal = slave_send(halves.law, s.law, tip, settled.periods * halves.period_s)
-    s = Slave(timing=s.timing, law=law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
+    s = Slave(
+        timing=s.timing, law=law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns, entry=s.entry
+    )
     return s, i, signal
 
 
@@ -389,7 +408,9 @@ def _slave_measured(halves: Halves, s: Slave, tip: TipMeasurement, now_ns: int) 
     timing, settled = integration.slave_measured(
         s.timing, halves.slave, now_ns, s.timing.commands.newest, False, follows
     )
-    s = Slave(timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns)
+    s = Slave(
+        timing=timing, law=s.law, signal=s.signal, tip=tip, reference=s.reference, hand_ns=s.hand_ns, entry=s.entry
+    )
     return s, settled
 
 
@@ -401,6 +422,8 @@ def instrument_at(state: Any, period_ns: int) -> Instrument:
         stepped_ns=0,
         due_ns=period_ns,
         armed=False,
+        base_m=0.0,
+        placed=False,
         mode=afm_safety.MODE_RETRACTED,
         energy_j=0.0,
         reason=afm_safety.REASON_START,
@@ -435,4 +458,5 @@ def slave_at(halves: Halves) -> Slave:
         tip=NO_TIP,
         reference=SlaveReference(0.0, False),
         hand_ns=-1,
+        entry=entry_at_start(),
     )

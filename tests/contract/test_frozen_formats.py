@@ -35,14 +35,14 @@ def test_what_was_added_is_in_the_file() -> None:
 
 
 def _add_key(now: Formats) -> None:
-    fields(now, "afm/state")["tip_temperature_k"] = LATER.format(4)
-    now["wire"]["topics"]["afm/state"]["version"] = 4
+    fields(now, "afm/state")["tip_temperature_k"] = LATER.format(5)
+    now["wire"]["topics"]["afm/state"]["version"] = 5
 
 
 def _add_record(now: Formats) -> None:
-    fields(now, "afm/state")["tip"] = "record Tip or null, may be absent, version 4"
+    fields(now, "afm/state")["tip"] = "record Tip or null, may be absent, version 5"
     fields(now, "afm/state")["tip.radius_m"] = "number, required"
-    now["wire"]["topics"]["afm/state"]["version"] = 4
+    now["wire"]["topics"]["afm/state"]["version"] = 5
 
 
 ALLOWED: dict[str, Callable[[Formats], object]] = {
@@ -113,9 +113,9 @@ BREAKING = {
         "number, required",
         "topic afm/state: field gain is new and `number, required`: what is added may be absent",
     ),
-    "a key without its version": (f"{STATE} > fields > gain", LATER.format(4), "topic afm/state: version 3, and 3"),
-    "a version without a field": (f"{STATE} > version", 4, "topic afm/state: version 4, and 3 is frozen"),
-    "a version goes back": (f"{STATE} > version", 2, "topic afm/state: version 2, and 3 is frozen"),
+    "a key without its version": (f"{STATE} > fields > gain", LATER.format(5), "topic afm/state: version 4, and 4"),
+    "a version without a field": (f"{STATE} > version", 5, "topic afm/state: version 5, and 4 is frozen"),
+    "a version goes back": (f"{STATE} > version", 3, "topic afm/state: version 3, and 4 is frozen"),
     "a topic goes": (STATE, None, "topic afm/state is gone"),
     "another delivery": (f"{STATE} > delivery", "lossless", "topic afm/state: delivery is lossless"),
     "another way over the link": (f"{STATE} > over the link", "backward", "topic afm/state: over the link is backward"),

@@ -232,8 +232,8 @@ def test_what_cannot_be_rerun_is_named(reference: Recording, tmp_path: Path) -> 
 class WarmerState(AfmState):
     """The state of an instrument that has learned to say how warm it is."""
 
-    version: ClassVar[int] = 3
-    additions: ClassVar[Mapping[str, int]] = {**AfmState.additions, "temperature_k": 3}
+    version: ClassVar[int] = 5
+    additions: ClassVar[Mapping[str, int]] = {**AfmState.additions, "temperature_k": 5}
     temperature_k: float | None = None
 
 
@@ -273,7 +273,7 @@ def test_an_optional_key_added_since_leaves_an_older_recording_equal(
     tolerances = MachineTolerances(beginning, "afm_node@slave")
     result = rerun(beginning, "afm_node@slave", tolerances, take=lambda topic, message: said.append(message))
     states = [message for message in said if isinstance(message, WarmerState)]
-    assert {(state.v, state.temperature_k) for state in states} == {(3, 293.0)}
+    assert {(state.v, state.temperature_k) for state in states} == {(5, 293.0)}
     assert len(states) == result.compared["afm/state"] > 200
     assert result.difference == ""
     assert result.identical
@@ -294,11 +294,11 @@ def test_a_changed_value_beside_an_added_key_is_a_difference(
     ("recorded", "without", "field"),
     [
         # a recorded key that is missing now, beside a higher version, the same one and a lower one
-        ({"device": "ok", "v": 2}, (), "device"),
-        ({"device": "ok", "v": 1}, ("temperature_k",), "device"),
-        ({"device": "ok", "v": 2}, ("temperature_k",), "v"),
-        ({"temperature_k": 292.0, "v": 3}, (), "temperature_k"),
-        ({"v": 2}, ("temperature_k",), "v"),
+        ({"device": "ok", "v": 4}, (), "device"),
+        ({"device": "ok", "v": 3}, ("temperature_k",), "device"),
+        ({"device": "ok", "v": 5}, ("temperature_k",), "v"),
+        ({"temperature_k": 292.0, "v": 5}, (), "temperature_k"),
+        ({"v": 5}, ("temperature_k",), "v"),
     ],
 )
 def test_a_recorded_optional_key_that_is_missing_or_differs_is_a_difference(

@@ -54,7 +54,8 @@ STALL_NS = round(DEFAULT_VALIDITY_S * 1e9)
 class Command:
     """A command and the nodes (node@site) that have to answer it; none for a pattern, where those that know it answer.
 
-    What is not `required` may fail, and the next command follows all the same. `by` is the name of who gave it.
+    What is not `required` may fail, and the next command follows all the same. `by` is the name of who gave it. One
+    that is over when the tip is `placed` waits, after the answer, for the instrument's report of that.
     """
 
     name: CommandName
@@ -64,6 +65,7 @@ class Command:
     required: bool = True
     deadline_ns: int = DEADLINE_NS
     by: str = ""
+    placed: bool = False
 
     @property
     def begins_motion(self) -> bool:
@@ -123,6 +125,10 @@ class CommandClient:
         self._issued = 0
         self._command: Command | None = None
         self._id = ""
+        # what the nodes that are to be placed have reported since the command was issued, and which of them are
+        self._on_the_way: dict[str, SessionEvent] = {}
+        self._placed: set[str] = set()
+        self._expected: set[str] = set()
         self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
         self._wished_ns = clock.monotonic_ns() if issued_ns is None else issued_ns
         self._releases_stops = releases_stops
@@ -150,6 +156,8 @@ class CommandClient:
         if event.kind == "ack" and event.data.get("command") == "estop" and self._would_move(event.src):
             self._give_up(f"{event.src} was stopped by an emergency stop")
             return False
+        if event.kind == "mode" and self._command is not None and self._command.placed:
+            self._record_way(self._command, event)
         if event.id != self._id or event.kind not in ("ack", "refused") or event.src in self.answers:
             return False
         if event.kind == "refused" and (event.data.get("expired") is True or "latch" in event.data):
@@ -157,11 +165,43 @@ class CommandClient:
             return False
         self.answers[event.src] = event
         self._last_answer_ns = self._clock.monotonic_ns()
+        if self._command is not None and self._command.placed:
+            # The tip may wait for the first command of an armed hand.
+            self._deadline_ns = self._last_answer_ns + self._command.deadline_ns
         return True
+
+    def _record_way(self, command: Command, event: SessionEvent) -> None:
+        """Record how far a node is that has to be placed, and give it twice the time that it says it needs."""
+        if event.src not in command.expected:
+            return
+        self._on_the_way[event.src] = event
+        now_ns, needs_s = self._clock.monotonic_ns(), event.data.get("placing_s")
+        if event.data.get("placed") is True:
+            self._placed.add(event.src)
+        elif isinstance(needs_s, int | float):
+            self._deadline_ns = now_ns + command.deadline_ns + round(2e9 * needs_s)
+        elif event.src in self.answers and event.data.get("mode") == "estop":
+            self._give_up(f"{event.src} was stopped by an emergency stop")
+        elif event.src in self.answers and event.data.get("mode") == "retracting":
+            self._deadline_ns = now_ns
+
+    def is_place(self, event: SessionEvent) -> bool:
+        """Return whether an event says that a node which these commands wait for is placed."""
+        return event.src in self._placed and self._on_the_way.get(event.src) is event and "placed" in event.data
 
     def make_due(self) -> None:
         """Send the current command again at once: a new reader has connected."""
         self._next_ns = self._clock.monotonic_ns()
+
+    @property
+    def unsent(self) -> tuple[Command, ...]:
+        """The commands that were not sent, because one before them has failed."""
+        return tuple(self._commands)
+
+    @property
+    def has_all_answers(self) -> bool:
+        """Whether every node that has to answer the command in hand, or the last one, has answered."""
+        return self._expected <= set(self.answers)
 
     @property
     def refusals(self) -> list[SessionEvent]:
@@ -170,6 +210,7 @@ class CommandClient:
     def _issue(self, command: Command) -> None:
         self._command, self._id, self.answers = command, f"{self._sender}-{self._issued}", {}
         self.latched = ""
+        self._on_the_way, self._placed, self._expected = {}, set(), set(command.expected)
         self._issued += 1
         self._issued_ns = self._next_ns = self._last_answer_ns = self._clock.monotonic_ns()
         self._deadline_ns = self._issued_ns + command.deadline_ns
@@ -235,7 +276,7 @@ class CommandClient:
         now = self._clock.monotonic_ns()
         if self._answered(command, now) or now >= self._deadline_ns:
             return self._conclude(command, now)
-        if now >= self._next_ns:
+        if now >= self._next_ns and not (command.expected and self.has_all_answers):
             self._next_ns = now + RESEND_NS
             self._publish(
                 "session/control",
@@ -250,7 +291,8 @@ class CommandClient:
 
     def _answered(self, command: Command, now_ns: int) -> bool:
         if command.expected:
-            return set(command.expected) <= set(self.answers)
+            is_placed = not command.placed or bool(self.refusals) or self._expected <= self._placed
+            return self.has_all_answers and is_placed
         settled = now_ns - self._issued_ns >= _DISCOVERY_NS and now_ns - self._last_answer_ns >= _QUIET_NS
         return settled and bool(self.answers)
 
@@ -283,6 +325,11 @@ class CommandClient:
             reasons.append(f"{', '.join(missing)} did not answer {command.name} in time")
         elif not self.answers and not quoted:
             reasons.append(f"no node answered {command.name}")
+        elif command.placed and not reasons:
+            waited_s = 1e-9 * (self._clock.monotonic_ns() - self._issued_ns)
+            for node in sorted(set(command.expected) - self._placed):
+                newest = self._on_the_way.get(node, self.answers[node])
+                reasons.append(f"{node} was not placed within {waited_s:.3g} s of arming: {newest.text}")
         return "; ".join(reasons)
 
 

@@ -10,7 +10,7 @@ import typer
 from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from proto.errors import ConfigError
 from proto.nodes import Site
-from services.console.command_client import parse_parameters, send_control
+from services.console.command_client import arm_devices, parse_parameters, send_control
 from services.console.coupling import couple_anew
 from services.console.lease import CONSOLE
 from services.console.lease_register import holding
@@ -65,7 +65,11 @@ def send_command(
         wanted = Command(command, target, parameters=parse_parameters(parameters))
         show = (lambda event: None) if as_json else lambda event: typer.echo(f"{event.src} {event.kind}: {event.text}")
         book_file = site_file or _usual_file(site)
-        answers = send_control(wanted, book_file, site or "master", show, issued_ns=process_start_ns())
+        at, issued_ns = site or "master", process_start_ns()
+        if (command, target) == ("arm", "*"):
+            answers = arm_devices(book_file, at, show, issued_ns=issued_ns)
+        else:
+            answers = send_control(wanted, book_file, at, show, issued_ns=issued_ns)
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})

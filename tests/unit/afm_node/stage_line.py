@@ -106,7 +106,7 @@ class Rig:
         for _ in range(count):
             self.bench.advance_ms(1)
             self.line.pass_ms(1)
-            fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7}
+            fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7, "hand_armed": True}
             fields["hand_t_ns"] = self.bench.clock.now_ns()
             self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
 

@@ -19,16 +19,23 @@ class Instrument:
         self.driver = simulated_afm(config.to_params())
         self.node = AfmNode(bench.context, config, self.driver)
 
-    def command(self, x_s_m: float = 0.0, mode: str = "position", hand_seq: int = 7, hand_ms: float = 0.0) -> None:
+    def command(
+        self,
+        x_s_m: float = 0.0,
+        mode: str = "position",
+        hand_seq: int = 7,
+        hand_ms: float = 0.0,
+        armed: bool | None = True,
+    ) -> None:
         """Receive a command that descends from a sample of the hand taken so long ago [ms]."""
-        fields = {"mode": mode, "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": hand_seq}
+        fields = {"mode": mode, "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": hand_seq, "hand_armed": armed}
         fields["hand_t_ns"] = self.bench.clock.now_ns() - round(hand_ms * 1e6)
         self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields))
 
     def waited(self, waited_ms: float, x_s_m: float = 0.0) -> None:
         """Receive a command that was sent so long ago [ms]."""
         sent_ns = self.bench.clock.now_ns() - round(waited_ms * 1e6)
-        fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7}
+        fields = {"mode": "position", "base_position_m": (0.0, 0.0, -x_s_m), "hand_seq": 7, "hand_armed": True}
         received = self.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=sent_ns, t_ns=sent_ns)
         self.node.on_message(received)
 
@@ -83,12 +90,60 @@ def test_without_commands_there_is_a_state_a_millisecond(afm: Instrument) -> Non
     assert len(afm.states()) == pytest.approx(100, abs=1)
 
 
-def test_arming_needs_a_fresh_command(afm: Instrument) -> None:
-    with pytest.raises(RefusedError, match="no_fresh_command"):
-        afm.control("arm")
+def test_an_armed_tip_stays_withdrawn_until_a_fresh_command_of_an_armed_hand_comes(afm: Instrument) -> None:
+    waits = "armed: the tip stays withdrawn until a fresh command of an armed hand comes"
+    assert afm.control("arm") == waits
+    for armed in (False, None):
+        for _ in range(400):
+            afm.bench.clock.advance_ns(1_000_000)
+            afm.command(armed=armed)
+        assert {(state.mode, state.armed, state.placed) for state in afm.states()} == {("retracted", True, False)}
+    # a command that is armed and late is none either
+    afm.command(hand_ms=60.0)
+    assert afm.states()[-1].mode == "retracted"
+    assert afm.control("arm") == waits
     afm.command()
-    assert "armed" in afm.control("arm")
+    assert afm.states()[-1].mode == "follow"
     assert afm.control("arm") == "armed already"
+
+
+@pytest.mark.parametrize("armed", [False, None])
+def test_a_tip_withdraws_from_a_hand_that_is_armed_no_more_as_from_one_that_is_lost(
+    afm: Instrument, armed: bool | None
+) -> None:
+    follow(afm)
+    modes = []
+    for _ in range(300):
+        afm.bench.clock.advance_ns(1_000_000)
+        # the newest command is answered all the same, whatever it asks for
+        afm.command(20e-9, armed=armed, hand_seq=9)
+        (state,) = afm.states()
+        assert state.hand_seq == 9
+        modes.append(state.mode)
+    assert (modes.index("hold"), modes.index("retracting")) == (50, 250)
+    for _ in range(300):
+        afm.bench.clock.advance_ns(1_000_000)
+        afm.command()
+    assert {state.mode for state in afm.states()} == {"retracting", "retracted"}
+
+
+def test_a_tip_reports_once_after_each_arming_that_it_is_placed(afm: Instrument) -> None:
+    afm.command()
+    afm.control("arm")
+    (begun,) = [event for event in afm.bench.take("session/event") if event.kind == "mode"]
+    # 98 nm are left after the first step, at 2 um/s
+    assert begun.data["placing_s"] == pytest.approx(0.049, rel=0.05, abs=0.0)
+    assert begun.text.endswith("nm to 0 nm at 2000 nm/s, for 0.05 s")
+    afm.pass_ms(80.0, every_ms=1.0)
+    states = afm.states()
+    placed = [event for event in afm.bench.take("session/event") if event.data.get("placed")]
+    assert [event.text for event in placed] == ["the tip is placed: its base is at 0 nm"]
+    first = next(state for state in states if state.placed)
+    assert [state.placed for state in states] == [state.t_ns >= first.t_ns for state in states]
+    assert first.base_position_m[2] == 0.0
+    assert afm.control("arm") == "armed already"
+    afm.command()
+    assert [event.data["placed"] for event in afm.bench.take("session/event") if event.data.get("placed")] == [True]
 
 
 def test_an_arm_while_the_tip_is_held_says_so_and_one_with_which_it_retracts_is_refused(afm: Instrument) -> None:
@@ -150,7 +205,7 @@ def test_silence_holds_then_retracts_and_stays(afm: Instrument) -> None:
     afm.pass_ms(50.0, every_ms=1.0)
     assert {state.mode for state in afm.states()} == {"retracted"}
     events = [event.data["mode"] for event in afm.bench.take("session/event") if event.kind == "mode"]
-    assert events == ["follow", "hold", "retracting", "retracted"]
+    assert events == ["follow", "follow", "hold", "retracting", "retracted"]
 
 
 def test_a_burst_of_commands_cannot_outrun_the_speed_limit(afm: Instrument) -> None:
@@ -275,15 +330,15 @@ def test_played_commands_count_from_their_reception_where_they_are_allowed(bench
     config = AfmConfig(allow_replay=allow)
     node = AfmNode(bench.context, config, simulated_afm(config.to_params()))
     fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 7, "hand_t_ns": 3, "t_ns": 5}
+    fields["hand_armed"] = True
     command = bench.received("afm/command", "controller@slave", **fields)
     node.on_message(command)
     arm = {"id": "a", "command": "arm", "target": "afm_node", "parameters": {}}
     control = bench.make("session/control", "console@master", **arm)
-    if not allow:
-        with pytest.raises(RefusedError, match="no_fresh_command"):
-            node.on_control(control)
-        return
     assert "armed" in node.on_control(control)
+    if not allow:
+        assert bench.take("afm/state")[-1].mode == "retracted"
+        return
     bench.advance_ms(49.0)
     node.on_deadline(bench.clock.monotonic_ns())
     assert bench.take("afm/state")[-1].mode == "follow"
@@ -299,7 +354,7 @@ def test_a_hand_that_moves_the_tip_across_has_the_stage_and_leaves_the_tip_where
     def across(place: tuple[float, float] | None, count: int) -> Any:
         for _ in range(count):
             bench.clock.advance_ns(1_000_000)
-            fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 7}
+            fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 7, "hand_armed": True}
             fields |= {"hand_t_ns": bench.clock.now_ns()} | ({} if place is None else {"lateral_m": place})
             node.on_message(bench.received("afm/command", "controller@slave", **fields))
         return afm.states()[-1].base_position_m[:2]

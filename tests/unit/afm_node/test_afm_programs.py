@@ -312,7 +312,7 @@ def test_the_tip_goes_where_it_is_told_while_it_follows_and_presses_there(bench_
 
 
 def command(afm: Imager) -> Any:
-    fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 1}
+    fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 1, "hand_armed": True}
     return afm.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=afm.bench.clock.now_ns())
 
 

@@ -47,7 +47,7 @@ def arm(afm: Imager) -> None:
     bench = afm.bench
     command = bench.received(
         "afm/command", "controller@slave", base_position_m=(0.0, 0.0, 100e-9), mode="position",
-        hand_seq=0, hand_t_ns=bench.clock.now_ns(),
+        hand_seq=0, hand_t_ns=bench.clock.now_ns(), hand_armed=True,
     )  # fmt: skip
     afm.node.on_message(command)
     fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {}}

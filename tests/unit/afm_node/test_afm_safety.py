@@ -22,6 +22,8 @@ FOLLOWING = SafetyState(safety.MODE_FOLLOW, 0.0, safety.REASON_ARMED)
 HOLDING = SafetyState(safety.MODE_HOLD, 0.0, safety.REASON_COMMAND_DEADLINE)
 RETRACTED = initial_safety_state(PARAMS)
 STOPPED = SafetyState(safety.MODE_ESTOP, PARAMS.retract_position_m, safety.REASON_ESTOP)
+# armed, and without a command that it may follow
+WISHED = SafetyState(safety.MODE_RETRACTED, PARAMS.retract_position_m, safety.REASON_ARMED)
 
 
 def tick(state, dt=DT, **changes):
@@ -76,6 +78,18 @@ def test_a_node_starts_retracted_and_stays_so_without_arming():
         (RETRACTED, {"action": 2}, safety.MODE_RETRACTED, safety.REASON_START),
         (STOPPED, {}, safety.MODE_ESTOP, safety.REASON_ESTOP),
         (STOPPED, {"arm_requested": True}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (STOPPED, {"arm_requested": True, "command_age_s": 1.0}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (RETRACTED, {"arm_requested": True, "command_age_s": math.inf}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (RETRACTED, {"arm_requested": True, "action": 1}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (WISHED, {"command_age_s": 0.0500001}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (WISHED, {"command_age_s": math.nan}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (WISHED, {"reference_m": math.nan}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (WISHED, {"action": 1}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (WISHED, {"action": 99}, safety.MODE_RETRACTED, safety.REASON_ARMED),
+        (WISHED, {}, safety.MODE_FOLLOW, safety.REASON_ARMED),
+        (WISHED, {"action": 2}, safety.MODE_RETRACTED, safety.REASON_RETRACT_REQUESTED),
+        (WISHED, {"device_lost": True}, safety.MODE_RETRACTED, safety.REASON_DEVICE_LOST),
+        (WISHED, {"estop": True}, safety.MODE_ESTOP, safety.REASON_ESTOP),
     ],
 )
 def test_every_transition(state, changes, mode, reason):
@@ -92,11 +106,12 @@ def test_every_transition(state, changes, mode, reason):
     [
         (RETRACTED, {}, safety.ARM_NOT_REFUSED),
         (RETRACTED, {"command_age_s": 0.050}, safety.ARM_NOT_REFUSED),
-        (RETRACTED, {"command_age_s": 0.0500001}, safety.ARM_REFUSED_NO_COMMAND),
-        (RETRACTED, {"command_age_s": math.inf}, safety.ARM_REFUSED_NO_COMMAND),
-        (RETRACTED, {"reference_m": math.nan}, safety.ARM_REFUSED_NO_COMMAND),
-        (RETRACTED, {"action": 1}, safety.ARM_REFUSED_NO_POSITION),
-        (RETRACTED, {"action": 2}, safety.ARM_REFUSED_NO_POSITION),
+        (RETRACTED, {"command_age_s": 0.0500001}, safety.ARM_NOT_REFUSED),
+        (RETRACTED, {"command_age_s": math.inf}, safety.ARM_NOT_REFUSED),
+        (RETRACTED, {"reference_m": math.nan}, safety.ARM_NOT_REFUSED),
+        (RETRACTED, {"action": 1}, safety.ARM_NOT_REFUSED),
+        (RETRACTED, {"action": 2}, safety.ARM_NOT_REFUSED),
+        (WISHED, {"command_age_s": math.inf}, safety.ARM_NOT_REFUSED),
         (RETRACTED, {"estop": True}, safety.ARM_REFUSED_ESTOP),
         (RETRACTED, {"device_lost": True}, safety.ARM_REFUSED_DEVICE_LOST),
         (STOPPED, {"device_lost": True}, safety.ARM_REFUSED_DEVICE_LOST),

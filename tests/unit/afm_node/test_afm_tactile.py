@@ -125,7 +125,7 @@ def reported(afm: Imager) -> bool:
 def test_what_begins_when_the_instrument_is_armed(bench_of: Any) -> None:
     begin = {"program": "tactile", "tactile": {"x0_m": -25e-9, "x1_m": -24e-9, "approach_m_per_s": 1e-6}}
     afm = Imager(bench_of("afm_node@slave"), {**SECTION, "begin": begin})
-    fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 1}
+    fields = {"mode": "position", "base_position_m": (0.0, 0.0, 0.0), "hand_seq": 1, "hand_armed": True}
     afm.node.on_message(
         afm.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=afm.bench.clock.now_ns())
     )

@@ -152,7 +152,7 @@ class Rig:
         """Command a base and a place a millisecond apart; return the last state."""
         for _ in range(steps):
             self.bench.advance_ms(1.0)
-            fields = {"mode": "position", "base_position_m": (x_m, y_m, -x_s_m), "hand_seq": 1}
+            fields = {"mode": "position", "base_position_m": (x_m, y_m, -x_s_m), "hand_seq": 1, "hand_armed": True}
             sent = self.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=self.bench.clock.now_ns())
             self.node.on_message(sent)
         return self.bench.take("afm/state")[-1]

@@ -8,7 +8,7 @@ def test_codes_of_the_guards_keep_their_numbers_which_journals_of_recordings_hol
     assert list(tip.MODE_NAMES) == list(range(5))
     assert list(tip.ACTION_NAMES) == list(range(3))
     assert list(tip.REASON_NAMES) == list(range(12))
-    assert list(tip.ARM_REFUSAL_NAMES) == list(range(7))
+    assert list(tip.ARM_REFUSAL_NAMES) == list(range(5))
     assert list(hand.MODE_NAMES) == list(range(3))
     assert list(hand.REASONS) == list(range(11))
 

@@ -23,6 +23,7 @@ HAND: dict[str, Any] = {
     "position_m": (0.0, 0.0, 0.0), "velocity_m_per_s": (0.0, 0.0, 0.0), "operator_force_n": (0.0, 0.0, 0.0),
     "motor_force_n": (0.0, 0.0, 0.0), "reference_m": (0.0, 0.0, 0.0), "mode": "position", "estop": False,
     "limited": False, "session_s": 1.0, "step_s": 1e-3, "device": "ok", "sample_age_s": 0.0,
+    "armed": True,
 }  # fmt: skip
 TIP: dict[str, Any] = {
     "law": "passivity", "active": True, "position_m": (0.0, 0.0, 66e-9), "velocity_m_per_s": (0.0, 0.0, 0.0),
@@ -69,6 +70,7 @@ class Told:
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "emergency stop": ({"estop": True}, "a device is in emergency stop"),
+    "hand that was never armed": ({"armed": False}, "the hand is not armed"),
     "lost device": ({"device": "lost"}, "the device of the hand is lost or refused"),
     "hand without force": ({"mode": "off"}, "the hand does not follow"),
     "contact": ({"in_contact": True}, "the tip touches the sample"),

@@ -32,6 +32,7 @@ def hand_fields(force_n: float = 0.0, mode: str = "position", position_m: float 
         "answered_t_ns": 0,
         "answered_at_ns": 0,
         "step_s": 1e-3,
+        "armed": True,
     }
 
 
@@ -75,6 +76,11 @@ def tip_fields(force_n: float, command_seq: int, mode: str = "follow", hand_t_ns
 def master(bench_of: Any) -> tuple[Any, MasterController]:
     bench = bench_of("controller@master")
     return bench, MasterController(bench.context, ControllerConfig())
+
+
+def follows_already(bench: Any, node: SlaveController) -> None:
+    """Report an instrument that follows: one that begins to is let in slowly (`services.controller.entering`)."""
+    node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, 0, hand_t_ns=0)))
 
 
 @pytest.fixture
@@ -306,11 +312,13 @@ def test_bad_parameters_are_refused_and_change_nothing(master: Any, parameters: 
 
 def forward_fields(position_m: float, seq: int, t_ns: int) -> dict[str, Any]:
     fields = answer_fields(0.0, seq, t_ns, position_m=(0.0, 0.0, -position_m))
-    return {k: v for k, v in fields.items() if k not in ("separation_m", "separation_valid", "in_contact")}
+    kept = {k: v for k, v in fields.items() if k not in ("separation_m", "separation_valid", "in_contact")}
+    return {**kept, "hand_armed": True}
 
 
 def test_slave_commands_at_once_and_answers_when_the_instrument_has(slave: Any) -> None:
     bench, node = slave
+    follows_already(bench, node)
     node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 5, 50)))
     (command,) = bench.take("afm/command")
     assert command.base_position_m == (0.0, 0.0, -8e-9)
@@ -337,6 +345,7 @@ def test_state_that_answers_no_command_is_kept_for_the_next_answer(slave: Any) -
 
 def test_dead_instrument_lets_the_hand_go(slave: Any) -> None:
     bench, node = slave
+    follows_already(bench, node)
     node.on_message(bench.received("teleop/forward", "controller@master", **forward_fields(8e-9, 0, 50)))
     (command,) = bench.take("afm/command")
     node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(-1e-9, command.seq)))
@@ -505,8 +514,8 @@ def test_law_without_a_local_loop_waits_for_signals_and_gets_one_with_the_clamp(
         node = SlaveController(bench.context, config)
         heard_forward(bench, node, "position_force", 0, 5e-8)
         (command,) = bench.take("afm/command")
-        # the tip was not following before, so that the clamp did not act
-        assert command.base_position_m[2] == -5e-8
+        # The tip was not following before, so the clamp did not act, and the base goes no further than its rest point.
+        assert command.base_position_m[2] == 0.0
         for _ in range(2):
             node.on_message(bench.received("afm/state", "afm_node@slave", **tip_fields(2e-8, command.seq)))
         news = bench.take("afm/command")
@@ -677,6 +686,7 @@ def test_a_master_that_stalled_waits_for_a_fresh_answer(master: Any, stalled_ms:
 
 def follow(bench: Any, node: SlaveController, ticks: int = 5) -> None:
     """Let the instrument follow for a while, at a base that is not where the reference is."""
+    follows_already(bench, node)
     for n in range(ticks):
         bench.advance_ms(1.0)
         fields = forward_fields(8e-9, n, bench.clock.now_ns())

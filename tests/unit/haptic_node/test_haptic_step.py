@@ -57,7 +57,7 @@ def test_chain_shows_every_answer_of_the_session():
     }
     assert np.all(mode[300:360] == MODE_OFF) and mode[360] == MODE_POSITION
     assert np.all(mode[700:800] == MODE_OFF) and mode[800] == MODE_POSITION
-    position, voltage, force = rows[:, 5], rows[:, 10], rows[:, 9]
+    position, voltage, force = rows[:, 6], rows[:, 11], rows[:, 10]
     # Off: no voltage, and a few milliseconds later a screw that stands and carries nothing.
     for off in (slice(320, 360), slice(720, 800)):
         assert np.all(voltage[off] == 0.0) and np.all(force[off] == 0.0)

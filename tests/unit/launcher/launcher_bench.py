@@ -167,6 +167,8 @@ class Rig(Bench):
         recording = ExternalRecording(self.clock, recorder) if recorder else None
         self.silent: set[str] = set()
         self.refusing: set[str] = set()
+        # whether the tip says that it is placed when it was armed
+        self.places = True
         self.answered = 0
         self.rig_nodes = [*own, *others]
         self.session = SessionNode(
@@ -197,5 +199,8 @@ class Rig(Bench):
             known["stop"] = {"haptic_node@master"} if control.target == "*" else named
             concerned = known.get(control.command, {"haptic_node@master"}) & set(self.rig_nodes)
             for node in concerned - self.silent:
-                self.receive_event(node, "refused" if node in self.refusing else "ack", answer_to=control.id)
+                kind = "refused" if node in self.refusing else "ack"
+                self.receive_event(node, kind, answer_to=control.id)
+                if (kind, control.command, node) == ("ack", "arm", "afm_node@slave") and self.places:
+                    self.receive_event(node, "mode", "the tip is placed", placed=True)
         self.answered = len(controls)

@@ -1,4 +1,5 @@
 from io import StringIO
+from typing import Any
 
 import pytest
 from launcher_bench import NODES, SECOND_NS, TICK_NS, Rig, health, row
@@ -23,8 +24,8 @@ def test_a_whole_session() -> None:
     rig.tick(3)
     assert rig.session.phase == "running"
     assert [(c.command, c.target) for c in rig.bus.controls()] == [
-        ("arm", "afm_node"),
         ("arm", "haptic_node"),
+        ("arm", "afm_node"),
         ("start", "*"),
     ]
     rig.tick(39)
@@ -36,6 +37,63 @@ def test_a_whole_session() -> None:
     assert rig.session.ran
     rig.session.make_safe()
     assert rig.children.stopped == 1
+
+
+def test_the_hand_is_started_when_the_tip_is_placed_however_long_that_takes() -> None:
+    rig = Rig(duration_s=2.0)
+    rig.places = False
+    rig.all_ready()
+    rig.tick(2)
+    rig.receive_event("afm_node@slave", "mode", "its base goes from -100 nm to 0 nm", mode="follow", placing_s=6.7)
+    # at 15 nm/s it takes 6.7 s, and the limit is twice that and five seconds
+    rig.tick_alive(6 * SECOND_NS // TICK_NS)
+    assert rig.session.phase == "arming"
+    assert rig.session.elapsed_s == 0.0
+    assert "placing the tip" in rig.session.status_line()
+    assert not any(control.command == "start" for control in rig.bus.controls())
+    rig.receive_event("afm_node@slave", "mode", "the tip is placed: its base is at 0 nm", mode="follow", placed=True)
+    rig.tick()
+    assert [control.command for control in rig.bus.controls()][-1] == "start"
+    assert rig.session.phase == "running"
+
+
+@pytest.mark.parametrize(
+    ("said", "limit_s", "why"),
+    [
+        ({"text": "its base goes from -100 nm to 0 nm", "mode": "follow", "placing_s": 2.0}, 9.0, "its base goes from"),
+        ({"text": "the AFM is in mode retracting: force_limit", "mode": "retracting"}, 0.2, "force_limit"),
+        (None, 5.0, "reason"),
+    ],
+    ids=["a base that does not come", "a guard that acts", "a tip that waits for the hand"],
+)
+def test_a_tip_that_is_not_placed_ends_the_rig_with_its_newest_word(said: Any, limit_s: float, why: str) -> None:
+    rig = Rig(duration_s=2.0)
+    rig.places = False
+    rig.all_ready()
+    rig.tick(2)
+    if said is not None:
+        rig.receive_event("afm_node@slave", "mode", **said)
+    ticks = 0
+    while not rig.finished:
+        rig.tick_alive()
+        ticks += 1
+    assert ticks * TICK_NS * 1e-9 == pytest.approx(limit_s, abs=0.3)
+    assert rig.session.failure.startswith("afm_node@slave was not placed within ")
+    assert why in rig.session.failure
+    assert not any(control.command == "start" for control in rig.bus.controls())
+
+
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_stand_in_for_the_hand_is_sent_what_the_hand_would_be_sent(answers: bool) -> None:
+    others = [node for node in NODES if node != "haptic_node@master"]
+    rig = Rig(duration_s=2.0, own=others)
+    if answers:
+        rig.rig_nodes.append("haptic_node@master")
+    rig.receive_health(*others)
+    rig.tick(40)
+    assert rig.session.phase == "running"
+    sent = list(dict.fromkeys((control.command, control.target) for control in rig.bus.controls()))
+    assert sent == [("arm", "haptic_node"), ("arm", "afm_node"), ("start", "*")]
 
 
 def test_a_silent_node_is_asked_again_with_the_same_id_and_then_named() -> None:

@@ -64,8 +64,8 @@ def test_a_session_has_a_file_of_its_own_and_leaves_the_nodes() -> None:
     assert rig.finished
     assert commands(rig) == [
         ("set", RECORDER),
-        ("arm", "afm_node"),
         ("arm", "haptic_node"),
+        ("arm", "afm_node"),
         ("start", "*"),
         ("stop", "*"),
         ("set", RECORDER),

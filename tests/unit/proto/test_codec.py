@@ -297,7 +297,7 @@ def _wrong_all_over() -> Iterator[tuple[str, str, bytes]]:
         ("haptic/state", {"src": b"haptic_node@master"}, "schema", "src"),
         ("haptic/state", {"src": "a@" + "b" * 63}, "schema", "src"),
         ("haptic/state", {"v": 0}, "schema", "v"),
-        ("haptic/state", {"v": 4}, "newer_version", "version 4 from 'haptic_node@master'"),
+        ("haptic/state", {"v": 5}, "newer_version", "version 5 from 'haptic_node@master'"),
         ("haptic/state", {"v": 2**64 - 1}, "newer_version", "update this node"),
         ("session/control", {"validty_s": 1.0}, "schema", "validty_s"),
         ("session/control", {b"seq": 1}, "schema", "Keys should be strings"),
@@ -667,7 +667,7 @@ def test_a_header_is_read_without_its_message() -> None:
 @pytest.mark.parametrize(
     ("change", "reason", "text"),
     [
-        ({"v": 9}, "newer_version", "schema version 9 from 'haptic_node@master' is newer than version 3 known here"),
+        ({"v": 9}, "newer_version", "schema version 9 from 'haptic_node@master' is newer than version 4 known here"),
         ({"seq": -1}, "schema", "seq -1, t_ns 8 or v 1 is out of range"),
         ({"t_ns": 2**63}, "schema", "is out of range"),
         ({"src": 3}, "schema", "the header needs seq, t_ns and v as integers and src as text"),

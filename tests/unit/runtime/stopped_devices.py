@@ -17,6 +17,7 @@ from services.haptic_node.config import HapticConfig
 from services.haptic_node.node import HapticNode
 from services.haptic_node.physics.sim import SimulatedHaptic
 from services.runtime.bus.bus import Received
+from services.runtime.loop.arming import ARM
 from services.runtime.loop.commands import Command, CommandClient
 from services.runtime.loop.kept_stop import keep
 from services.runtime.loop.log import StructuredLog
@@ -30,6 +31,8 @@ DEVICES = (TIP, HAND)
 MS = 1_000_000
 # below the 50 ms from which a process counts as held up
 STEP_NS = 40 * MS
+SECOND_NS = 1000 * MS
+_DEADLINE_NS = 50 * MS
 EPOCH_NS = 10**18
 
 
@@ -47,6 +50,8 @@ class _Bus:
         self.inlet: list[Received] = []
 
     def publish(self, topic: str, **fields: Any) -> Any:
+        if topic == "haptic/state":
+            self._world.hand_sample = self._world.clock.now_ns(), fields["armed"]
         if topic == "session/event":
             header = {"seq": 0, "t_ns": self._world.clock.now_ns(), "src": self._key, "v": 1}
             self._world.answers.append(
@@ -110,24 +115,28 @@ class Device:
 
     def turn(self) -> None:
         if self.runs:
-            self.bus.waiting.append(self._fresh())
+            self.bus.waiting += self._commands()
             self.loop.turn()
 
-    def _fresh(self) -> Received:
-        """Give a command of the law as of now, which a device needs to be armed."""
+    def _commands(self) -> list[Received]:
+        """Return the command of the law as of now: for the tip of the hand's newest sample, while they are linked."""
         now_ns = self._world.clock.now_ns()
-        hand = {"hand_seq": 0, "hand_t_ns": now_ns}
+        if self.key == TIP and not self._world.is_linked:
+            return []
         if self.key == TIP:
-            return self._world.message(
+            sampled_ns, armed = self._world.hand_sample
+            hand = {"hand_seq": 0, "hand_t_ns": sampled_ns, "hand_armed": armed}
+            command = self._world.message(
                 "afm/command",
                 "controller@slave",
                 mode="hold" if self._world.no_position else "position",
                 base_position_m=(0.0, 0.0, 1e-8),
                 **hand,
             )
+            return [command]
         still = (0.0, 0.0, 0.0)
-        fields = {"position_m": still, "velocity_m_per_s": still, "force_n": still}
-        return self._world.message("haptic/command", "controller@master", mode="position", **fields, **hand)
+        fields = {"position_m": still, "velocity_m_per_s": still, "force_n": still, "hand_seq": 0, "hand_t_ns": now_ns}
+        return [self._world.message("haptic/command", "controller@master", mode="position", **fields)]
 
 
 def _node(context: NodeContext) -> Node:
@@ -159,6 +168,10 @@ class World:
         self.folder, self.way_ns, self.inlet_first = folder, way_ns, inlet_first
         self.clock = VirtualClock(start_ns=10**9, epoch_offset_ns=EPOCH_NS)
         self.no_position = False
+        # when the hand was sampled last [ns], and whether it was armed then; whether its samples reach the tip
+        self.hand_sample, self.is_linked = (EPOCH_NS, False), True
+        # when the hand was last armed and running [ns]
+        self._armed_ns = -SECOND_NS
         self.answers: list[tuple[int, SessionEvent]] = []
         self._coming: list[tuple[int, SessionControl]] = []
         self.clients: list[CommandClient] = []
@@ -189,7 +202,7 @@ class World:
     def arm(self, *targets: str, launcher: bool = False, waited_ns: int = 0) -> CommandClient:
         """Arm devices as a person at a console does, or as the launcher at the start of a session."""
         src = "launcher@master" if launcher else "console@master"
-        steps = [Command("arm", target, (target,)) for target in targets or DEVICES]
+        steps = list(ARM) if launcher else [Command("arm", target, (target,)) for target in targets or DEVICES]
         options: dict[str, Any] = {"retry_ns": 5000 * MS, "releases_stops": False} if launcher else {}
         issued_ns = self.clock.monotonic_ns() - waited_ns
         self.clients.append(CommandClient(self.clock, self.send(src), steps, issued_ns=issued_ns, **options))
@@ -237,8 +250,18 @@ class World:
             for control in due if not device.is_dead else ():
                 device.bus.waiting.append(Received("session/control", control, b"", self.clock.now_ns(), Arrival.NEXT))
             device.turn()
+        self._judge(now_ns)
         self._hand_out(now_ns)
         self.clock.advance_ns(STEP_NS)
+
+    def _judge(self, now_ns: int) -> None:
+        """Assert that the tip follows no hand but one that is armed, or was a deadline and a turn ago."""
+        hand, tip = self.devices[HAND], self.devices[TIP]
+        assert isinstance(hand.loop.node, HapticNode)
+        if hand.runs and hand.loop.node._memory.guard.armed:
+            self._armed_ns = now_ns
+        if tip.runs and tip.mode == "follow":
+            assert now_ns - self._armed_ns <= _DEADLINE_NS + 2 * STEP_NS
 
     def _send_stops(self, now_ns: int) -> None:
         for stop in list(self._stops):

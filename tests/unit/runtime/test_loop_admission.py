@@ -80,7 +80,7 @@ class Device:
         position = (0.0, 0.0, -base_m)
         self.arrives(
             "afm/command", src="controller@slave", base_position_m=position, mode="position",
-            hand_t_ns=self.clock.now_ns(),
+            hand_t_ns=self.clock.now_ns(), hand_armed=True,
         )  # fmt: skip
 
     def control(self, command: str) -> None:

@@ -211,7 +211,7 @@ REFUSED = {
     "malformed-list": ("malformed", (b"haptic/state", b"\x90")),
     "oversized": ("oversized", (b"haptic/state", bytes(MAX_MESSAGE_BYTES + 1))),
     "oversized-10-MiB": ("oversized", (b"haptic/state", bytes(10 * MAX_MESSAGE_BYTES))),
-    "newer": ("newer_version", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "v": 4}))),
+    "newer": ("newer_version", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "v": 5}))),
     "schema": ("schema", (b"haptic/state", msgpack.packb({**msgpack.unpackb(GOOD), "session_s": "1"}))),
     "other-topic": ("schema", (b"session/control", GOOD)),
     "range": ("range", (b"haptic/state", payload("haptic/state", operator_force_n=(0.0, 0.0, 1e308)))),

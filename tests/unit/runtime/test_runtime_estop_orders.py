@@ -27,7 +27,7 @@ def world(**options: Any) -> Iterator[World]:
 
 
 STALLS = st.sampled_from(
-    [("stall", TIP), ("stall", HAND), ("go_on",), ("kill", TIP), ("kill", HAND), ("start",), ("withdraw",)]
+    [("stall", TIP), ("stall", HAND), ("go_on",), ("kill", TIP), ("kill", HAND), ("start",), ("withdraw",), ("cut",)]
 )
 ARMS = st.sampled_from(
     [("arm",), ("arm", TIP), ("arm", HAND), ("launch",), ("naive",), ("stop",), ("console_stop",), ("no_position",)]
@@ -67,6 +67,8 @@ def act(here: World, action: tuple[str, ...], repeated_ns: int) -> None:
                     device.start()
         case "withdraw":
             here.withdraw()
+        case "cut":
+            here.is_linked = not here.is_linked
 
 
 Order = list[tuple[int, tuple[str, ...]]]
@@ -81,7 +83,7 @@ def in_order(here: World, before: Order, after: Order, repeated_ns: int) -> None
     for gap_ms, action in after:
         here.run(gap_ms * MS)
         act(here, action, repeated_ns)
-    here.no_position = False
+    here.no_position, here.is_linked = False, True
     here.run(repeated_ns)
     here.go_on()
     end_ns = here.clock.monotonic_ns() + LONGEST_NS
@@ -114,6 +116,7 @@ def check(before: Order, after: Order, around: Surroundings) -> None:
         client = here.arm()
         while here.clients:
             here.run(200 * MS)
+        here.run(200 * MS)
         assert client.failure == ""
         assert here.modes() == ARMED
         assert not any(device.kept.exists() for device in here.devices.values())
@@ -148,6 +151,46 @@ def test_a_thousand_orders_leave_both_devices_latched(before: Order, after: Orde
     check(before, after, around)
 
 
+MOVES = st.lists(st.tuples(GAPS_MS, st.one_of(ARMS, STALLS)), min_size=1, max_size=14)
+
+
+@pytest.mark.dear("who arms what, and in which order, is tried at every commit")
+@settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=QUIET)
+@given(MOVES, SURROUNDINGS)
+def test_a_tip_follows_no_hand_that_is_not_armed_and_fresh(moves: Order, around: Surroundings) -> None:
+    """`World` asserts it at each step, of the state of the hand itself."""
+    options = {"inlet_first": around.inlet_first, "hears_stops": around.hears_stops}
+    with world(way_ns=around.way_ms * MS, **options) as here:
+        for gap_ms, action in moves:
+            act(here, action, around.repeated_ms * MS)
+            here.run(gap_ms * MS)
+
+
+def test_an_armed_tip_waits_for_the_hand_whoever_is_armed_first() -> None:
+    for order in ((TIP, HAND), (HAND, TIP)):
+        with world() as here:
+            here.arm(order[0])
+            here.run(3 * SECOND)
+            assert here.modes() == {TIP: "retracted", HAND: "free"}
+            here.arm(order[1])
+            here.run(SECOND)
+            assert here.modes() == ARMED
+
+
+def test_a_tip_that_is_armed_while_the_hand_is_in_emergency_stop_stays_withdrawn() -> None:
+    with world() as here:
+        here.arm()
+        here.run(SECOND)
+        here.stop(5 * SECOND)
+        here.run(3 * SECOND)
+        client = here.arm(TIP)
+        here.run(10 * SECOND)
+        assert (client.failure, here.modes()) == ("", {TIP: "retracted", HAND: "estop"})
+        here.arm(HAND)
+        here.run(SECOND)
+        assert here.modes() == ARMED
+
+
 INLETS = pytest.mark.parametrize("inlet_first", [True, False])
 HEARING = pytest.mark.parametrize("hears_stops", [True, False])
 
@@ -176,7 +219,7 @@ def test_an_arm_that_waited_in_a_stopped_instrument_does_not_undo_a_later_stop(
 @HEARING
 def test_a_launcher_that_tries_anew_gives_up_at_a_stop(inlet_first: bool, hears_stops: bool) -> None:
     with world(inlet_first=inlet_first, hears_stops=hears_stops) as here:
-        # no position to follow for the first two seconds, so that it is refused until then
+        # no position to follow for the first two seconds, so that the tip is not placed until then
         here.no_position = True
         here.run(200 * MS)
         launcher = here.arm(launcher=True)
@@ -197,7 +240,7 @@ def test_a_launcher_does_not_release_a_stop_from_before_its_session() -> None:
         launcher = here.arm(launcher=True)
         here.run(30 * SECOND)
         assert here.modes() == STOPPED
-        assert (launcher.failure, launcher.latched) == ("", TIP)
+        assert (launcher.failure, launcher.latched) == ("", HAND)
         # a person releases both, and the launcher goes on
         here.arm()
         here.run(3 * SECOND)
@@ -292,7 +335,8 @@ def test_a_quotation_of_an_earlier_run_is_none_of_this_one() -> None:
                 "session/control", id=f"x{number}", command="arm", target=TIP, parameters={}, **quotes
             )
             here.run(200 * MS)
-            assert here.devices[TIP].mode == ("follow" if quoted == new else "estop")
+            # it is armed, and waits for the hand, which is stopped
+            assert here.devices[TIP].mode == ("retracted" if quoted == new else "estop")
 
 
 def test_an_arm_that_was_carried_out_is_not_said_to_be_in_force_after_a_stop() -> None:

@@ -45,7 +45,7 @@ class Armed(NamedTuple):
 
     def follow(self, mode: str = "position") -> None:
         """Give the tip something to follow."""
-        fields = {"mode": mode, "base_position_m": (0.0, 0.0, 1e-9), "hand_seq": 1}
+        fields = {"mode": mode, "base_position_m": (0.0, 0.0, 1e-9), "hand_seq": 1, "hand_armed": True}
         now_ns = self.bench.clock.now_ns()
         self.node.on_message(self.bench.received("afm/command", "controller@slave", **fields, hand_t_ns=now_ns))
 
@@ -105,14 +105,13 @@ REFUSALS_OF_THE_TIP: list[tuple[dict[str, Any] | None, Callable[[Armed], None], 
         case
         for begin in (None, CURVE)
         for case in (
-            (begin, nothing, "no_fresh_command"),
-            (begin, lambda armed: armed.follow("hold"), "no_position_command"),
             (begin, still_goes_back, "still_retracting"),
             (begin, lost, "device_lost" if begin is None else "the instrument is lost"),
         )
     ),
     (TOO_HARD, Armed.follow, "curve.load_n must be below"),
     (TOO_HARD, nothing, "curve.load_n must be below"),
+    (TOO_HARD, lambda armed: armed.follow("hold"), "curve.load_n must be below"),
     (TOO_FAR, Armed.follow, "tactile"),
 ]
 

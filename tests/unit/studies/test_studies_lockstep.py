@@ -66,7 +66,7 @@ def test_contact_loop_is_the_loop_written_out(delay_ms: int) -> None:
         return float(sample.force_n)
 
     # while the rig waits for the session the far attraction of the sample moves the hand by less than a micrometre
-    expected = written_out(force_at, delay_ms, 250, len(course.time_s))
+    expected = written_out(force_at, delay_ms, 50, len(course.time_s))
     np.testing.assert_allclose(course.reference_m[:-1], expected["x"][1:], rtol=0.0, atol=2e-6)
     assert course.reference_m[-1] == pytest.approx(0.703e-2, rel=1e-3, abs=0.0)
     assert course.tip_force_n.min() == pytest.approx(-12.5e-9, rel=1e-2, abs=0.0)

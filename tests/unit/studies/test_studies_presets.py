@@ -7,7 +7,7 @@ import pytest
 import studies
 import telenano
 from presets import SCENARIO_DIRECTORY
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
 from services.controller.config import OWN_LAWS
 from studies.loops.simulation import SimulatedSession
 
@@ -66,16 +66,10 @@ def test_a_guard_that_acted_in_a_simulation_comes_first() -> None:
     assert session.reason.startswith(
         "the instrument's guard acted at 5.524 s (force_limit: more than 200 nN on the tip); "
     )
-    # in the approach to the sample, before the hand's programme has begun
-    early = telenano.simulate(
-        "fig12",
-        law="virtual_impedance",
-        environment="spring",
-        settings={"afm_node.spring.bilateral": False, "afm_node.spring.rest_position_m": -15e-9},
-    )
-    assert early.verdict == "guarded"
-    assert early.reason.startswith("the instrument's guard acted at -0.")
-    assert "before the hand's programme (force_limit: more than 200 nN on the tip)" in early.reason
+    # Where it acts while the tip is being placed, there is no session.
+    settings = {"afm_node.spring.bilateral": False, "afm_node.spring.rest_position_m": -15e-9}
+    with pytest.raises(RigError, match=r"the tip was not placed within .*: its guard has withdrawn it \(force_limit\)"):
+        telenano.simulate("fig12", law="virtual_impedance", environment="spring", settings=settings)
 
 
 def test_a_spring_that_also_pulls_begins_at_its_rest_position_and_nowhere_else() -> None:

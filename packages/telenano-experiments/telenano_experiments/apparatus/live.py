@@ -333,7 +333,7 @@ class Live(Apparatus):
             raise RigError("a device is in emergency stop: find out why, and go on with `telenano experiment resume`")
         if states["afm/state"].mode not in ("follow", "hold"):
             self._command("set", LINK, _CLEAN)
-            self._command("arm", TIP)
+            self._send(Command("arm", TIP, placed=True))
 
     def _states(self) -> dict[str, Any]:
         """Return the newest state of both devices."""
@@ -484,13 +484,14 @@ class Live(Apparatus):
 
     def _command(self, name: CommandName, target: str, parameters: Mapping[str, Scalar] | None = None) -> None:
         """Send a command; RigError where a node refuses it. What was reported before counts no more."""
+        self._send(Command(name, target, parameters=parameters or {}))
+
+    def _send(self, command: Command) -> None:
         self._keep_hand()
-        answers = send_control(
-            Command(name, target, parameters=parameters or {}), self._site_file, "master", lambda event: None
-        )
+        answers = send_control(command, self._site_file, "master", lambda event: None)
         refused = [f"{src}: {event.text}" for src, event in sorted(answers.items()) if event.kind == "refused"]
         if refused:
-            raise RigError(f"{name} {target}: {'; '.join(refused)}")
+            raise RigError(f"{command.name} {command.target}: {'; '.join(refused)}")
         self._newest = {}
 
     def _keep_hand(self) -> None:

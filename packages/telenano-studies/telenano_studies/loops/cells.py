@@ -8,6 +8,7 @@ Fig. 12). The last hold is judged.
 import functools
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,7 +36,7 @@ from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
 from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate
+from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate, time_to_place_s
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
@@ -74,7 +75,8 @@ _APPROACH_S, _APPROACH_ROUND_TRIPS = 2.4, 10.0
 # near its onset a limit cycle of the contact takes seconds to reach its size
 _HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "tip_sample": 12.0}
 _HOLD_ROUND_TRIPS = 40.0
-_SETTLE_S, _SETTLE_ROUND_TRIPS = 0.3, 4.0
+# The instrument of every cell has these limits, and no further to go than from where they retract the tip.
+_LIMITS = SafetyParams(**SafetyConfig().model_dump())
 # the first part of a hold is the answer to the step before it
 _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
@@ -351,12 +353,12 @@ def course_of(
 
 def settle_s(cell: Cell) -> float:
     """Return the time before the session [s], in which the instrument is armed and comes to its reference."""
-    return _SETTLE_S + _SETTLE_ROUND_TRIPS * cell.round_trip_s
+    return time_to_place_s(_LIMITS, cell.round_trip_s)
 
 
 def settle_ticks(cell: Cell, period_s: float) -> int:
     """Return `settle_s` in whole ticks."""
-    return round(settle_s(cell) / period_s)
+    return math.ceil(settle_s(cell) / period_s)
 
 
 @functools.lru_cache(maxsize=16)

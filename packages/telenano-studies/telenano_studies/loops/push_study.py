@@ -29,7 +29,7 @@ from services.haptic_node.config import HapticConfig
 from services.runtime.settings.config import Settings, validate
 from studies.loops import push_hand as h
 from studies.loops.link import Schedule, schedule_of
-from studies.loops.lockstep import Rig, build_rig, simulate
+from studies.loops.lockstep import Rig, build_rig, simulate, time_to_place_s
 from studies.loops.simulation import instrument_params
 from telenano_studies.loops.cells import sources
 from telenano_studies.loops.links import symmetric_link
@@ -42,7 +42,7 @@ WAY_M = 1e-6
 SPEED_M_PER_S = 300e-9
 REACTION_S = 0.2
 PRESSES_N = 1.2
-_LONGEST_S, _TOUCHED_S, _SETTLE_S = 40.0, 1.0, 0.3
+_LONGEST_S, _TOUCHED_S = 40.0, 1.0
 
 # At the hand this cantilever is 1500 N/m, for which the paper's loop bears 95 ms.
 _STIFFNESS_N_PER_M = 10.0
@@ -126,7 +126,7 @@ def run(trial: Trial, longest_s: float = _LONGEST_S) -> Outcome:
     instrument = rig.instrument._replace(plant=plant._replace(start=np.array([[*place.tolist(), 1.0]])))
     rig = replace(rig, instrument=instrument, instrument_start=initial_afm_state(instrument))
     round_trip_s = 1e-3 * trial.round_trip_ms
-    settle = round((_SETTLE_S + 4.0 * round_trip_s) / period_s)
+    settle = math.ceil(time_to_place_s(instrument.safety, round_trip_s) / period_s)
     begins = round((_TOUCHED_S + 2.0 * round_trip_s) / period_s)
     ticks = settle + begins + round(longest_s / period_s)
     schedule = _schedule(round_trip_s, trial.loss, trial.seed if trial.loss else 0, ticks, period_s)
