@@ -2,21 +2,17 @@ import type { Connection, LinkState } from "./connection";
 import { make, part } from "./dom";
 import type { Values } from "./form";
 import type { Facts } from "./protocol";
-import { Stops } from "./stops";
 import type { Store } from "./store";
 
 const SHOWN_MS = 7000;
 /** There is room for two lines beside the state of the rig. */
 const MOST_SHOWN = 2;
-/** The AFM before the haptic device, so that the hand never moves a reference that nothing follows. */
-const DEVICES = ["afm_node", "haptic_node"];
+/** Hand and tip: the server arms both, and answers when the tip is placed. */
+const DEVICES = "*";
 
 /** Commands of the operator; each shows its acknowledgement or its refusal. */
 export class Commands {
-  readonly stops = new Stops(() => ({
-    afm_node: this.store.fact("afm/state/slave", "mode") === "estop",
-    haptic_node: this.store.fact("haptic/state/master", "estop") === true,
-  }));
+  private stops = 0;
   /** Called when an emergency stop is asked for, before it is answered. */
   onEstop: () => void = () => {};
   /** Called before devices are armed: the tip must not press at once with a force that was held before. */
@@ -44,7 +40,7 @@ export class Commands {
 
   async estop(): Promise<void> {
     const dead = this.deadStop;
-    this.stops.note();
+    this.stops++;
     this.onEstop();
     if (dead) this.show("emergency stop", false, dead.long);
     else await this.ask("emergency stop", { k: "estop" });
@@ -54,11 +50,21 @@ export class Commands {
     return this.ask(about, { k: "command", command, target, parameters, lease: this.store.ownLease });
   }
 
-  /** Arm the devices one after the other, as far as they permit, and no further than to the next emergency stop; the answer says whether all are. */
-  async arm(mayGoOn = this.stops.begin()): Promise<boolean> {
+  /** Whether a device is in emergency stop, as far as the page knows. */
+  private get isLatched(): boolean {
+    return this.store.fact("afm/state/slave", "mode") === "estop" || this.store.fact("haptic/state/master", "estop") === true;
+  }
+
+  /** Arm hand and tip in one request; the answer says whether both are, and the tip is placed. */
+  async arm(): Promise<boolean> {
     this.onArm();
-    for (const device of DEVICES) if (!mayGoOn() || !(await this.command(`arm ${device}`, "arm", device))) return false;
-    return true;
+    return this.command("arm hand and tip", "arm", DEVICES);
+  }
+
+  /** Return whether hand and tip may be armed at the end of something that begins now: not after a stop that comes meanwhile. */
+  mayArmLater(): () => boolean {
+    const { stops, isLatched } = this;
+    return () => stops === this.stops && (isLatched || !this.isLatched);
   }
 
   /** Couple hand and tip anew: the tip is withdrawn, and armed when the hand is at rest. */
@@ -91,7 +97,9 @@ export class Commands {
     const note = make("div", { class: "answer pending" }, `${about} …`);
     const answers = part("answers");
     answers.prepend(note);
-    while (answers.childElementCount > MOST_SHOWN) answers.lastElementChild!.remove();
+    // What is not answered yet stays.
+    const answered = [...answers.children].filter((each) => !each.classList.contains("pending"));
+    for (const each of answered.slice(Math.max(0, MOST_SHOWN - 1))) each.remove();
     return note;
   }
 

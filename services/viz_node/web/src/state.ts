@@ -18,9 +18,8 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "REPLAYED: not an instrument"]];
   if (isLive && nodes.every((node) => node.state === "ended" || node.state === "stopping")) return [["bad", "THE RIG HAS ENDED"]];
   const found: Banner[] = [];
-  if (store.fact("haptic/state/master", "estop") === true || store.fact("afm/state/slave", "mode") === "estop") {
-    found.push(["bad", "EMERGENCY STOP: arm to go on"]);
-  }
+  const [hand, tip] = [store.fact("haptic/state/master", "estop") === true, store.fact("afm/state/slave", "mode") === "estop"];
+  if (hand || tip) found.push(["bad", `EMERGENCY STOP${hand && tip ? "" : hand ? " OF THE HAND" : " OF THE TIP"}: arm to go on`]);
   // what was stopped swings no more, whatever the last seconds show
   const swing = found.length ? undefined : isLive ? swingOf(store) : store.recordedSwing();
   const lost = store.lost();
@@ -51,8 +50,11 @@ function doingOf(store: Store): string {
   if (program && ["running", "paused"].includes(program.state)) {
     return `${program.program} ${program.state === "paused" ? "paused" : "runs"}, ${program.done_percent.toFixed(0)} %`;
   }
+  const mode = String(store.fact("afm/state/slave", "mode") ?? "");
+  if (mode === "retracted" && store.fact("afm/state/slave", "armed") === true) return "the tip is armed, and waits for an armed hand";
+  if (mode === "follow" && store.fact("afm/state/slave", "placed") === false) return "the tip is on its way to the hand";
   const words: Record<string, string> = { follow: "the tip follows the hand", hold: "the tip holds its place", retracted: "the tip is away", retracting: "the tip moves away" };
-  return words[String(store.fact("afm/state/slave", "mode") ?? "")] ?? "";
+  return words[mode] ?? "";
 }
 
 /** How the force of the tip at the hand's scale has been swinging for the last seconds; undefined where it has not. */

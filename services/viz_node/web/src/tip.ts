@@ -31,11 +31,11 @@ export class Tip {
 
   /** End a program, wait until the tip is away, and let it follow the hand again; the answer says whether it does. */
   async followHand(): Promise<boolean> {
-    const mayGoOn = this.commands.stops.begin();
+    const mayArm = this.commands.mayArmLater();
     if (this.program && !(await this.commands.command("abort", "set", INSTRUMENT, { program: "abort" }))) return false;
     const isEnding = (): boolean => this.program !== "" || this.store.fact("afm/state/slave", "mode") === "retracting";
     for (let waited = 0; isEnding() && waited < LONGEST_END_MS; waited += LOOK_MS) await new Promise((go) => setTimeout(go, LOOK_MS));
-    return this.commands.arm(mayGoOn);
+    return mayArm() && this.commands.arm();
   }
 
   /** Move the tip over the sample as the pointer goes [nm]: one command at a time, and then to the newest place. */

@@ -77,3 +77,24 @@ describe("the summary", () => {
     expect(rangeText([50.1, 50.3])).toBe("50.2 ms");
   });
 });
+
+describe("the banner of arming", () => {
+  const live = (hand: boolean, mode: string, further: object = {}): string => {
+    const store = new Store();
+    store.source = { kind: "live", name: "rig" } as never;
+    store.take({ k: "tick", nodes: { "haptic_node@master": node }, state: { "haptic/state/master": { estop: hand }, "afm/state/slave": { mode, ...further } } });
+    return texts(store);
+  };
+
+  it("names the device that is stopped where the other one is not", () => {
+    expect(live(true, "estop")).toContain("EMERGENCY STOP: arm to go on");
+    expect(live(true, "retracted")).toContain("EMERGENCY STOP OF THE HAND: arm to go on");
+    expect(live(false, "estop")).toContain("EMERGENCY STOP OF THE TIP: arm to go on");
+  });
+
+  it("does not say of a tip that waits, or is on its way, that it follows the hand", () => {
+    expect(live(false, "retracted", { armed: true })).toContain("the tip is armed, and waits for an armed hand");
+    expect(live(false, "follow", { placed: false })).toContain("the tip is on its way to the hand");
+    expect(live(false, "follow", { placed: true })).toContain("the tip follows the hand");
+  });
+});
