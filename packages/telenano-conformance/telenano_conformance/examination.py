@@ -199,7 +199,7 @@ def _run(
     rig: _Rig | None,
     duration_s: float,
 ) -> None:
-    messages = MessageExaminer(account)
+    messages = MessageExaminer(account, is_hand=rig is not None)
     commands = CommandsOfClient(account, None if rig is None else rig.answer)
     answers = None if rig is None else AnswersOfClient(account, rig.command, rig.disturb)
     start_s, disturbed, before = time.monotonic(), False, 0

@@ -16,6 +16,8 @@ _HEADER = ("seq", "t_ns", "src", "v")
 # The rule behind each reason that the codec refuses bytes for.
 _REASONS = {"oversized": "size", "malformed": "msgpack", "newer_version": "version"}
 _UNITS = {1: "s", 1_000: "ms", 1_000_000: "us"}
+# What says of a command whether the hand behind it was armed.
+_BEHIND_THE_HAND = ("teleop/forward", "afm/command")
 # Who sends only on change is no node with a loop.
 NO_NODES = ("session/control", "operator/force", "experiment/answer")
 _CONTENT = ("required keys", "further keys", "types", "words", "ranges")
@@ -36,10 +38,19 @@ class _Stream:
 
 
 class MessageExaminer:
-    """Examines each message as it comes, and the course of each topic."""
+    """Examines each message as it comes, and the course of each topic.
 
-    def __init__(self, account: Account) -> None:
-        self._account = account
+    Args:
+        account: What is told of the rules.
+        is_hand: Whether the client reads no hand but that of the kit, which is never armed.
+    """
+
+    def __init__(self, account: Account, *, is_hand: bool = False) -> None:
+        self._account, self._is_hand = account, is_hand
+        # By hand whether the newest command that it acknowledged was an arm, or an emergency stop.
+        self._is_armed: dict[str, bool] = {}
+        # By hand whether it said last that it is armed.
+        self._says_armed: dict[str, bool] = {}
         self._streams: dict[tuple[str, str], _Stream] = {}
         self._first_ns: dict[str, int] = {}
         self.received = 0
@@ -58,6 +69,7 @@ class MessageExaminer:
         if all(self._header_is_whole(topic, fields)):
             self._publisher(topic, fields["src"])
             self._version(topic, fields)
+            self._arming(topic, fields)
             self._course(topic, fields, now_ns)
         return Sent(topic, fields)
 
@@ -65,6 +77,10 @@ class MessageExaminer:
         """Examine what should have come by the end of the examination [ns since 1970]."""
         for (topic, src), stream in self._streams.items():
             self._pause(topic, src, now_ns - stream.now_ns, stream)
+        for src, armed in self._says_armed.items():
+            if self._is_armed.get(src) and not armed:
+                text = f"{src} has acknowledged an arm, and does not say that it is armed: no tip follows it"
+                self._account.fail("armed hand", text)
         nodes = {src for topic, src in self._streams if topic not in NO_NODES}
         for src in sorted(nodes):
             health = self._streams.get(("node/health", src))
@@ -133,6 +149,21 @@ class MessageExaminer:
     def _header_is_whole(self, topic: str, fields: dict[str, Any]) -> list[bool]:
         types = {"seq": int, "t_ns": int, "src": str, "v": int}
         return [type(fields.get(key)) is types[key] for key in _HEADER]
+
+    def _arming(self, topic: str, fields: dict[str, Any]) -> None:
+        """Examine what is said of a hand that is armed, which a tip may follow."""
+        src, data = fields["src"], fields.get("data")
+        if topic == "session/event" and fields.get("kind") == "ack" and isinstance(data, dict):
+            if data.get("command") in ("arm", "estop"):
+                self._is_armed[src] = data["command"] == "arm"
+        elif topic == "haptic/state":
+            self._says_armed[src] = armed = fields.get("armed") is True
+            if armed and (fields.get("estop") is True or self._is_armed.get(src) is False):
+                self._account.fail("armed hand", f"{src} is armed in emergency stop")
+            elif armed:
+                self._account.hold("armed hand")
+        elif topic in _BEHIND_THE_HAND and self._is_hand and fields.get("hand_armed") is True:
+            self._account.fail("armed hand", f"{topic} of {src} is of an armed hand, and the hand was never armed")
 
     def _publisher(self, topic: str, src: str) -> None:
         publishers = TOPICS[topic].publishers

@@ -43,6 +43,7 @@ RULES = (
     Rule("end of repetition", "Commands", "a command that was answered by ack is not sent again"),
     Rule("quoted clock", "Commands", "after a refusal with expired it comes again, same id, with node_t_ns"),
     Rule("quoted stop", "Commands", "after a refusal with latch it comes again, same id, with that node_latch"),
+    Rule("armed hand", "Commands", "a hand is armed by an arm that it acknowledged, until an estop; all else is not"),
     Rule("answer", "Commands", "a command to a node by its name is answered by ack or refused, with its id"),
     Rule("same answer", "Commands", "the same id is answered again with the same words"),
     Rule("expired command", "Commands", "a command that is too old is refused, with expired true in data"),

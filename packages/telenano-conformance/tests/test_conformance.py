@@ -188,6 +188,45 @@ def test_a_mistake_in_the_frames_is_named(name: str) -> None:
     assert broken(found) == {rule}
 
 
+def answered(command: str) -> Frames:
+    """Return the answer of a hand to a command."""
+    data = {"command": command}
+    event = fields_of("session/event", seq=0, t_ns=NOW_NS, src="haptic_node@master", kind="ack", data=data)
+    return spec_client.write("session/event", **event)
+
+
+@pytest.mark.parametrize(
+    ("acknowledged", "fields", "seen"),
+    [
+        ("arm", {"armed": True, "v": 4}, ""),
+        ("estop", {"armed": False, "v": 4, "estop": True}, ""),
+        ("arm", {"armed": False, "v": 4}, "has acknowledged an arm, and does not say that it is armed"),
+        ("arm", {}, "has acknowledged an arm, and does not say that it is armed"),
+        ("estop", {"armed": True, "v": 4}, "is armed in emergency stop"),
+        ("arm", {"armed": True, "v": 4, "estop": True}, "is armed in emergency stop"),
+    ],
+)
+def test_a_stand_in_for_the_hand_says_that_it_is_armed_when_it_is(
+    acknowledged: str, fields: dict[str, Any], seen: str
+) -> None:
+    said = [fields_of("haptic/state", seq=number, t_ns=NOW_NS + number * _MS) for number in range(3)]
+    states = [
+        spec_client.write("haptic/state", **{**{"estop": False}, **each, "estop": False, **fields}) for each in said
+    ]
+    found = judged([(answered(acknowledged), NOW_NS), *((frames, NOW_NS) for frames in states)])["armed hand"]
+    assert found[0] == ("failed" if seen else "passed" if fields["armed"] else "not seen")
+    assert seen in found[1]
+
+
+def test_a_controller_takes_no_hand_for_armed_that_did_not_say_so() -> None:
+    account = Account()
+    examiner = MessageExaminer(account, is_hand=True)
+    for number in range(2):
+        fields = fields_of("afm/command", seq=number, t_ns=NOW_NS + number, hand_armed=number == 1, v=3)
+        examiner.take(spec_client.write("afm/command", **fields), NOW_NS)
+    assert "the hand was never armed" in outcomes(account)["armed hand"][1]
+
+
 def test_a_pause_and_a_node_without_health_are_named() -> None:
     sent = [(spec_client.write("afm/state", **fields), at) for fields, at in course("afm/state", step_ns=_S)]
     found = judged(sent)
@@ -433,7 +472,7 @@ def test_a_client_of_the_specification_passes_over_sockets(tmp_path: Path) -> No
         findings = {found.rule: found for found in examine(client.address, client.kit, duration_s=6.0)}
     assert [found.line() for found in findings.values() if found.outcome == "failed"] == []
     unseen = {rule for rule, found in findings.items() if found.outcome == "not seen"}
-    assert unseen == {"encryption", "strangers", "rate", "last message"}
+    assert unseen == {"encryption", "strangers", "rate", "last message", "armed hand"}
 
 
 def test_the_command_names_the_mistake_of_a_client_and_fails(tmp_path: Path) -> None:
