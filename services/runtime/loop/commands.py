@@ -166,8 +166,8 @@ class CommandClient:
         self.answers[event.src] = event
         self._last_answer_ns = self._clock.monotonic_ns()
         if self._command is not None and self._command.placed:
-            # The tip may wait for the first command of an armed hand.
-            self._deadline_ns = self._last_answer_ns + self._command.deadline_ns
+            # The tip may wait for the first command of an armed hand, or has said already how long its way takes.
+            self._deadline_ns = max(self._deadline_ns, self._last_answer_ns + self._command.deadline_ns)
         return True
 
     def _record_way(self, command: Command, event: SessionEvent) -> None:

@@ -39,12 +39,15 @@ def test_a_whole_session() -> None:
     assert rig.children.stopped == 1
 
 
-def test_the_hand_is_started_when_the_tip_is_placed_however_long_that_takes() -> None:
+@pytest.mark.parametrize("before", [True, False])
+def test_the_hand_is_started_when_the_tip_is_placed_however_long_that_takes(before: bool) -> None:
     rig = Rig(duration_s=2.0)
     rig.places = False
     rig.all_ready()
-    rig.tick(2)
-    rig.receive_event("afm_node@slave", "mode", "its base goes from -100 nm to 0 nm", mode="follow", placing_s=6.7)
+    # the instrument may say how long its way takes before it answers, or after that
+    says = ("afm_node@slave", "mode", "its base goes from -100 nm to 0 nm")
+    rig.tick(1 if before else 2)
+    rig.receive_event(*says, mode="follow", placing_s=6.7)
     # at 15 nm/s it takes 6.7 s, and the limit is twice that and five seconds
     rig.tick_alive(6 * SECOND_NS // TICK_NS)
     assert rig.session.phase == "arming"
