@@ -7,6 +7,8 @@ import type { Store } from "./store";
 const SHOWN_MS = 7000;
 /** There is room for two lines beside the state of the rig. */
 const MOST_SHOWN = 2;
+/** A slow base may take minutes until the tip is placed; the server itself gives up when it takes twice what the instrument says. */
+const PLACED_MS = 600_000;
 /** Hand and tip: the server arms both, and answers when the tip is placed. */
 const DEVICES = "*";
 
@@ -58,7 +60,8 @@ export class Commands {
   /** Arm hand and tip in one request; the answer says whether both are, and the tip is placed. */
   async arm(): Promise<boolean> {
     this.onArm();
-    return this.command("arm hand and tip", "arm", DEVICES);
+    const fields = { k: "command", command: "arm", target: DEVICES, parameters: {}, lease: this.store.ownLease };
+    return this.ask("arm hand and tip", fields, PLACED_MS);
   }
 
   /** Return whether hand and tip may be armed at the end of something that begins now: not after a stop that comes meanwhile. */
@@ -73,9 +76,9 @@ export class Commands {
     return this.command("couple hand and tip", "couple", "*");
   }
 
-  async ask(about: string, fields: Facts): Promise<boolean> {
+  async ask(about: string, fields: Facts, patienceMs?: number): Promise<boolean> {
     const note = this.pending(about);
-    const answer = await this.connection.ask(fields);
+    const answer = await this.connection.ask(fields, patienceMs);
     this.store.takeLease(answer.lease);
     this.settle(note, about, answer.ok, answer.text);
     return answer.ok;

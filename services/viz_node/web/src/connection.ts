@@ -73,7 +73,7 @@ export class Connection {
   }
 
   /** Send a request and wait for its answer; one that never comes is a refusal in words. */
-  ask(fields: Facts): Promise<Answer> {
+  ask(fields: Facts, patienceMs = ANSWER_MS): Promise<Answer> {
     const id = `${this.sender}-${this.issued++}`;
     if (!this.send({ ...fields, id })) {
       return Promise.resolve({ k: "answer", id, ok: false, text: "not sent: there is no connection to the server" });
@@ -82,7 +82,7 @@ export class Connection {
       const timer = setTimeout(() => {
         this.waiting.delete(id);
         resolve({ k: "answer", id, ok: false, text: "no answer came: the rig may be gone" });
-      }, ANSWER_MS);
+      }, patienceMs);
       this.waiting.set(id, (answer) => {
         clearTimeout(timer);
         resolve(answer);

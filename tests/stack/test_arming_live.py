@@ -1,0 +1,108 @@
+"""Whoever arms what, as fast as a script can: on a live rig no tip follows a hand that is not armed.
+
+TELENANO_CLICKS is how often the page is connected and clicked, 12 times by default.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser_page import BESIDE_A_BROWSER, View, browser, needs_browser
+from stack_rig import Rig
+
+from recording.reader import Recording
+
+pytestmark = pytest.mark.check
+CLICKS = int(os.environ.get("TELENANO_CLICKS", "12"))
+# Arms as soon as the page is connected, before it has drawn anything.
+CLICK_AT_ONCE = """() => new Promise((done) => {
+  const begun = performance.now();
+  const look = () => {
+    const commands = window.telenano?.cockpit.commands;
+    if (commands?.link === "open") { void commands.arm(); done(performance.now() - begun); }
+    else if (performance.now() - begun > 20000) done(-1);
+    else setTimeout(look, 1);
+  };
+  look();
+})"""
+# A command is in force for 50 ms, and the turns of two processes lie between [ns].
+GRACE_NS = 120_000_000
+
+
+def followed_unarmed(recordings: Sequence[Path]) -> list[tuple[int, str]]:
+    """Return when the tip followed although the hand had not been armed for longer than a command is in force."""
+    found: list[tuple[int, str]] = []
+    armed_ns = -(10**18)
+    messages = [each for path in recordings for each in Recording(path).messages(["haptic/state", "afm/state"])]
+    for message in sorted(messages, key=lambda each: each.publish_ns):
+        state = message.decode()
+        if message.topic == "haptic/state":
+            armed_ns = state.t_ns if state.armed else armed_ns
+        elif state.mode == "follow" and state.t_ns - armed_ns > GRACE_NS:
+            found.append((state.t_ns, state.mode))
+    return found
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    rig = Rig(tmp_path)
+    try:
+        rig.start("--duration", "3000", *BESIDE_A_BROWSER, scenario="touch")
+        rig.wait_until(rig.running, "a running session")
+        yield rig
+    finally:
+        rig.close()
+
+
+def recordings_of(rig: Rig) -> list[Path]:
+    return sorted(rig.out.glob("*.mcap"))
+
+
+@pytest.mark.browser
+@needs_browser
+def test_a_click_just_after_a_connection_never_arms_a_tip_alone(rig: Rig) -> None:
+    view = View(rig.environment)
+    try:
+        with browser() as chromium:
+            page, other = chromium.new_page(), chromium.new_page()
+            other.goto(view.observer)
+            other.wait_for_function("window.telenano?.cockpit.commands.link === 'open'")
+            page.goto(view.operator)
+            for _ in range(CLICKS):
+                # Anybody who sees the tip may stop it, and the page is loaded while the stop is on its way.
+                other.evaluate("() => void window.telenano.cockpit.commands.estop()")
+                page.reload(wait_until="commit")
+                assert page.evaluate(CLICK_AT_ONCE) >= 0.0, "the page did not connect"
+                page.wait_for_timeout(200.0)
+    finally:
+        view.close()
+    rig.stop()
+    assert followed_unarmed(recordings_of(rig)) == []
+
+
+def test_the_real_commands_in_any_order_arm_no_tip_alone(rig: Rig) -> None:
+    assert rig.telenano("estop").returncode == 0
+    tip = rig.telenano("session", "arm", "--target", "afm_node")
+    assert tip.returncode == 0, tip.stdout + tip.stderr
+    assert "stays withdrawn until a fresh command of an armed hand comes" in tip.stdout
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "retracted", "a tip that waits")
+    assert rig.newest("afm/state").armed is True
+    # both at once, then with a stop between them
+    arm = lambda *target: rig.telenano("session", "arm", *target)  # noqa: E731
+    with ThreadPoolExecutor(3) as turns:
+        for others in ([("estop",)], [("session", "arm", "--target", "haptic_node")]):
+            waiting = [
+                turns.submit(arm, "--target", "afm_node"),
+                *(turns.submit(rig.telenano, *each) for each in others),
+            ]
+            for each in waiting:
+                each.result()
+    whole: Any = arm()
+    assert whole.returncode == 0, whole.stdout + whole.stderr
+    assert "the tip is placed: its base is at" in whole.stdout
+    rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "a tip that follows")
+    rig.stop()
+    assert followed_unarmed(recordings_of(rig)) == []
