@@ -74,7 +74,7 @@ def test_a_click_just_after_a_connection_never_arms_a_tip_alone(rig: Rig) -> Non
             for _ in range(CLICKS):
                 # Anybody who sees the tip may stop it, and the page is loaded while the stop is on its way.
                 other.evaluate("() => void window.telenano.cockpit.commands.estop()")
-                page.reload(wait_until="commit")
+                page.reload(wait_until="domcontentloaded")
                 assert page.evaluate(CLICK_AT_ONCE) >= 0.0, "the page did not connect"
                 page.wait_for_timeout(200.0)
     finally:
