@@ -345,11 +345,14 @@ def _bounded_growth(plan: Plan, start_s: float, end_s: float, run: Run) -> tuple
 
 
 def _until_guarded(plan: Plan, end_s: float, run: Run) -> float:
-    """Return when a growth without a bound has come to the guard's limit, or has left the surface for good [s]."""
+    """Return when a growth without a bound has come to the guard's limit, or has left the surface for long [s]."""
     main, rest_n = plan.modes[0], plan.rest_ratio * plan.hand_force_n
-    leaves = not main.frequency_hz and main.amplitude_n < 0.0
-    level_n = rest_n + plan.adhesion_n if leaves else plan.guard_limit_n - rest_n
-    return min(end_s, run.start_s + seconds_to_n(plan, run, level_n))
+    guarded_s = min(end_s, run.start_s + seconds_to_n(plan, run, plan.guard_limit_n - rest_n))
+    left_s = min(end_s, run.start_s + seconds_to_n(plan, run, rest_n + plan.adhesion_n))
+    if main.frequency_hz:
+        # a motion with hardly a period may spend all of it in air, where no force is seen to grow
+        return left_s if main.frequency_hz * (guarded_s - run.start_s) < d.LEAST_PERIODS else guarded_s
+    return left_s if main.amplitude_n < 0.0 else guarded_s
 
 
 def _verdict(plan: Plan, start_s: float, end_s: float, run: Run) -> tuple[Truth, float, str | None]:
@@ -470,7 +473,7 @@ def plan(seed: int) -> Plan:
     withdrawal_s = _withdrawal_s(openings, end_s)
     if withdrawal_s is not None:
         openings = tuple(opening for opening in openings if opening.start_s < withdrawal_s)
-    runs = _runs(draw, landing_s, withdrawal_s or held_s, openings, modes[0].amplitude_n, rest_n) if arrives else ()
+    runs = _runs(draw, landing_s, withdrawal_s or end_s, openings, modes[0].amplitude_n, rest_n) if arrives else ()
     overruns = [opening.end_s for opening in openings if opening.cause == "machine" and opening.end_s < end_s]
     overload, count, kick = draw.happens(d.OVERLOAD_SHARE), round(draw.of(d.OVERLOAD_COUNT)), draw.of(d.OVERLOAD_KICK)
     if overload:
