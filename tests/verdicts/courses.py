@@ -14,7 +14,7 @@ from typing import NamedTuple
 import distribution as d
 import numpy as np
 from numpy.typing import NDArray
-from plans import Cause, Opening, Plan, Run, Truth, amplitude_n, plan
+from plans import Cause, Opening, Plan, Run, Truth, amplitude_n, plan, pressed_at_s
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -58,7 +58,8 @@ def _octaves(generator: np.random.Generator, time_s: Floats, shortest_s: float) 
         step_s = shortest_s * 2.0**octave
         values = generator.standard_normal(int(time_s[-1] / step_s) + 2)
         noise += np.interp(time_s, step_s * np.arange(values.size), values)
-    return noise * math.sqrt(1.5 / _OCTAVES)  # a line between two normal values has 2/3 of their variance
+    noise *= math.sqrt(1.5 / _OCTAVES)  # a line between two normal values has 2/3 of their variance
+    return noise
 
 
 def _narrow_band(generator: np.random.Generator, time_s: Floats, frequency_hz: float, memory_s: float) -> Floats:
@@ -141,6 +142,8 @@ def _phase(drawn: Plan, generator: np.random.Generator, run: Run, time_s: Floats
     """Return the phase of a main mode that does not decay [rad]; what disturbs the loop shifts it."""
     frequency_hz = drawn.modes[0].frequency_hz
     first = float(generator.random()) * 2.0 * math.pi if frequency_hz else 0.0
+    if (pressed_s := pressed_at_s(drawn, run)) is not None:
+        first = -2.0 * math.pi * frequency_hz * (pressed_s - run.start_s)
     phase = first + 2.0 * math.pi * frequency_hz * (time_s - run.start_s)
     for at_s, _ in _disturbances(drawn, run):
         shift = float(generator.uniform(-0.5, 0.5))
@@ -340,7 +343,7 @@ def course(seed: int) -> Course:
         held=trace.held[kept],
         round_trip_s=drawn.round_trip_s,
         random_link=drawn.random_link,
-        planned=tuple(tuple(hold) for hold in drawn.holds),
+        planned=tuple((hold.start_s, hold.end_s, hold.force_n) for hold in drawn.holds),
         rest_force_n=drawn.rest_ratio * drawn.hand_force_n if drawn.rest_stated else None,
         interruptions=tuple(
             (opening.start_s, min(opening.end_s, drawn.end_s), opening.cause)

@@ -344,14 +344,28 @@ def _bounded_growth(plan: Plan, start_s: float, end_s: float, run: Run) -> tuple
     return "goes_on", end_s - from_s, _cycle(plan, from_s, end_s, last_n)
 
 
+def pressed_at_s(plan: Plan, run: Run) -> float | None:
+    """Return when a growth without a bound presses most, so that the guard stops it [s]; None for any time.
+
+    A motion with hardly a period before the guard's limit is drawn with the phase that presses there: with another one
+    it could spend all of that time in air, where no force is seen to grow.
+    """
+    main = plan.modes[0]
+    if plan.motion != "grows" or not main.frequency_hz:
+        return None
+    grown_s = seconds_to_n(plan, run, plan.guard_limit_n - plan.rest_ratio * plan.hand_force_n)
+    few = main.frequency_hz * grown_s < d.LEAST_PERIODS
+    return run.start_s + grown_s if few and run.start_s + grown_s < run.end_s else None
+
+
 def _until_guarded(plan: Plan, end_s: float, run: Run) -> float:
     """Return when a growth without a bound has come to the guard's limit, or has left the surface for long [s]."""
     main, rest_n = plan.modes[0], plan.rest_ratio * plan.hand_force_n
     guarded_s = min(end_s, run.start_s + seconds_to_n(plan, run, plan.guard_limit_n - rest_n))
     left_s = min(end_s, run.start_s + seconds_to_n(plan, run, rest_n + plan.adhesion_n))
     if main.frequency_hz:
-        # a motion with hardly a period may spend all of it in air, where no force is seen to grow
-        return left_s if main.frequency_hz * (guarded_s - run.start_s) < d.LEAST_PERIODS else guarded_s
+        few = main.frequency_hz * (guarded_s - run.start_s) < d.LEAST_PERIODS
+        return left_s if few and pressed_at_s(plan, run) is None else guarded_s
     return left_s if main.amplitude_n < 0.0 else guarded_s
 
 
@@ -462,14 +476,15 @@ def plan(seed: int) -> Plan:
 
     arrives, still = not draw.happens(d.NEVER_ARRIVES_SHARE), draw.happens(d.NOTHING_MOVES_SHARE)
     arrival_s = holds[0].start_s + draw.of(d.ARRIVAL) * (holds[0].end_s - holds[0].start_s)
-    struck, blows, landing_s = draw.happens(d.BLOW_SHARE), (), arrival_s
+    struck, landing_s = draw.happens(d.BLOW_SHARE), arrival_s
+    blows: tuple[Blow, ...] = ()
     some_blows, after_blows_s = _blows(draw, arrival_s, force_n)
     if struck and arrives and motion == "decays" and after_blows_s < holds[0].end_s:
         blows, landing_s = some_blows, after_blows_s
     friction = draw.happens(d.FRICTION_SHARE) and motion == "decays"
     modes = _modes(draw, motion, rest_n, friction)
 
-    openings = _openings(draw, landing_s, held_s, force_n) if arrives else ()
+    openings = _openings(draw, landing_s, held_s, force_n) if arrives and not still else ()
     withdrawal_s = _withdrawal_s(openings, end_s)
     if withdrawal_s is not None:
         openings = tuple(opening for opening in openings if opening.start_s < withdrawal_s)
