@@ -180,7 +180,6 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         # an end of travel matters most where a half loses hold of the other one meanwhile
         events = _events(rng, rng.choice(SILENCES), duration_s, silence_limit_s)
     reach_m = _log(rng, 3e-4, 8e-3) if ends_hand else 1.0
-    base_reach_m = _log(rng, 2e-9, 4e-8) if ends_base else 1e-4
     sample = _sample(rng)
     return Order(
         name=name,
@@ -192,13 +191,18 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         sample=sample,
         line=_line(rng),
         hand_travel_m=(-reach_m * rng.uniform(0.2, 1.0), reach_m),
-        base_travel_m=(-1e-4, base_reach_m + max(sample.place_m, 0.0) if ends_base else base_reach_m),
+        base_travel_m=_base_travel(rng, sample.place_m) if ends_base else (-1e-4, 1e-4),
         hand_quantum_n=_log(rng, 2e-3, 0.1) if quantised else 0.0,
         tip_quantum_n=_log(rng, 2e-11, 2e-9) if quantised else 0.0,
         hand_quantum_m=rng.choice((0.0, 1e-6, 1e-5)) if quantised else 0.0,
         base_quantum_m=rng.choice((0.0, 1e-11, 1e-10)) if quantised else 0.0,
         events=events,
     )
+
+
+def _base_travel(rng: Random, place_m: float) -> tuple[float, float]:
+    """Return ends of travel of the base on both sides of the place of the surface and of the start [m]."""
+    return min(place_m, 0.0) - _log(rng, 2e-10, 1e-8), max(place_m, 0.0) + _log(rng, 2e-9, 4e-8)
 
 
 def _log(rng: Random, least: float, most: float) -> float:
