@@ -96,7 +96,7 @@ def is_compiled(function: Callable[..., Any], given: tuple[Any, ...]) -> bool:
     form = _form_of(function)
     from services.numerics.numba_parts import InterruptibleDispatcher
 
-    return form.is_ready(given) if isinstance(form, InterruptibleDispatcher) else True
+    return bool(form.is_ready(given)) if isinstance(form, InterruptibleDispatcher) else True
 
 
 def compiled_call(function: Callable[..., Any], given: tuple[Any, ...]) -> Any:

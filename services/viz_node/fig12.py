@@ -86,13 +86,22 @@ class SessionSeries:
     states: TipStates | None = None
 
     def tip_path(self) -> TipPath:
-        """Return the path of the tip while it was under the hand: not while it was lowered to it, nor withdrawn."""
+        """Return the path of the tip under the hand, and on the way back where a guard withdraws it from there.
+
+        The way on which it is lowered to the hand is not in it, nor that of a withdrawal beyond where the hand had it.
+        """
         states = self.states
         if states is None:
             no = np.zeros(len(self.tip_time_s), dtype=bool)
             states = TipStates(~no, no, no, no)
         shown = _under_the_hand(states) & (self.tip_time_s >= 0.0)
         separation_m = np.where(shown, self.separation_m, np.nan)
+        reach_m = float(np.nanmax(separation_m, initial=-math.inf))
+        for index in np.flatnonzero(shown[:-1] & ~states.led[1:] & (self.tip_time_s[1:] >= 0.0)).tolist():
+            way_m = self.separation_m[index + 1 :]
+            beyond = states.led[index + 1 :] | ~(way_m <= reach_m)
+            count = int(np.argmax(beyond)) if beyond.any() else len(way_m)
+            separation_m[index + 1 : index + 1 + count] = way_m[:count]
         pauses = self._pauses(self.tip_time_s)
         flags = (np.insert(each, pauses, False) for each in (states.in_contact, states.meniscus))
         return TipPath(np.insert(separation_m, pauses, np.nan), np.insert(self.tip_force_n, pauses, np.nan), *flags)

@@ -26,7 +26,7 @@ class Made(NamedTuple):
     """A session that was made, and what is true of it.
 
     changes: for each text the h [nm] of the samples between which the state first changes; times: how often; least_nm,
-    greatest_nm: span of h under the hand; both_ways: the tip goes back by a tenth of its way in contact or in the air.
+    greatest_nm: span of h under the hand; both_ways: the tip goes back, by the hand or a guard.
     """
 
     series: SessionSeries
@@ -60,7 +60,7 @@ def made(seed: int) -> Made:
     height_nm[:lowered] = np.linspace(begins_nm + 100.0, begins_nm + 2.0, lowered)
     limited[:lowered] = True
     if random.random() < 0.4:
-        led[-20:], height_nm[-20:] = False, np.linspace(height_nm[-21], 300.0, 20)
+        led[-20:], height_nm[-20:] = False, np.linspace(height_nm[-21], height_nm[-21] + 100.0, 20)
     contact, meniscus = np.zeros((2, time_s.size), dtype=bool)
     touching = held = False
     for index, h in enumerate(height_nm.tolist()):
@@ -69,6 +69,8 @@ def made(seed: int) -> Made:
         contact[index], meniscus[index] = touching, held
     force_nn = np.where(contact, 12.0 * (touch_nm - height_nm), 0.0) - 5.0 * meniscus
     under = led & ~limited
+    # a withdrawal is shown as far as the hand had the tip
+    under |= ~led & (np.cumsum(~led & (height_nm > height_nm[under].max())) == 0)
     changes, times = {}, {}
     for name, state in (("meniscus", meniscus), ("contact", contact)):
         for words, step in ((BEGINS, 1), (ENDS, -1)):
@@ -82,7 +84,9 @@ def made(seed: int) -> Made:
         states=TipStates(led, limited, contact, meniscus),
     )  # fmt: skip
     shown_nm = height_nm[under]
-    return Made(series, changes, times, float(shown_nm.min()), float(shown_nm.max()), touches > 0)
+    return Made(
+        series, changes, times, float(shown_nm.min()), float(shown_nm.max()), touches > 0 or bool((~led & under).any())
+    )
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -168,8 +172,13 @@ def test_a_tip_that_is_lowered_again_in_a_session_is_under_the_hand_from_its_pla
     away = (series.tip_time_s > 1.9) & (series.tip_time_s < 2.1)
     again = (series.tip_time_s >= 2.1) & (series.tip_time_s < 2.2)
     states = series.states._replace(led=~away, limited=again)
-    path = replace(series, states=states).tip_path()
-    assert np.array_equal(np.isnan(path.separation_m), away | again)
+    # the guard withdraws it to 12 nm, and it has been at 11 nm
+    withdrawn = replace(series, separation_m=np.where(away, 12e-9, series.separation_m), states=states)
+    assert np.array_equal(np.isnan(withdrawn.tip_path().separation_m), away | again)
+    # on the way back it is shown as far as the hand had it
+    way = np.linspace(8e-9, 14e-9, int(away.sum()))
+    withdrawn.separation_m[away] = way
+    assert np.array_equal(np.isnan(withdrawn.tip_path().separation_m[away]), way > 11e-9)
     # a base that is too slow for its hand is in no place before the sample has the tip: the path begins there
     states = series.states._replace(limited=series.tip_time_s < 1.5)
     path = replace(series, states=states).tip_path()
