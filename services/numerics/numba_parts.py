@@ -148,6 +148,8 @@ def _warn(text: str) -> None:
 class InterruptibleDispatcher(CPUDispatcher):
     """A compiled function that SIGINT and SIGTERM cannot end in the middle; numba's in all else."""
 
+    _cache: Any
+
     def __call__(self, *args: Any, **keywords: Any) -> Any:
         # Python runs the handlers of signals in the main thread only.
         if get_ident() != _MAIN_THREAD:

@@ -289,24 +289,23 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
             "\n".join(texts), (x_nm, force_nn), xytext=(0, 0), textcoords="offset points", ha="center", va="center",
             fontsize=8, arrowprops={"arrowstyle": "->", "lw": 0.6, "shrinkB": 1.0},
         )  # fmt: skip
-        size = Text.get_window_extent(label)
-        point = axes.transData.transform((x_nm, force_nn))
-        best: tuple[tuple[int, int, int, float], Bbox] | None = None
-        for distance_pt, degrees in product(_LABEL_PT, _LABEL_DEGREES):
-            turn = math.radians(degrees)
+        size, point = Text.get_window_extent(label), axes.transData.transform((x_nm, force_nn))
+
+        def beside(distance_pt: float, degrees: float, size: Bbox = size, point: Series = point) -> Bbox:
             # the box stands beyond the distance in its direction
-            x = point[0] + per_point * distance_pt * math.cos(turn) + 0.5 * size.width * float(np.sign(math.cos(turn)))
-            y = point[1] + per_point * distance_pt * math.sin(turn)
-            box = Bbox.from_bounds(x - 0.5 * size.width, y - 0.5 * size.height, size.width, size.height).padded(2.0)
+            across, up = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+            x = point[0] + per_point * distance_pt * across + 0.5 * size.width * (float(np.sign(across)) - 1.0)
+            y = point[1] + per_point * distance_pt * up - 0.5 * size.height
+            return Bbox.from_bounds(x, y, size.width, size.height).padded(2.0)
+
+        def faults(box: Bbox) -> tuple[bool, int, int]:
             outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
-            covered = sum(box.count_contains(points) for points in between)
-            cost = (int(outside), sum(map(box.overlaps, taken)), covered, distance_pt)
-            if best is None or cost < best[0]:
-                best = cost, box
-        assert best is not None
-        taken.append(best[1])
-        offset = (np.array([best[1].x0 + best[1].x1, best[1].y0 + best[1].y1]) / 2.0 - point) / per_point
-        label.set_position(tuple(offset.tolist()))
+            return outside, sum(map(box.overlaps, taken)), sum(box.count_contains(points) for points in between)
+
+        # of those that are as good, the first is the nearest
+        best = min((beside(*place) for place in product(_LABEL_PT, _LABEL_DEGREES)), key=faults)
+        taken.append(best)
+        label.set_position(tuple(((best.get_points().mean(axis=0) - point) / per_point).tolist()))
 
 
 def _legend_above(axes: "Axes") -> None:
