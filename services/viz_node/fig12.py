@@ -282,7 +282,7 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
     figure.draw_without_rendering()
     frame, per_point = axes.get_window_extent(), figure.dpi / 72.0
     curves = np.concatenate([line.get_transform().transform(line.get_xydata()) for line in axes.lines])
-    between = [curves[:-1] + share * np.diff(curves, axis=0) for share in (0.0, 0.25, 0.5, 0.75)]
+    between = [curves[:-1] + share * np.diff(curves, axis=0) for share in np.arange(0.0, 1.0, 0.125)]
     taken: list[Bbox] = []
     for x_nm, force_nn, texts in labels:
         label = axes.annotate(

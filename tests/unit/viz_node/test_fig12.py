@@ -50,7 +50,7 @@ def made(seed: int) -> Made:
         heights += [-random.uniform(0.5, 3.0)] * 2
         heights += [begins_nm] * 2 if releases else [-0.3, -0.3]
     heights += [heights[-1]] if touches else [0.6 * begins_nm]
-    corners_s = np.concatenate([[0.0], np.cumsum(random.uniform(0.2, 0.8, len(heights) - 1))])
+    corners_s = np.concatenate([[0.0], np.cumsum(random.uniform(0.2, 0.5, len(heights) - 1))])
     time_s = np.arange(0.0, corners_s[-1], 1.0 / rate_hz)
     height_nm = np.interp(time_s, corners_s, heights) + random.normal(0.0, 0.002, time_s.size)
     limited = np.zeros(time_s.size, dtype=bool)
