@@ -292,9 +292,9 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
         size, point = Text.get_window_extent(label), axes.transData.transform((x_nm, force_nn))
 
         def beside(distance_pt: float, degrees: float, size: Bbox = size, point: Series = point) -> Bbox:
-            # the box stands beyond the distance in its direction
+            # beside the point the box stands beyond the distance, above and below it in the middle
             across, up = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-            x = point[0] + per_point * distance_pt * across + 0.5 * size.width * (float(np.sign(across)) - 1.0)
+            x = point[0] + per_point * distance_pt * across + 0.5 * size.width * (across - 1.0)
             y = point[1] + per_point * distance_pt * up - 0.5 * size.height
             return Bbox.from_bounds(x, y, size.width, size.height).padded(2.0)
 
