@@ -187,4 +187,5 @@ def _draw_published(panels: "Sequence[Axes]", published: Published, look: dict[s
 def _draw(panels: "Sequence[Axes]", series: SessionSeries, look: Mapping[str, Any], label: str) -> None:
     panels[0].plot(series.tip_time_s, series.force_scale * series.tip_force_n, label=label, **look)
     panels[1].plot(series.hand_time_s, 100.0 * series.hand_position_m, **look)
-    panels[2].plot(1e9 * series.separation_m, 1e9 * series.tip_force_n, **look)
+    path = series.tip_path()
+    panels[2].plot(1e9 * path.separation_m, 1e9 * path.force_n, **look)

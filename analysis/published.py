@@ -112,7 +112,8 @@ def curve_of(series: SessionSeries, panel: str) -> tuple[Series, Series]:
         return series.hand_time_s, series.hand_force_n
     if panel == "hand_position":
         return series.hand_time_s, 100.0 * series.hand_position_m
-    return 1e9 * series.separation_m, 1e9 * series.tip_force_n
+    path = series.tip_path()
+    return 1e9 * path.separation_m, 1e9 * path.force_n
 
 
 def nearest(series: SessionSeries, point: Point) -> tuple[float, float]:

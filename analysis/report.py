@@ -53,7 +53,7 @@ from services.haptic_node.operator_config import ForceProfileConfig, Interactive
 from services.runtime.loop import loop_age
 from services.runtime.settings.config import parse_yaml, validate
 from services.runtime.settings.scenario import Scenario
-from services.viz_node.fig12 import SessionSeries, fig12_files
+from services.viz_node.fig12 import SessionSeries, TipStates, fig12_files
 from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Series = npt.NDArray[Any]
@@ -78,7 +78,9 @@ _NOT_ANEW = "its programme was not started anew, which `telenano session start` 
 _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2")
 _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
-_TIP_FIELDS = ("tip_force_n.2", "separation_m", "in_contact", "mode")
+_TIP_FIELDS = (
+    "tip_force_n.2", "separation_m", "separation_valid", "in_contact", "meniscus", "limited", "mode"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,12 @@ class Session:
             reference_m=-self.command["position_m.2"],
             tip_time_s=self._time_s(self.tip),
             tip_force_n=self.tip["tip_force_n.2"],
-            separation_m=self.tip["separation_m"],
+            separation_m=np.where(self.tip["separation_valid"], self.tip["separation_m"], np.nan),
             force_scale=self.force_scale,
+            states=TipStates(
+                np.isin(self.tip["mode"], ("follow", "hold")),
+                *(self.tip[name].astype(bool) for name in ("limited", "in_contact", "meniscus")),
+            ),
         )
 
     def _time_s(self, series: Mapping[str, Series]) -> npt.NDArray[np.float64]:

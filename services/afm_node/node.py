@@ -353,7 +353,11 @@ class AfmNode(DeviceNode):
         mode, reason = memory.guard.mode, memory.guard.reason
         if memory.places and memory.placed:
             text = f"the tip is placed: its base is at {1e9 * base_m:.4g} nm"
-            facts = {"mode": safety.MODE_NAMES[mode], "reason": safety.REASON_NAMES[reason], "base_position_m": base_m}
+            facts: dict[str, Any] = {
+                "mode": safety.MODE_NAMES[mode],
+                "reason": safety.REASON_NAMES[reason],
+                "base_position_m": base_m,
+            }
             self.event("mode", "info", text, placed=True, **facts)
         is_armed = mode in (safety.MODE_FOLLOW, safety.MODE_HOLD) or safety.is_wished(mode, reason)
         memory.places = memory.places and is_armed and not memory.placed

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -21,6 +21,8 @@ from services.signals import children
 GRACE_S = 8.0
 # then its last messages go out to readers that are behind, its recorder above all
 LINGER_GRACE_S = LINGER_S + 2.0
+# What has nothing left to deliver ends within milliseconds, and on a machine that is busy within this time [s].
+EXIT_GRACE_S = 3.0
 # a recorder on a machine that was too busy has to write what still waits for it
 RECORDER_GRACE_S = 30.0
 # A process that is waited for is polled at this interval.
@@ -36,6 +38,10 @@ class StopObserver:
 
     def has_ended(self, node: str) -> bool:
         """Return whether a node has published its last message: what is left is to deliver it."""
+        return False
+
+    def has_delivered(self, node: str, gone: Collection[str]) -> bool:
+        """Return whether no reader lacks a message of a node any more; `gone` are the processes that have ended."""
         return False
 
     def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
@@ -143,8 +149,9 @@ class NodeProcesses:
     def stop(self, observer: StopObserver = _NOBODY) -> None:
         """Stop every process, in order: SIGTERM, eight seconds to publish the last message, then SIGKILL.
 
-        A process may take longer to deliver its last messages while the next ones are stopped. A recorder is stopped
-        when all others are gone, and has thirty seconds.
+        A process may take longer to deliver its last messages while the next ones are stopped, and is killed if it has
+        not ended three seconds after its readers have them. A recorder is stopped when all others are gone, and has
+        thirty seconds.
         """
         nodes = [node for node in dict.fromkeys([*self._stop_order, *self._running]) if node in self._running]
         senders = [node for node in nodes if name_of(node) != "recorder"]
@@ -167,14 +174,21 @@ class NodeProcesses:
         With `until_ended` it is enough that each has published its last message.
         """
         begin_s = time.monotonic()
+        delivered_s: dict[str, float] = {}
         while waiting := [node for node in nodes if self._is_running(node)]:
             if until_ended and all(map(observer.has_ended, waiting)):
                 return
             waited_s = time.monotonic() - begin_s
-            if waited_s >= grace_s:
-                for node in waiting:
+            gone = self._commands.keys() - self._running.keys()
+            for node in waiting:
+                if observer.has_delivered(node, gone):
+                    delivered_s.setdefault(node, waited_s)
+                else:
+                    delivered_s.pop(node, None)
+                if waited_s >= min(grace_s, delivered_s.get(node, grace_s) + EXIT_GRACE_S):
                     self._running[node].kill()
                     self._running.pop(node).wait()
+            if not (waiting := [node for node in waiting if node in self._running]):
                 return
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._running[waiting[0]].wait(_WAIT_S)

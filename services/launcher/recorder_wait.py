@@ -1,6 +1,6 @@
 """A recorder that is behind at the end of a session: by how much, how long it is waited for, and what never came."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from proto.messages import NodeHealth
 from services.launcher.liveness import NODE_TIMEOUT_S
@@ -16,6 +16,23 @@ _REPORT_NS = 1_000_000_000
 # Messages that the other site sends so long after the end of a session still belong to it: the answers to the last
 # samples.
 _TAIL_NS = 500_000_000
+
+
+def has_last(recorder: NodeHealth, ends_ns: Mapping[str, int]) -> bool:
+    """Return whether a recorder has the last messages of publishers, of those that it receives.
+
+    Args:
+        recorder: The newest report of the recorder. The stamps of a publisher are of that one's clock there as well.
+        ends_ns: The stamp of the last message of each publisher, a session/event [ns].
+    """
+    events = {row.src: row for row in recorder.inputs if row.topic == "session/event" and row.age_valid}
+    received = {row.src for row in recorder.inputs if row.received}
+    # The age is a number of seconds, whose digits end below a microsecond.
+    return all(
+        src in events and recorder.t_ns - round(events[src].age_s * 1e9) >= end_ns - 1000
+        for src, end_ns in ends_ns.items()
+        if src in received
+    )
 
 
 class RecorderWait:

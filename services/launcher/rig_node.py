@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
 from typing import ClassVar, Literal
 
@@ -11,6 +11,7 @@ from proto.messages import NodeHealth, Scalar, SessionEvent
 from proto.nodes import HAND, RECORDER, TIP, name_of
 from services.launcher.liveness import Change, LivenessMonitor
 from services.launcher.processes import StopObserver
+from services.launcher.recorder_wait import has_last
 from services.launcher.supervisor import Supervisor
 from services.runtime.bus.bus import Received
 from services.runtime.loop.deadlines import PeriodicDeadline
@@ -65,7 +66,8 @@ class RigNode(Node):
         # why recorders have stopped recording, by node
         self.recording_faults: dict[str, str] = {}
         # nodes that have published their last message
-        self.ended: set[str] = set()
+        # the stamp of the last message of each publisher that has ended [ns]
+        self.ended: dict[str, int] = {}
         self._recorder_states: dict[str, Scalar] = {}
         self.observe: Callable[[RigNode], None] = lambda node: None
         self.state = "starting"
@@ -117,7 +119,7 @@ class RigNode(Node):
             if message.kind == "recording" and name_of(message.src) == name_of(RECORDER):
                 self._note_recording(message)
             if read_end(message.model_dump()) is not None:
-                self.ended.add(message.src)
+                self.ended[message.src] = message.t_ns
             self.on_event(message)
 
     def on_event(self, event: SessionEvent) -> None:
@@ -162,7 +164,7 @@ class RigNode(Node):
         before = self.health.get(health.src)
         self.health[health.src] = health
         if health.state != "stopping":
-            self.ended.discard(health.src)
+            self.ended.pop(health.src, None)
         self.liveness.record(health.src)
         self.supervisor.record_health(health, self.report)
         restarted = before is not None and health.uptime_s < before.uptime_s and health.src not in self.supervisor.nodes
@@ -199,14 +201,22 @@ class _Ending(StopObserver):
     def has_ended(self, node: str) -> bool:
         return node in self._rig.ended
 
+    def has_delivered(self, node: str, gone: Collection[str]) -> bool:
+        ends_ns = {src: at_ns for src, at_ns in self._rig.ended.items() if name_of(src) == name_of(node)}
+        recorders = [one for src, one in self._rig.health.items() if name_of(src) == name_of(RECORDER)]
+        return node in ends_ns and all(has_last(one, ends_ns) for one in recorders if one.src not in gone)
+
     def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
         rig = self._rig
         for received in rig.context.bus.receive():
             rig.on_message(received)
         if int(waited_s) > self._reported_s:
-            senders = [node for node in nodes if name_of(node) != name_of(RECORDER)]
-            text = "a reader, the recorder above all, to take the last messages of " if senders else "the end of "
-            limit = f"{waited_s:.0f} s, at most {limit_s:.0f} s"
-            rig.reports.append(f"waiting for {text}{', '.join(senders or nodes)} ({limit})")
+            others = [node for node in nodes if name_of(node) != name_of(RECORDER)]
+            behind = [node for node in others if not self.has_delivered(node, ())]
+            text = "waiting for the end of {}"
+            if behind:
+                text = "saving the last messages of {} (the recorder is behind)"
+            names = ", ".join(behind or others or nodes)
+            rig.reports.append(f"{text.format(names)}: {waited_s:.0f} s, at most {limit_s:.0f} s")
         self._reported_s = int(waited_s)
         rig.observe(rig)

@@ -18,8 +18,10 @@ from functools import cache
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-import services.numerics.source_digest  # noqa: F401 - notes when this process began, before steps are defined
 from proto.errors import ConfigError
+
+# imported here because it notes when this process began, before steps are defined
+from services.numerics.source_digest import cache_folder
 
 F = TypeVar("F", bound=Callable[..., object])
 V = TypeVar("V")
@@ -78,6 +80,23 @@ def compiled_form(function: F) -> F:
     if importlib.util.find_spec("numba") is None:
         return function
     return _form_of(function)
+
+
+def is_compiled(function: Callable[..., Any], given: tuple[Any, ...]) -> bool:
+    """Return whether a call of a marked step compiles nothing: its compiled form is in this process or on the disk.
+
+    The compiler is imported only where either has some form of the step, so that a process which never needs it does
+    not wait for it. Without numba, or with NUMBA_DISABLE_JIT=1, there is nothing to compile.
+    """
+    kept = f"*/{function.__module__.rpartition('.')[2]}.{function.__qualname__}-*.nbi"
+    if importlib.util.find_spec("numba") is None:
+        return True
+    if getattr(function, STEP) is None and not any(cache_folder().glob(kept)):
+        return False
+    form = _form_of(function)
+    from services.numerics.numba_parts import InterruptibleDispatcher
+
+    return bool(form.is_ready(given)) if isinstance(form, InterruptibleDispatcher) else True
 
 
 def compiled_call(function: Callable[..., Any], given: tuple[Any, ...]) -> Any:

@@ -89,6 +89,15 @@ class StepCache(FunctionCache):
             _warn("compiling models, which takes some ten seconds once; `telenano doctor --warm` does it beforehand")
         return found
 
+    def has(self, sig: Any, target_context: Any) -> bool:
+        """Return whether what is compiled for a signature is on the disk."""
+        if not self._can_be_kept(sig):
+            return False
+        try:
+            return self._index_key(sig, target_context.codegen()) in self._cache_file._load_index()
+        except (OSError, EOFError, UnpicklingError):
+            return False
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled; where that is not possible it is compiled again the next time."""
         if self._can_be_kept(sig):
@@ -139,6 +148,8 @@ def _warn(text: str) -> None:
 class InterruptibleDispatcher(CPUDispatcher):
     """A compiled function that SIGINT and SIGTERM cannot end in the middle; numba's in all else."""
 
+    _cache: Any
+
     def __call__(self, *args: Any, **keywords: Any) -> Any:
         # Python runs the handlers of signals in the main thread only.
         if get_ident() != _MAIN_THREAD:
@@ -149,6 +160,11 @@ class InterruptibleDispatcher(CPUDispatcher):
             return _call(self, *args, **keywords)
         finally:
             interrupts.computing(False)
+
+    def is_ready(self, given: tuple[Any, ...]) -> bool:
+        """Return whether a call with such arguments compiles nothing."""
+        signature = tuple(map(self.typeof_pyval, given))
+        return signature in self.overloads or self._cache.has(signature, self.targetctx)
 
     def _compile_for_args(self, *args: Any, **keywords: Any) -> Any:
         # The first call compiles, which takes seconds and is plain Python.

@@ -1,7 +1,11 @@
 """The paper's Fig. 12 from the series of a session: forces, positions, and the force-distance path of the tip."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import product
+from textwrap import fill
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,18 +27,41 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Series = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 # a pause in a series of a sample a millisecond
 _LONGEST_STEP_S = 0.05
-# A distance that goes back by less than this share of its span has not turned back.
+# The tip turns back when it has gone back by more than this share of its way, in contact or off it, each by itself.
 _TURN_SHARE = 0.05
-# between two samples of a millisecond, in which the base of Fig. 12 goes 15 pm; and against the steps just before
-_JUMP_M = 1e-10
-_JUMP_RATIO = 4.0
-# A jump to or off contact crosses most of the distance. A cantilever of 40 N/m does not: the meniscus that forms at 2.4
-# nm draws its tip 0.12 nm nearer.
-_CONTACT_SHARE = 0.5
-_TO, _OFF = ("jump to contact", "meniscus forms"), ("jump off contact", "meniscus breaks")
+# What is written where the recording states that a state of the tip begins, and where it states that it ends.
+_WORDS = {"meniscus": ("meniscus forms", "meniscus breaks"), "in_contact": ("contact begins", "contact ends")}
+# The distances from its point [pt] and the directions [degree] in which a label is tried.
+_LABEL_PT = (22.0, 36.0, 56.0, 84.0, 120.0)
+_LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0)
+# So many letters of a title are as wide as the figure.
+_TITLE_WIDTH = 88
+
+
+class TipStates(NamedTuple):
+    """What an instrument states of its tip, each of shape (n,), at the times of `SessionSeries.tip_time_s`.
+
+    led: the tip follows the hand, or holds its place for it (modes follow and hold); limited: a limit of speed or
+    travel acts on the base; in_contact, meniscus: as in afm/state, False throughout where the instrument cannot know.
+    """
+
+    led: Flags
+    limited: Flags
+    in_contact: Flags
+    meniscus: Flags
+
+
+class TipPath(NamedTuple):
+    """The path of the tip under the hand, each of shape (n,); h [m] and F_s [N] are NaN where it is not under it."""
+
+    separation_m: Series
+    force_n: Series
+    in_contact: Flags
+    meniscus: Flags
 
 
 @dataclass(frozen=True)
@@ -42,7 +69,8 @@ class SessionSeries:
     """What Fig. 12 shows, each quantity on its own time axis [s], zero at the start of the session.
 
     hand_force_n F_m, hand_position_m x_m at hand_time_s; reference_m x_mr at reference_time_s; tip_force_n F_s,
-    separation_m h at tip_time_s; force_scale is alpha_f; gaps_s are the spans of which the recording lacks samples.
+    separation_m h at tip_time_s, NaN where the instrument does not know it; force_scale is alpha_f; gaps_s are the
+    spans of which the recording lacks samples; states is what the instrument states of the tip, None for nothing.
     """
 
     hand_time_s: Series
@@ -55,6 +83,37 @@ class SessionSeries:
     separation_m: Series
     force_scale: float
     gaps_s: tuple[tuple[float, float], ...] = ()
+    states: TipStates | None = None
+
+    def tip_path(self) -> TipPath:
+        """Return the path of the tip under the hand, and on the way back where a guard withdraws it from there.
+
+        The way on which it is lowered to the hand is not in it, nor that of a withdrawal beyond where the hand had it.
+        """
+        states = self.states
+        if states is None:
+            no = np.zeros(len(self.tip_time_s), dtype=bool)
+            states = TipStates(~no, no, no, no)
+        shown = _under_the_hand(states) & (self.tip_time_s >= 0.0)
+        separation_m = np.where(shown, self.separation_m, np.nan)
+        reach_m = float(np.nanmax(separation_m, initial=-math.inf))
+        for index in np.flatnonzero(shown[:-1] & ~states.led[1:] & (self.tip_time_s[1:] >= 0.0)).tolist():
+            way_m = self.separation_m[index + 1 :]
+            beyond = states.led[index + 1 :] | ~(way_m <= reach_m)
+            count = int(np.argmax(beyond)) if beyond.any() else len(way_m)
+            separation_m[index + 1 : index + 1 + count] = way_m[:count]
+        pauses = self._pauses(self.tip_time_s)
+        flags = (np.insert(each, pauses, False) for each in (states.in_contact, states.meniscus))
+        return TipPath(np.insert(separation_m, pauses, np.nan), np.insert(self.tip_force_n, pauses, np.nan), *flags)
+
+    def broken(self, time_s: Series, values: Series) -> tuple[Series, Series]:
+        """Return a series from the start of the session on, with NaN where it pauses if the recording has gaps."""
+        time_s, values = time_s[time_s >= 0.0], values[time_s >= 0.0]
+        pauses = self._pauses(time_s)
+        return np.insert(time_s, pauses, np.nan), np.insert(values, pauses, np.nan)
+
+    def _pauses(self, time_s: Series) -> npt.NDArray[np.int64]:
+        return np.flatnonzero(np.diff(time_s) > _LONGEST_STEP_S) + 1 if self.gaps_s else np.empty(0, np.int64)
 
 
 def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SCREEN) -> "Figure":
@@ -76,7 +135,8 @@ def draw_fig12(series: SessionSeries, title: str, options: FigureOptions = ON_SC
         _draw_path(panels[2], series)
         lettered(list(panels), options)
         if not paper:
-            figure.suptitle(title, fontsize=11)
+            figure.suptitle("\n".join(fill(line, _TITLE_WIDTH) for line in title.splitlines()), fontsize=11)
+        _mark_states(panels[2], series.tip_path())
     return figure
 
 
@@ -91,13 +151,13 @@ def _draw_forces(axes: "Axes", series: SessionSeries) -> None:
     scaled = series.force_scale * series.tip_force_n
     _shade_gaps(axes, series)
     axes.plot(
-        *_broken(series, series.tip_time_s, scaled),
+        *series.broken(series.tip_time_s, scaled),
         color=TIP,
         lw=1.0,
         label=r"$\alpha_f F_s$ (tip)",
     )
     axes.plot(
-        *_broken(series, series.hand_time_s, series.hand_force_n), color=HAND, lw=1.4, ls="--", label=r"$F_m$ (hand)"
+        *series.broken(series.hand_time_s, series.hand_force_n), color=HAND, lw=1.4, ls="--", label=r"$F_m$ (hand)"
     )
     axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="time (s)", ylabel="force (N)", xlim=_span(series))
@@ -106,70 +166,146 @@ def _draw_forces(axes: "Axes", series: SessionSeries) -> None:
 
 def _draw_positions(axes: "Axes", series: SessionSeries) -> None:
     _shade_gaps(axes, series)
-    reference = _broken(series, series.reference_time_s, 100.0 * series.reference_m)
+    reference = series.broken(series.reference_time_s, 100.0 * series.reference_m)
     axes.plot(*reference, color=REFERENCE, lw=2.2, label=r"$x_{mr}$ (law)")
-    hand = _broken(series, series.hand_time_s, 100.0 * series.hand_position_m)
+    hand = series.broken(series.hand_time_s, 100.0 * series.hand_position_m)
     axes.plot(*hand, color=HAND, lw=1.0, ls="--", label=r"$x_m$ (device)")
     axes.set(xlabel="time (s)", ylabel="position (cm)", xlim=_span(series))
     _legend_above(axes)
 
 
 def _draw_path(axes: "Axes", series: SessionSeries) -> None:
-    time_s, separation_m = _broken(series, series.tip_time_s, series.separation_m)
-    _, force_n = _broken(series, series.tip_time_s, series.tip_force_n)
-    retracts = retracting(time_s, separation_m)
+    path = series.tip_path()
+    retracts = retracting(path.separation_m, path.in_contact)
     for chosen, colour, style, label in ((~retracts, HAND, "-", "approach"), (retracts, TIP, "--", "retraction")):
-        if not chosen.any():
-            continue
         # a sample of the other branch ends a line, and is its last point
         inside = chosen | np.concatenate([[False], chosen[:-1]])
-        distance_nm = np.where(inside, 1e9 * separation_m, np.nan)
-        axes.plot(distance_nm, 1e9 * force_n, color=colour, ls=style, lw=0.9, label=label)
-    axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
-    _mark_jumps(axes, separation_m, force_n)
+        distance_nm = np.where(inside, 1e9 * path.separation_m, np.nan)
+        if np.isfinite(distance_nm[chosen]).any():
+            axes.plot(distance_nm, 1e9 * path.force_n, color=colour, ls=style, lw=0.9, label=label)
     axes.set(xlabel="tip-sample distance h (nm)", ylabel=r"$F_s$ (nN)")
+    if not axes.lines:
+        text = "no tip-sample distance is recorded\nwhile the tip follows the hand"
+        axes.text(0.5, 0.5, text, ha="center", va="center", fontsize=8, transform=axes.transAxes)
+        axes.set(xticks=[], yticks=[])
+        return
+    axes.axhline(0.0, color="0.8", lw=0.8, zorder=0)
     _legend_above(axes)
 
 
-def retracting(time_s: Series, separation_m: Series) -> npt.NDArray[np.bool_]:
-    """Return for each sample whether the tip is on its way from the sample: shape (n,), False before it first moves."""
-    known = separation_m[np.isfinite(separation_m)]
-    if known.size < 2:
-        return np.zeros(len(separation_m), dtype=bool)
-    least_m = _TURN_SHARE * float(np.ptp(known))
-    away, turned_m, turn, found = False, float(known[0]), 0, np.zeros(len(separation_m), dtype=bool)
-    for index, distance in enumerate(separation_m.tolist()):
-        if not np.isfinite(distance):
-            found[index] = away
-            continue
+def _under_the_hand(states: TipStates) -> Flags:
+    """Return for each sample whether the hand moves the tip.
+
+    An armed base first comes from where it is withdrawn to the hand's reference, as fast as it may, which is stated as
+    `limited`. The tip is under the hand once that is over, or the sample has it, whichever is first.
+    """
+    shown = np.zeros(len(states.led), dtype=bool)
+    reached = states.in_contact | states.meniscus
+    placed = False
+    for index in range(len(shown)):
+        if not states.led[index]:
+            placed = False
+        elif not placed and (reached[index] or not states.limited[index]):
+            placed = True
+            # the path to the place where the sample takes hold of the tip begins one sample before
+            if reached[index] and index and states.led[index - 1]:
+                shown[index - 1] = True
+        shown[index] = placed
+    return shown
+
+
+def retracting(separation_m: Series, in_contact: Flags) -> Flags:
+    """Return for each sample whether the tip is on its way from the sample.
+
+    Args:
+        separation_m: The distance h [m], shape (n,). Samples without one (NaN) part a path from the next.
+        in_contact: Whether the tip touches, shape (n,). In contact it turns within a fraction of a nanometre.
+
+    Returns:
+        Shape (n,), False before the tip first moves.
+    """
+    found = np.zeros(len(separation_m), dtype=bool)
+    known = np.isfinite(separation_m)
+    least_m = np.zeros(len(separation_m))
+    for touching in (known & in_contact, known & ~in_contact):
+        if touching.any():
+            least_m[touching] = _TURN_SHARE * float(np.ptp(separation_m[touching]))
+    ends = np.flatnonzero(np.diff(known, prepend=False, append=False))
+    for first, last in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
+        found[first:last] = _away(separation_m[first:last].tolist(), least_m[first:last].tolist())
+    return found
+
+
+def _away(distances_m: Sequence[float], least_m: Sequence[float]) -> list[bool]:
+    """Return for each sample of one path whether it leads away; a way back counts from its extreme on."""
+    found = [False] * len(distances_m)
+    away, turned_m, turn = False, distances_m[0], 0
+    for index, distance in enumerate(distances_m):
         # the last extreme, and whether the tip has left it by more than noise and ripple
         if (distance >= turned_m) if away else (distance <= turned_m):
             turned_m, turn = distance, index
-        if abs(distance - turned_m) > least_m:
+        if abs(distance - turned_m) > least_m[index]:
             away = not away
-            # it was on this way from the extreme on
-            found[turn + 1 : index] = away
+            found[turn + 1 : index] = [away] * (index - turn - 1)
             turned_m, turn = distance, index
         found[index] = away
     return found
 
 
-def _mark_jumps(axes: "Axes", separation_m: Series, force_n: Series) -> None:
-    """Write beside the path where the tip jumps to the sample or its water takes hold of it, and where either ends."""
-    steps_m = np.diff(separation_m)
-    if not np.isfinite(steps_m).any():
+def _mark_states(axes: "Axes", path: TipPath) -> None:
+    """Write beside the path where the instrument states that meniscus and contact begin and end, each time the first.
+
+    An arrow points at the last sample before the change, from which the tip jumps.
+    """
+    known = np.isfinite(path.separation_m)
+    seen = known[:-1] & known[1:]
+    words: dict[int, list[str]] = {}
+    for name, texts in _WORDS.items():
+        steps = np.diff(getattr(path, name).astype(int))
+        for text, step in zip(texts, (1, -1), strict=True):
+            places = np.flatnonzero(seen & (steps == step)).tolist()
+            if places:
+                words.setdefault(places[0], []).append(f"{text} (first of {len(places)})" if places[1:] else text)
+    labels = [(1e9 * float(path.separation_m[at]), 1e9 * float(path.force_n[at]), texts) for at, texts in words.items()]
+    _write_labels(axes, sorted(labels, key=lambda label: -label[1]))
+
+
+def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[str]]]) -> None:
+    """Write texts near their points, inside the panel and beside its curves, each with an arrow to its point."""
+    from matplotlib.text import Text
+    from matplotlib.transforms import Bbox
+
+    if not labels:
         return
-    to, off = int(np.nanargmin(steps_m)), int(np.nanargmax(steps_m))
-    for place, size_m, names, below in ((to, -steps_m[to], _TO, -14), (off, steps_m[off], _OFF, 14)):
-        before_m = np.abs(steps_m[max(0, place - 3) : place])
-        usual_m = float(np.nanmax(before_m)) if np.isfinite(before_m).any() else 0.0
-        if size_m > max(_JUMP_M, _JUMP_RATIO * usual_m):
-            where = (1e9 * separation_m[place], 1e9 * force_n[place])
-            ends_m = sorted(separation_m[place : place + 2].tolist())
-            axes.annotate(
-                names[ends_m[0] > _CONTACT_SHARE * ends_m[1]], where, xytext=(12, below), textcoords="offset points",
-                fontsize=8, arrowprops={"arrowstyle": "->", "lw": 0.6},
-            )  # fmt: skip
+    # the layout decides how large the panel is
+    figure: Any = axes.get_figure()
+    figure.draw_without_rendering()
+    frame, per_point = axes.get_window_extent(), figure.dpi / 72.0
+    curves = np.concatenate([line.get_transform().transform(line.get_xydata()) for line in axes.lines])
+    between = [curves[:-1] + share * np.diff(curves, axis=0) for share in np.arange(0.0, 1.0, 0.125)]
+    taken: list[Bbox] = []
+    for x_nm, force_nn, texts in labels:
+        label = axes.annotate(
+            "\n".join(texts), (x_nm, force_nn), xytext=(0, 0), textcoords="offset points", ha="center", va="center",
+            fontsize=8, arrowprops={"arrowstyle": "->", "lw": 0.6, "shrinkB": 1.0},
+        )  # fmt: skip
+        size, point = Text.get_window_extent(label), axes.transData.transform((x_nm, force_nn))
+
+        def beside(distance_pt: float, degrees: float, size: Bbox = size, point: Series = point) -> Bbox:
+            # beside the point the box stands beyond the distance, above and below it in the middle
+            across, up = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+            x = point[0] + per_point * distance_pt * across + 0.5 * size.width * (across - 1.0)
+            y = point[1] + per_point * distance_pt * up - 0.5 * size.height
+            return Bbox.from_bounds(x, y, size.width, size.height).padded(2.0)
+
+        def faults(box: Bbox) -> tuple[bool, int, int]:
+            outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
+            return outside, sum(map(box.overlaps, taken)), sum(box.count_contains(points) for points in between)
+
+        # of those that are as good, the first is the nearest
+        best = min((beside(*place) for place in product(_LABEL_PT, _LABEL_DEGREES)), key=faults)
+        taken.append(best)
+        label.set_position(tuple(((best.get_points().mean(axis=0) - point) / per_point).tolist()))
 
 
 def _legend_above(axes: "Axes") -> None:
@@ -181,14 +317,6 @@ def _legend_above(axes: "Axes") -> None:
 def _shade_gaps(axes: "Axes", series: SessionSeries) -> None:
     for first_s, last_s in series.gaps_s:
         axes.axvspan(first_s, last_s, color="0.9", zorder=-1)
-
-
-def _broken(series: SessionSeries, time_s: Series, values: Series) -> tuple[Series, Series]:
-    """Return a series with NaN where it pauses, if the recording has gaps: no line is drawn across them."""
-    if not series.gaps_s:
-        return time_s, values
-    places = np.flatnonzero(np.diff(time_s) > _LONGEST_STEP_S) + 1
-    return np.insert(time_s, places, np.nan), np.insert(values, places, np.nan)
 
 
 def _span(series: SessionSeries) -> tuple[float, float]:

@@ -20,14 +20,16 @@ delays the loop by floor(T/Ts) Ts, and the hold of the law's integration adds ha
 The session begins when the tip is placed, as the instrument says on the bus (`services.afm_node.safety.is_placed`).
 """
 
+import logging
 import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from proto.errors import RigError
+from proto.errors import ConfigError, RigError
 from services.afm_node.physics.step import AfmParams, initial_afm_state
 from services.afm_node.safety import REASON_NAMES, SafetyParams, placing_s
 from services.controller.config import ControllerConfig
@@ -37,7 +39,7 @@ from services.controller.law import NO_SIGNAL, TipMeasurement
 from services.haptic_node.config import HapticConfig
 from services.haptic_node.physics.step import HapticParams
 from services.haptic_node.physics.step import HapticStepState as HapticChainState
-from services.numerics.compiled import borrowed, compiled, compiled_call, inlined
+from services.numerics.compiled import borrowed, compiled, compiled_call, inlined, is_compiled
 from studies.loops.across import (
     PARTICLE_X,
     PARTICLE_Y,
@@ -81,6 +83,9 @@ _NEVER_NS = 2**62
 _PLACING_ROUND_TRIPS = 4.0
 # Both halves and the hand have begun after this time [s], at the slowest rate of the rig.
 _BEGINNING_S = 0.05
+# Plain Python takes 70 microseconds of processor time for a tick, and the compiler 10 to 16 s for the loop of a law
+# (docs/api.md): so many ticks of one kind take as long as compiling, and more of them will follow.
+PLAIN_TICKS = 200_000
 COLUMNS = (
     "time_s",
     "hand_force_n",
@@ -98,6 +103,10 @@ COLUMNS = (
     "instrument_reason",
     "withdrawn_s",
 )
+
+
+# The ticks that this process has run as plain Python, by what the compiler makes a loop of its own for.
+_plain_ticks: Counter[tuple[Any, ...]] = Counter()
 
 
 @dataclass(frozen=True)
@@ -174,8 +183,10 @@ def simulate(
     session_tick: int,
     hand: Hand | None = None,
     path: AcrossPath | None = None,
+    *,
+    at_once: bool = True,
 ) -> Trajectory:
-    """Run the rig over a link.
+    """Run the rig over a link, compiled or as plain Python, with the same bits.
 
     Args:
         rig: The rig.
@@ -184,6 +195,8 @@ def simulate(
             placed.
         hand: Moves the tip over the sample as well, where the instrument has a particle; the run ends when it is done.
         path: The lateral path of the controller, by which a path or `hand` moves the tip; the run goes on to its end.
+        at_once: Whether to compile for the first run, as a study of many wants. Otherwise the compiled loop is used
+            where it is kept from before, and is made once runs of its kind have taken PLAIN_TICKS as plain Python.
 
     Raises:
         ValueError: No tick is left for the session.
@@ -195,7 +208,7 @@ def simulate(
     rows = np.empty((len(COLUMNS), schedule.ticks))
     start = rig.haptic_start, rig.instrument_start
     given = (rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, path)
-    start, done = compiled_call(_run, given)
+    start, done = compiled_call(_run, given) if at_once else _run_as_it_pays(rig, given)
     if start < 0:
         limits, newest = rig.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
         why = (
@@ -213,6 +226,21 @@ def simulate(
     columns["withdrawn_s"] = columns["withdrawn_s"] - start * rig.period_s
     columns["across"] = None if path is None else path.rows[start:done]
     return Trajectory(**columns)
+
+
+def _run_as_it_pays(rig: Rig, given: tuple[Any, ...]) -> tuple[int, int]:
+    """Run the loop compiled where that is kept or pays, and as plain Python otherwise, whose ticks are counted."""
+    kind = tuple(map(type, (rig.halves.law, rig.instrument.plant, *given)))
+    if _plain_ticks[kind] >= PLAIN_TICKS or is_compiled(_run, given):
+        try:
+            found: tuple[int, int] = compiled_call(_run, given)
+            return found
+        # what has run until now as plain Python goes on so
+        except ConfigError as error:
+            logging.getLogger("studies").warning("%s; it runs as plain Python", error)
+            _plain_ticks[kind] = -_NEVER_NS
+    _plain_ticks[kind] += given[5].ticks
+    return _run(*given)
 
 
 @inlined

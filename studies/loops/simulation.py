@@ -235,7 +235,8 @@ def simulate_scenario(
 ) -> SimulatedSession:
     """Run a scenario in lockstep, without processes.
 
-    The first call on a machine compiles the models, which takes some ten seconds and is said (docs/api.md).
+    It runs as plain Python, a second for the eight of Fig. 12. A loop of some twenty such calls compiles the models,
+    which takes some ten seconds, is said, and is kept for later processes (docs/api.md).
 
     Parameters: scenario, a known name or a YAML file; law; round_trip_ms, of the link [ms], half of it each way;
     environment, `afm_node.environment`; operator, section `haptic_node.operator`; duration_s [s]; settings, by dotted
@@ -266,13 +267,23 @@ def simulate_scenario(
 simulate_scenario.__qualname__ = "telenano.simulate"
 
 
-def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers | None = None) -> SimulatedSession:
+def compile_scenario(scenario: str, law: str) -> None:
+    """Compile what a scenario runs with a law, in a session of two ticks, and keep it on the disk."""
+    path = find_scenario(scenario)
+    document = merge(read_yaml(path), {"controller": {"law": law}, "duration_s": 0.002})
+    simulate_document(document, str(path), at_once=True)
+
+
+def simulate_document(
+    document: Mapping[str, Any], origin: str, steers: Steers | None = None, *, at_once: bool = False
+) -> SimulatedSession:
     """Run a scenario that was read already; ConfigError names `origin` and the key at fault.
 
     Args:
         document: The scenario.
         origin: What an error names.
         steers: Makes a hand that steers the tip across the sample to a particle, in mode rate.
+        at_once: Whether to compile for the first session, as in `studies.loops.lockstep.simulate`.
     """
     loaded = LoadedScenario(validate(Scenario, document, origin), origin, dict(document))
     controller = loaded.section("controller", ControllerConfig)
@@ -307,7 +318,7 @@ def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers |
     if text := controller.stiffness_doubts(afm.stiffest_n_per_m or 0.0, even=network_name(link) in EVEN):
         warnings.warn(text, stacklevel=3)
     hand = None if steers is None else steers(schedule.window, period_s)
-    course = simulate(rig, schedule, settle, hand, path)
+    course = simulate(rig, schedule, settle, hand, path, at_once=at_once)
     section = controller.law_config()
     conditions = Conditions(
         scenario=loaded.scenario.name,

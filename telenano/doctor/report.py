@@ -66,14 +66,14 @@ def doctor(
 def compile_models(*, as_json: bool) -> None:
     """Simulate two ticks of each law, so that what later sessions run lies compiled in the user's cache."""
     from services.controller.config import KNOWN_LAWS
-    from studies.loops.simulation import simulate_scenario
+    from studies.loops.simulation import compile_scenario
 
     if importlib.util.find_spec("numba") is None:
         raise ConfigError(f"numba is not installed, and nothing can be compiled: {how_to_install(extra_of('numba'))}")
     taken_s = {}
     for law in KNOWN_LAWS:
         begun_s = time.monotonic()
-        simulate_scenario("fig12", law=law, duration_s=0.002)
+        compile_scenario("fig12", law)
         taken_s[law] = round(time.monotonic() - begun_s, 2)
         if not as_json:
             typer.echo(f"{law}: compiled, or found compiled, in {taken_s[law]:.1f} s")

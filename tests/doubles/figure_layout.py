@@ -32,6 +32,11 @@ def faults(figure: Any) -> list[str]:
     return found
 
 
+def arrows(axes: Any) -> dict[str, tuple[float, float]]:
+    """Return the place that the arrow of each label of a panel points to, by the lines of the labels."""
+    return {line: tuple(map(float, text.xy)) for text in axes.texts for line in text.get_text().splitlines()}
+
+
 def _across_frame(axes: Any) -> list[str]:
     """Return the texts inside of a panel that its frame goes through."""
     frame = axes.get_window_extent()

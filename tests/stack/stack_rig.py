@@ -15,10 +15,13 @@ from typing import Any
 import machine
 import pytest
 from commands import COMMANDS
+from figure_layout import arrows, faults
 from following import Following, Recorded
 
+from analysis.report import read_session
 from proto.messages import AfmState
 from recording.reader import Recording
+from services.viz_node.fig12 import draw_fig12
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 
 # far beyond what is expected: it only keeps a broken rig from holding the suite
@@ -59,6 +62,33 @@ def pulled_as_in_the_paper(recording: Path) -> Any:
     assert steps_nm, "the tip never came near the deepest pull"
     over_nm = max(*steps_nm, PULL_STEP_NM) - PULL_STEP_NM
     return pytest.approx(PULL_NN, abs=0.1 + PULL_SLOPE * over_nm)
+
+
+def assert_drawn_as_in_the_paper(recording: Path, duration_s: float) -> None:
+    """Check the figure of a recorded session of Fig. 12: limits, legend, texts and the places of arrows."""
+    source = Recording(recording)
+    session = read_session(source)
+    figure = draw_fig12(session.series(), "title")
+    forces, positions, path = figure.axes
+    assert [axes.get_xlim() for axes in (forces, positions)] == [(0.0, pytest.approx(duration_s, abs=0.5))] * 2
+    assert [text.get_text() for text in path.get_legend().get_texts()] == ["approach", "retraction"]
+    states = [state for one in source.messages(["afm/state"]) if isinstance(state := one.decode(), AfmState)]
+    of_session = [state for state in states if session.start_ns <= state.t_ns <= session.end_ns]
+    found = arrows(path)
+    for text, name in (("meniscus forms", "meniscus"), ("contact begins", "in_contact")):
+        before, after = next(two for two in pairwise(of_session) if getattr(two[1], name))
+        place = next(at for words, at in found.items() if words.startswith(text))
+        assert place == (1e9 * before.separation_m, 1e9 * before.tip_force_n[2])
+        if name == "meniscus":
+            assert after.separation_m <= 2.4e-9 <= before.separation_m + 0.01e-9
+    # the base comes from 110 nm, and the hand's place is at 10 nm
+    placed_nm = [1e9 * state.separation_m for state in of_session if state.mode == "follow" and not state.limited]
+    room = 0.051 * (max(placed_nm) - min(placed_nm))
+    assert max(placed_nm) == pytest.approx(10.0, abs=0.1)
+    assert path.get_xlim() == (
+        pytest.approx(min(placed_nm), abs=room), pytest.approx(max(placed_nm), abs=room),
+    )  # fmt: skip
+    assert faults(figure) == []
 
 
 def held_up(summary: Mapping[str, Any]) -> str:

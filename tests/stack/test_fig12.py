@@ -14,7 +14,8 @@ import machine
 import pytest
 from empty_loop import EmptyLoops
 from mcap.reader import make_reader
-from stack_rig import HELD_UP_MS, ROOT, SESSIONS, Rig, judged, pulled_as_in_the_paper
+from PIL import Image
+from stack_rig import HELD_UP_MS, ROOT, SESSIONS, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
 
 from analysis.rerun import RerunResult, rerun
 from proto import TOPICS
@@ -91,11 +92,18 @@ def test_age_of_the_loop_is_of_the_same_tick(session: Any) -> None:
 def test_files_are_there_and_say_the_same(session: Any) -> None:
     rig, summary, _ = session
     assert json.loads((rig.out / "summary.json").read_text()) == summary
-    assert (rig.out / "fig12.png").read_bytes().startswith(b"\x89PNG")
+    with Image.open(rig.out / "fig12.png") as drawn:
+        drawn.verify()
     again = rig.folder / "again"
     done = rig.telenano("report", str(rig.out / "session.mcap"), "--out", str(again), "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == summary
+
+
+def test_the_figure_shows_the_session_and_the_path_under_the_hand(session: Any) -> None:
+    rig, summary, _ = session
+    if judged(summary, "the figure of Fig. 12"):
+        assert_drawn_as_in_the_paper(rig.out / "session.mcap", 8.0)
 
 
 def test_foreign_reader_opens_the_recording(session: Any) -> None:

@@ -17,7 +17,7 @@ import pytest
 import zmq
 from killed import check_killed, kill_recorders
 from ledger import record
-from stack_rig import FIGURE_S, Rig, judged, pulled_as_in_the_paper
+from stack_rig import FIGURE_S, Rig, assert_drawn_as_in_the_paper, judged, pulled_as_in_the_paper
 
 from analysis.rerun import rerun
 from presets import DEFAULT_SITE_FILE
@@ -101,7 +101,7 @@ def test_hold_contact_and_release_are_the_papers(rig: Rig, figure: Path, tmp_pat
     holds = [hold["verdict"] for hold in summary["holds"] if hold["end_s"] <= FIGURE_S]
     assert len(holds) >= 2
     assert set(holds) <= {"stable", "released"}
-    assert (tmp_path / "report" / "fig12.png").read_bytes().startswith(b"\x89PNG")
+    assert_drawn_as_in_the_paper(figure, FIGURE_S)
 
 
 @pytest.mark.parametrize("node", ["controller@slave", "delay_node@master"])

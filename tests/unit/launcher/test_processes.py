@@ -2,8 +2,9 @@ import contextlib
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 import psutil
 import pytest
@@ -84,6 +85,35 @@ def test_the_next_node_is_stopped_while_the_last_messages_of_one_are_delivered_a
     assert stopping == ["a@b", "c@d", "recorder@d"]
     assert ("a@b", "c@d") in reader.waited
     assert children.reap() == {}
+
+
+@pytest.mark.parametrize(("delivered_after_s", "patience_s"), [(0.0, 0.1), (0.3, 0.4), (1e9, 0.8)])
+def test_a_process_that_hangs_is_killed_soon_after_its_readers_have_all_and_else_at_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delivered_after_s: float, patience_s: float
+) -> None:
+    class Readers(Reader):
+        def has_delivered(self, node: str, gone: Collection[str]) -> bool:
+            assert node not in gone and "recorder@b" in gone
+            return self.has_ended(node) and bool(self.waits) and self.waits[-1] >= delivered_after_s
+
+        def wait(self, nodes: Sequence[str], waited_s: float, limit_s: float) -> None:
+            self.waits.append(waited_s)
+
+        waits: ClassVar[list[float]] = []
+
+    monkeypatch.setattr("services.launcher.processes.EXIT_GRACE_S", 0.1)
+    monkeypatch.setattr("services.launcher.processes.LINGER_GRACE_S", 0.8)
+    lingering = LINGERING.format(folder=tmp_path)
+    children = processes(tmp_path, {"a@b": lingering, "recorder@b": OBEDIENT}, ["a@b"], [])
+    process_id = children.start("a@b")
+    wait_for_line(children.log_path("a@b"))
+    readers = Readers(tmp_path)
+    readers.waits.clear()
+    children.stop(readers)
+    assert not Path(f"/proc/{process_id}").exists()
+    # the waits begin again once the node has published its last message
+    assert readers.waits[-1] >= patience_s - 0.1
+    assert (readers.waits[-1] < 0.75) == (delivered_after_s < 1.0)
 
 
 def test_a_failing_observer_leaves_the_process_to_be_stopped_again(tmp_path: Path) -> None:

@@ -377,18 +377,59 @@ def test_while_nodes_are_stopped_it_is_reported_what_takes_its_time() -> None:
     rig.bus.waiting.append(Received("session/event", event, b"", 0, Arrival.NEXT))
     ending.wait(["afm_node@slave", "haptic_node@master"], 0.2, 22.0)
     assert ending.has_ended("afm_node@slave")
+    behind = (row("session/event", "afm_node@slave", age_s=0.2),)
+    rig.receive_health("recorder@master", inputs=behind)
     for waited_s in (0.4, 1.1, 1.4, 2.0):
         ending.wait(["afm_node@slave"], waited_s, 22.0)
-    ending.wait(["recorder@master"], 3.0, 30.0)
+    rig.receive_health("recorder@master", inputs=(row("session/event", "afm_node@slave", age_s=0.0),))
+    ending.wait(["afm_node@slave"], 3.0, 22.0)
+    ending.wait(["recorder@master"], 4.0, 30.0)
     rig.take_news(rig.session)
     assert rig.reports == [
-        "waiting for a reader, the recorder above all, to take the last messages of afm_node@slave (1 s, at most 22 s)",
-        "waiting for a reader, the recorder above all, to take the last messages of afm_node@slave (2 s, at most 22 s)",
-        "waiting for the end of recorder@master (3 s, at most 30 s)",
+        "saving the last messages of afm_node@slave (the recorder is behind): 1 s, at most 22 s",
+        "saving the last messages of afm_node@slave (the recorder is behind): 2 s, at most 22 s",
+        "waiting for the end of afm_node@slave: 3 s, at most 22 s",
+        "waiting for the end of recorder@master: 4 s, at most 30 s",
     ]
     # one that reports again was started again
     rig.receive_health("afm_node@slave")
     assert not ending.has_ended("afm_node@slave")
+
+
+LAST = {"state": "ended", "sent.session/event": 5}
+FAR_RECORDER = "recorder@slave"
+
+
+@pytest.mark.parametrize("publisher", ["viz_node@master", "afm_node@slave", "delay_node@master"])
+@pytest.mark.parametrize(
+    ("reader", "ages_s", "gone", "delivered"),
+    [
+        ("has it", {"recorder@master": 0.0}, (), True),
+        # the row is of an event before the last one
+        ("late", {"recorder@master": 0.01}, (), False),
+        # its newest report is from before the end, and so is what it says of every publisher
+        ("busy or stopped", {"recorder@master": 3.0}, (), False),
+        ("gone", {"recorder@master": 3.0}, ("recorder@master",), True),
+        ("none that receives it", {}, (), True),
+        ("one of two late", {"recorder@master": 0.0, FAR_RECORDER: 0.5}, (), False),
+        ("one of two gone", {"recorder@master": 0.5, FAR_RECORDER: 0.0}, ("recorder@master",), True),
+    ],
+)
+def test_a_publisher_is_waited_for_as_long_as_a_recorder_lacks_its_last_message(
+    publisher: str, reader: str, ages_s: dict[str, float], gone: tuple[str, ...], delivered: bool
+) -> None:
+    rig = Rig()
+    ending = _Ending(rig.session)
+    # a link publishes at both of its ends, each with a last message of its own
+    for src in [*(["delay_node@slave"] if publisher == "delay_node@master" else []), publisher]:
+        assert not ending.has_delivered(publisher, gone)
+        rig.receive_event(src, "node", **LAST)
+    rig.receive_health("recorder@master")
+    for recorder, age_s in ages_s.items():
+        rig.receive_health(recorder, inputs=(row("session/event", publisher, age_s=age_s),))
+    assert ending.has_delivered(publisher, gone) is delivered
+    # one that has no last message yet is still at work
+    assert not ending.has_delivered("haptic_node@master", gone)
 
 
 def test_what_a_device_warns_of_while_it_is_armed_is_shown_by_up() -> None:

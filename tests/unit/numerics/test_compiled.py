@@ -379,6 +379,8 @@ def test_nodes_compile_nothing_and_need_no_compiler(tmp_path: Path) -> None:
 
 LOCKSTEP = """
 import hashlib, telenano
+from studies.loops import lockstep
+lockstep.PLAIN_TICKS = 0
 done = telenano.simulate(duration_s=1.0)
 print(hashlib.sha256(done["scaled_tip_force_n"].tobytes() + done["time_s"].tobytes()).hexdigest())
 """

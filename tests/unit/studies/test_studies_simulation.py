@@ -1,11 +1,20 @@
 """`telenano.simulate`: a session in lockstep, with units and a verdict, and the errors of what cannot be one."""
 
+import logging
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
 import studies
 import telenano
 from proto.errors import ConfigError
+from studies.loops import lockstep
 
 assert studies  # before the steps are imported: they are compiled from then on
 
@@ -69,3 +78,79 @@ def test_a_network_that_jitters_is_named_with_the_round_trip_that_it_had() -> No
 def test_what_cannot_be_simulated_says_why(given: dict[str, object], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         telenano.simulate(**given)  # type: ignore[arg-type]
+
+
+LOOP_OF_CALLS = """
+import hashlib, sys, telenano
+from studies.loops import lockstep
+lockstep.PLAIN_TICKS, calls = map(int, sys.argv[1:])
+for _ in range(calls):
+    done = telenano.simulate(duration_s=0.3)
+    print("numba" in sys.modules, hashlib.sha256(done["scaled_tip_force_n"].tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.check("compiles the loop in a folder of its own")
+def test_a_call_is_plain_python_until_a_loop_of_calls_pays_for_compiling_and_what_is_kept_is_used(
+    tmp_path: Path,
+) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_DISABLE_JIT"}
+    environment["NUMBA_CACHE_DIR"] = str(tmp_path)
+
+    def calls(*given: int) -> tuple[list[str], str]:
+        command = [sys.executable, "-c", LOOP_OF_CALLS, *map(str, given)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.split(), done.stderr
+
+    (imported, digest), said = calls(lockstep.PLAIN_TICKS, 1)
+    assert (imported, said) == ("False", "")
+    assert not list(tmp_path.rglob("*.nbi"))
+    # 300 ticks before the session, and 300 of it: the third call compiles
+    looped, said = calls(1200, 3)
+    assert looped == ["False", digest, "False", digest, "True", digest]
+    assert said.count("compiling models") == said.count("\n") == 1
+    assert calls(lockstep.PLAIN_TICKS, 1) == (["True", digest], "")
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the calls that ask for compiled code, each of which runs as plain Python."""
+    found: list[Any] = []
+
+    def called(step: Any, given: Any) -> Any:
+        found.append(given)
+        return step(*given)
+
+    monkeypatch.setattr(lockstep, "_plain_ticks", Counter())
+    monkeypatch.setattr(lockstep, "is_compiled", lambda step, given: False)
+    monkeypatch.setattr(lockstep, "compiled_call", called)
+    return found
+
+
+def test_ticks_are_counted_for_each_law_and_environment(asked: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lockstep, "PLAIN_TICKS", 601)
+    for law, environment in [("wave", "tip_sample"), ("wave", "spring"), ("passivity", "tip_sample")] * 2:
+        telenano.simulate(law=law, environment=environment, round_trip_ms=0.0, duration_s=0.02)
+    assert asked == []
+    telenano.simulate(law="wave", round_trip_ms=0.0, duration_s=0.02)
+    assert len(asked) == 1
+    # what is kept is used from the first call on
+    monkeypatch.setattr(lockstep, "is_compiled", lambda step, given: True)
+    telenano.simulate(law="passivity", environment="spring", duration_s=0.02)
+    assert len(asked) == 2
+
+
+def test_a_loop_of_calls_whose_models_cannot_be_compiled_goes_on_as_plain_python(
+    asked: list[Any], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refused(step: Any, given: Any) -> Any:
+        asked.append(given)
+        raise ConfigError("a model of this session cannot be compiled: x")
+
+    monkeypatch.setattr(lockstep, "compiled_call", refused)
+    monkeypatch.setattr(lockstep, "PLAIN_TICKS", 1)
+    with caplog.at_level(logging.WARNING, "studies"):
+        first, *others = (telenano.simulate(duration_s=0.02)["tip_force_n"] for _ in range(3))
+    assert all(np.array_equal(first, other) for other in others)
+    assert len(asked) == 1
+    assert caplog.messages == ["a model of this session cannot be compiled: x; it runs as plain Python"]

@@ -558,7 +558,7 @@ def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys
     from studies.loops import simulation
 
     said: list[tuple[str, str]] = []
-    monkeypatch.setattr(simulation, "simulate_scenario", lambda name, law, duration_s: said.append((name, law)))
+    monkeypatch.setattr(simulation, "compile_scenario", lambda name, law: said.append((name, law)))
     doctor.compile_models(as_json=True)
     assert said == [("fig12", law) for law in KNOWN_LAWS]
     assert list(json.loads(capsys.readouterr().out)["warmed_s"]) == list(KNOWN_LAWS)
@@ -567,9 +567,8 @@ def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys
 @pytest.mark.check("compiles a law")
 def test_a_session_after_warming_compiles_nothing_and_one_before_it_says_that_it_does(tmp_path: Path) -> None:
     warm = (
-        "from studies.loops import simulation; simulate = simulation.simulate_scenario\n"
-        "simulation.simulate_scenario = lambda name, law, duration_s: (\n"
-        "    law == 'virtual_impedance' and simulate(name, law=law, duration_s=duration_s)\n)\n"
+        "from studies.loops import simulation; warm = simulation.compile_scenario\n"
+        "simulation.compile_scenario = lambda name, law: law == 'virtual_impedance' and warm(name, law)\n"
         "from telenano.doctor.report import compile_models; compile_models(as_json=True)"
     )
     session = "import telenano; print(telenano.simulate('fig12', law='virtual_impedance').verdict)"

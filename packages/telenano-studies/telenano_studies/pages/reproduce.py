@@ -41,8 +41,9 @@ _BESIDE_THE_PAPER = {
     " hand stays below the tops by what sample and device give way.",
     "fig12": "The paper: the operator pushes from 0.8 s on, the tip is pulled before it touches, F_m and alpha_f F_s"
     " balance, and after the release at 4.6 s the hand goes back to the point of contact. The same here; F_m is 1.05"
-    " times alpha_f F_s, as Eq. 17 has it for K_f = 20. The arrow in (c) is the forming of the meniscus, by which a"
-    " cantilever of 40 N/m goes 0.12 nm: it does not snap.",
+    " times alpha_f F_s, as Eq. 17 has it for K_f = 20. The arrows in (c) are where the instrument states that the"
+    " meniscus forms and the contact begins. At the meniscus the force jumps by 5 nN and a cantilever of 40 N/m goes"
+    " 0.12 nm: it does not snap.",
 }
 
 
