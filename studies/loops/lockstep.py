@@ -206,8 +206,8 @@ def simulate(
     if not 0 <= session_tick < schedule.ticks:
         raise ValueError(f"the session cannot start at tick {session_tick} of {schedule.ticks}")
     rows = np.empty((len(COLUMNS), schedule.ticks))
-    start = rig.haptic_start, rig.instrument_start
-    given = (rig.halves, rig.haptic, rig.instrument, *start, schedule, session_tick, rows, hand, path)
+    states = rig.haptic_start, rig.instrument_start
+    given = (rig.halves, rig.haptic, rig.instrument, *states, schedule, session_tick, rows, hand, path)
     start, done = compiled_call(_run, given) if at_once else _run_as_it_pays(rig, given)
     if start < 0:
         limits, newest = rig.instrument.safety, dict(zip(COLUMNS, rows[:, -1].tolist(), strict=True))
