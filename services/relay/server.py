@@ -208,11 +208,17 @@ class Relay:
     # --- what a site wants ---
 
     async def _answer(self, site: Site, request: dict[str, Any]) -> None:
-        wants = {"site": self._be_site, "open": self._open_stream, "accept": self._accept_stream}
+        wants = {"site": self._be_site, "open": self._open_stream, "accept": self._accept_stream, "look": self._look}
         try:
             await wants[request["want"]](site, request)
         except (KeyError, TypeError, OverflowError):
             raise RejectedError("malformed") from None
+
+    async def _look(self, site: Site, request: dict[str, Any]) -> None:
+        await site.channel.send(ok=True, name=site.name, present=sorted(self._meeting(site.key)))
+        with contextlib.suppress(*Gone):
+            async with asyncio.timeout(HELLO_S):
+                await site.channel.receive()
 
     async def _be_site(self, site: Site, request: dict[str, Any]) -> None:
         """Keep the connection of a site, over which it is told who wants to reach it."""
