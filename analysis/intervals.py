@@ -1,23 +1,10 @@
-"""Intervals of shares that were counted, and of means."""
+"""Intervals of shares that were counted, and figures as texts with their intervals."""
 
 import math
 from collections.abc import Sequence
 
 # a normal number is within so many standard deviations 95 times in 100
 DEVIATIONS = 1.959964
-
-
-def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
-    """Return half the interval of a mean by Student's t.
-
-    Args:
-        deviation: The standard deviation of the values, by n - 1.
-        count: How many values there are, 2 or more.
-        confidence: How often an interval is meant to have the true mean in it.
-    """
-    from scipy.stats import t
-
-    return float(t.ppf(0.5 + 0.5 * confidence, count - 1) * deviation / math.sqrt(count))
 
 
 def with_error(value: float, interval: Sequence[float] | None) -> str:

@@ -124,7 +124,7 @@ def _sensitivity(curve: Path, part: tuple[float, float]) -> dict[str, Any]:
             "points": found.points,
             "residual_nm": 1e9 * found.residual_m,
         }
-    from analysis.statistics import statistic
+    from telenano_studies.repetitions import statistic
 
     over = statistic([1e9 * one.m_per_v for one in several])
     return {

@@ -7,11 +7,11 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from analysis.statistics import CONFIDENCE
 from proto.errors import ConfigError, ReportError
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
 from telenano.cli.output import print_json, print_rows, report_errors
+from telenano_studies.repetitions import CONFIDENCE, statistics_of
 
 
 def compare(
@@ -76,7 +76,6 @@ def compare_sessions(
     from telenano_studies.comparison import beside, compare_figure, rows_of
     from telenano_studies.comparison import compare as read
     from telenano_studies.published import paper_points, read_published
-    from telenano_studies.repetitions import statistics_of
     from telenano_studies.table_files import table_files
 
     kinds = table_formats(tables)

@@ -1,19 +1,67 @@
-"""What repeated sessions have in common: the statistic of each figure over those that differ by their seeds alone.
+"""What repeated sessions have in common: mean, deviation and interval of each figure over those that differ by seed.
 
-Sessions are repetitions where their scenarios are the same but for their seeds.
+The interval of a mean is Student's, that of a share Wilson's; both are meant to have the true value in 95 of 100
+repetitions of all sessions. Sessions are repetitions where their scenarios are the same but for their seeds.
 """
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
-from analysis.statistics import share, statistic
+from analysis.intervals import wilson
 from services.runtime.settings.config import flatten
 
+CONFIDENCE = 0.95
 _NAMES = ("name", "description")
 # Where a session is kept and shown does not change it.
 _SECTIONS = ("recorder", "viz_node")
+
+
+class Statistic(NamedTuple):
+    """Number of values, their mean, standard deviation (n - 1), and the ends of the interval of the mean.
+
+    As text it is `mean ± deviation [low, high]`, of a share without the deviation.
+    """
+
+    n: int
+    mean: float
+    deviation: float | None
+    low: float | None
+    high: float | None
+
+    def __str__(self) -> str:
+        spread = "" if self.deviation is None else f" ± {self.deviation:.2g}"
+        between = "" if self.low is None or self.high is None else f" [{self.low:.3g}, {self.high:.3g}]"
+        return f"{self.mean:.3g}{spread}{between}"
+
+
+def statistic(values: Sequence[float]) -> Statistic:
+    """Return the statistic of one or more numbers; one number has neither deviation nor interval."""
+    n, mean = len(values), math.fsum(values) / len(values)
+    if n < 2:
+        return Statistic(n, mean, None, None, None)
+    deviation = math.sqrt(math.fsum((value - mean) ** 2 for value in values) / (n - 1))
+    half = half_width(deviation, n, CONFIDENCE)
+    return Statistic(n, mean, deviation, mean - half, mean + half)
+
+
+def share(count: int, of: int) -> Statistic:
+    """Return the statistic of a share: 0 <= count <= of, of > 0. It has no deviation."""
+    return Statistic(of, count / of, None, *wilson(count, of))
+
+
+def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
+    """Return half the interval of a mean by Student's t.
+
+    Args:
+        deviation: The standard deviation of the values, by n - 1.
+        count: How many values there are, 2 or more.
+        confidence: How often an interval is meant to have the true mean in it.
+    """
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + 0.5 * confidence, count - 1) * deviation / math.sqrt(count))
 
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:

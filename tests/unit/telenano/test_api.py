@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import zmq
 from recorder_samples import sample
+from telenano_studies.repetitions import share, statistic
 
 import telenano
-from analysis.statistics import share, statistic
 from proto.errors import ConfigError, RecordingError, RigError
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock

@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
-from analysis.statistics import Statistic, share, statistic
 from proto.errors import ConfigError
 from services.controller.config import OWN_LAWS as LAWS
 from services.runtime.settings.config import Settings as StrictSettings
@@ -27,6 +26,7 @@ from telenano_studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Co
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.tuning import Settings, tuned
 from telenano_studies.option_values import LONGEST_MS, STIFFEST_N_PER_M, Jitter, jitters, losses
+from telenano_studies.repetitions import Statistic, share, statistic
 
 FREE_PRICE = 0.02
 # one-sided walls at the tip, in words

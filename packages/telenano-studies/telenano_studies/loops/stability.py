@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from analysis.statistics import Statistic, statistic
 from proto.errors import ConfigError
 from services.runtime.settings.option import Option
 from telenano_studies import option_values
@@ -17,6 +16,7 @@ from telenano_studies.loops.linear_cells import linear_loop, not_linear
 from telenano_studies.loops.sweep import Sweep
 from telenano_studies.loops.theory import loop_model
 from telenano_studies.option_values import Jitter
+from telenano_studies.repetitions import Statistic, statistic
 
 
 class Axes(Conditions):
