@@ -161,7 +161,8 @@ class Frames:
         if "[0-9a-f]{64}" in schema.get("pattern", ""):
             return f"{rng.getrandbits(256):064x}"
         most = schema.get("maxLength", 4096)
-        return rng.choice(("", " ", "x" * most, "Å力🔬"[:most], "\0\n\x1b[2J"[:most], "session.mcap"[:most]))
+        texts = ("", " ", "x" * most, "Å力🔬"[:most], "\0\n\x1b[2J"[:most], "session.mcap"[:most])
+        return rng.choice([text for text in texts if len(text) >= schema.get("minLength", 0)])
 
     def _object_of(self, part: Mapping[str, Any], root: Any) -> dict[str, Any]:
         rng = self.random
