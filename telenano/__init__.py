@@ -44,14 +44,7 @@ def __getattr__(name: str) -> Any:
     try:
         module, attribute = _ELSEWHERE.get(name, ("telenano.api", name))
         return getattr(import_module(module), attribute)
-    except ImportError as error:
-        from telenano.shared_names import explanation
-
-        text = explanation()
-        if text is not None:
-            raise ImportError(text, name=error.name) from error
-        if not isinstance(error, ModuleNotFoundError):
-            raise
+    except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package in ("", "proto", "presets", "recording", "services", "analysis", "studies", "telenano"):
             raise

@@ -11,20 +11,6 @@ _URGENT = 1
 
 
 def main() -> None:
-    """Run the command line; what another distribution has overwritten is named with the remedy."""
-    try:
-        _main()
-    except ImportError:
-        from telenano.shared_names import explanation
-
-        text = explanation()
-        if text is None:
-            raise
-        sys.stderr.write(f"telenano: {text}\n")
-        raise SystemExit(2) from None
-
-
-def _main() -> None:
     """Run the command line; an emergency stop without what the other commands need."""
     from telenano.cli import terminal
 

@@ -18,6 +18,8 @@ from proto.errors import ConfigError, probably_meant
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from services.signals import interrupts
 
+# what the wheel installs at the top level
+_OWN = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "firmware")
 # typer has no other name for the base of all errors of the command line.
 _UsageError: Any = typer.BadParameter.__base__
 
@@ -309,7 +311,6 @@ def _report(error: Any, *, as_json: bool) -> int:
     from proto.extras import how_to_add_package, missing
     from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
     from telenano.cli.output import print_error, system_error_text, usage_text
-    from telenano.shared_names import OWN
 
     code: int
     code, text = EXIT_FAILED, plugins.fault_of_package(error)
@@ -327,7 +328,7 @@ def _report(error: Any, *, as_json: bool) -> int:
     elif isinstance(error, OSError):
         text = system_error_text(error)
     # A missing module of the core is a fault of the installation, not a missing extra.
-    elif isinstance(error, ModuleNotFoundError) and (top := (error.name or "").partition(".")[0]) not in ("", *OWN):
+    elif isinstance(error, ModuleNotFoundError) and (top := (error.name or "").partition(".")[0]) not in ("", *_OWN):
         name = top.replace("_", "-")
         own = f"{name} is not installed: {how_to_add_package(name)}" if name in KNOWN_PACKAGES.values() else ""
         code, text = EXIT_BAD_CONFIGURATION, own or missing(top)

@@ -28,7 +28,6 @@ from telenano.cli.output import console, fail, print_answer, print_json, report_
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
 from telenano.doctor.devices import check_instrument, check_serial_ports
-from telenano.shared_names import explanation
 
 if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
@@ -133,9 +132,7 @@ def findings_table(findings: Sequence[Finding]) -> Table:
 def packages() -> list[Finding]:
     """Compare the installed packages with those that the project requires."""
     try:
-        found = checks.check_packages(requires("telenano") or (), _installed)
-        overwritten = explanation()
-        return [*found, Finding("names", "problem", overwritten)] if overwritten else found
+        return checks.check_packages(requires("telenano") or (), _installed)
     except PackageNotFoundError:
         advice = "run `pip install -e .` in its folder"
         return [Finding("packages", "problem", "telenano is run without being installed", advice)]
