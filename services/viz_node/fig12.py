@@ -36,8 +36,8 @@ _TURN_SHARE = 0.05
 # What is written where the recording states that a state of the tip begins, and where it states that it ends.
 _WORDS = {"meniscus": ("meniscus forms", "meniscus breaks"), "in_contact": ("contact begins", "contact ends")}
 # The distances from its point [pt] and the directions [degree] in which a label is tried.
-_LABEL_PT = (22.0, 36.0, 56.0, 84.0, 120.0)
-_LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0)
+_LABEL_PT = (22.0, 30.0, 40.0, 56.0, 72.0, 90.0, 120.0)
+_LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0, -60.0, 60.0, -120.0, 120.0, -15.0, 15.0)
 # So many letters of a title are as wide as the figure.
 _TITLE_WIDTH = 88
 
