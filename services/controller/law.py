@@ -187,6 +187,13 @@ class Law:
     comes before the instrument has answered the one before, that one is answered with dt = 0 and the state dropped.
 
     `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
+
+    `link_loop`: whether a force or motion of the tip acts on the hand as it comes back, so that the loop through line
+    and instrument has a gain, and a slow instrument makes it swing. A law whose hand meets a model of the contact, or
+    whose hand moves no tip, has none; a loop at the instrument alone is `local_loop`, and its settings state the
+    stiffness that it bears. `passive`: whether the law states that its two ports together give out no more than its
+    accounts say that it was granted, over any line. `must_know`: the settings of its section that have to be those of
+    the instrument or the sample, because the law computes with them and cannot measure them.
     """
 
     name: str
@@ -204,6 +211,9 @@ class Law:
     uses_waves: bool = False
     uses_energy: bool = False
     local_loop: bool = False
+    link_loop: bool = True
+    passive: bool = False
+    must_know: tuple[str, ...] = ()
 
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
@@ -211,14 +221,14 @@ _SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
 _ACCOUNTS = ("master_energy_account", "slave_energy_account")
 
 
-def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **flags: bool) -> Law:
+def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **flags: Any) -> Law:
     """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
 
     Args:
         module: The `__name__` of the module, which calls this below its last step.
         config: The model of the law's section.
         slave: The module with the steps of the slave half, if that is another one.
-        flags: The flags of `Law`.
+        flags: What the law says of itself by the fields of `Law` that have defaults.
 
     Raises:
         AttributeError: A step is missing; the message names it.
@@ -239,6 +249,8 @@ def checked_law(name: str, value: Any) -> Law:
     missing = [field for field in _SHARED_FIELDS if field not in value.config.model_fields]
     if missing:
         raise ValueError(f"its settings lack {', '.join(missing)}")
+    if unknown := [key for key in value.must_know if key not in value.config.model_fields]:
+        raise ValueError(f"its settings have no {', '.join(unknown)}, which must_know names")
     if not hasattr(value.config, "to_params"):
         raise ValueError("its settings have no to_params(period_s)")
     return value

@@ -221,3 +221,10 @@ def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = 
     from services.afm_node.node import AfmNode
 
     return AfmNode(bench.context, afm_config(section), driver)
+
+
+def refused_laws(driver: str) -> dict[str, str]:
+    """Return the laws that cannot be used with a driver of the instrument, and why, by their names."""
+    from services.launcher import plan
+
+    return plan.refused_laws(driver)

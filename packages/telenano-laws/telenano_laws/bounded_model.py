@@ -556,4 +556,4 @@ def slave_energy_account(params: BoundedModelParams, state: SlaveState) -> Energ
     return account_of(state.store)
 
 
-BOUNDED_MODEL = law_of(__name__, BoundedModelConfig, uses_energy=True, local_loop=True)
+BOUNDED_MODEL = law_of(__name__, BoundedModelConfig, uses_energy=True, local_loop=True, link_loop=False, passive=True)

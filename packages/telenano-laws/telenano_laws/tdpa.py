@@ -248,4 +248,4 @@ def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount
     return account_of(state.store)
 
 
-TDPA = law_of(__name__, TdpaConfig, uses_energy=True)
+TDPA = law_of(__name__, TdpaConfig, uses_energy=True, passive=True)

@@ -174,4 +174,4 @@ def slave_receive(
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
-TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True)
+TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True, passive=True)

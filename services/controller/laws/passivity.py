@@ -528,4 +528,4 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = law_of(__name__, PassivityConfig, uses_energy=True, local_loop=True)
+PASSIVITY = law_of(__name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True)

@@ -441,4 +441,4 @@ def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
-WAVE = law_of(__name__, WaveConfig, uses_waves=True, uses_energy=True, local_loop=True)
+WAVE = law_of(__name__, WaveConfig, uses_waves=True, uses_energy=True, local_loop=True, passive=True)
