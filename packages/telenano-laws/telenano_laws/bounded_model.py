@@ -59,6 +59,8 @@ from telenano_laws.ports import (
     has_to_be_armed,
     is_heard,
     is_retracted,
+    kept_below,
+    of_scales,
     opened,
     opened_anew,
     paid_damped_way,
@@ -371,6 +373,10 @@ def _let_go(
     if state.rendered:
         y = tip_reference(p, state.mass) / p.position_scale
         store = tank(store, potential(state.contact, y), params.cap_j)
+    if state.mass.coupled:
+        # The reference goes back to the device, which is a way against the hand's force that Z pays.
+        undone_j = hand.force_n * (hand.position_m - state.mass.position_m)
+        store = tank(store, min(undone_j, 0.0), params.cap_j)
     anew = is_retracted(p, signal)
     seen, lag = state.seen, state.lag_s
     if anew:
@@ -535,13 +541,40 @@ def slave_send(
 
 @compiled
 def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes; the store stays below the new cap."""
-    store = state.store
-    store = Store(store.sent_j, store.received_j, min(store.left_j, new.cap_j), store.granted_j)
-    mass, heavy = rescaled(old.mass, new.mass, state.mass), max(state.mass_kg, new.mass_kg)
-    return MasterState(
-        mass, state.seen, state.contact, state.rendered, state.lag_s, state.held_back, heavy, store, state.stood_s
+    """Keep the tip's reference, the force of the model and the mass when parameters change; Z pays a rise of V.
+
+    What was seen and the model are lengths and forces of the tip, so other scales make other numbers of them. The mass
+    becomes another one in the next period, where it keeps momentum or speed.
+    """
+    longer, stronger = of_scales(old.mass, new.mass)
+    seen, contact, store = state.seen, state.contact, kept_below(state.store, new.cap_j)
+    seen = Seen(
+        known=seen.known,
+        last_m=longer * seen.last_m,
+        last_n=stronger * seen.last_n,
+        mean_m=longer * seen.mean_m,
+        mean_n=stronger * seen.mean_n,
+        square_m2=longer * longer * seen.square_m2,
+        product_n_m=longer * stronger * seen.product_n_m,
+        pull_n=stronger * seen.pull_n,
     )
+    mass = rescaled(old.mass, new.mass, state.mass)
+    scaled = Contact(contact.stiffness_n_per_m * stronger / longer, longer * contact.zero_m, stronger * contact.pull_n)
+    if state.rendered:
+        before = potential(contact, tip_reference(old.mass, state.mass) / old.mass.position_scale)
+        rise = potential(scaled, tip_reference(new.mass, mass) / new.mass.position_scale) - before
+        store = tank(store, -max(rise, 0.0), new.cap_j)
+    return MasterState(
+        mass, seen, scaled, state.rendered, state.lag_s, state.held_back, state.mass_kg, store, state.stood_s
+    )
+
+
+@compiled
+def slave_retune(old: BoundedModelParams, new: BoundedModelParams, state: SlaveState) -> SlaveState:
+    """Keep the last measurement, which is at the hand's scale; the store stays below the new cap."""
+    longer, stronger = of_scales(old.mass, new.mass)
+    store = kept_below(state.store, new.cap_j)
+    return SlaveState(state.position_m, longer * state.last_m, stronger * state.last_n, store, state.coupled)
 
 
 @compiled
