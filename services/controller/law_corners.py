@@ -105,17 +105,8 @@ def _signal_at_corners(rng: random.Random) -> PortSignal:
 
 def _over_the_wire(signal: PortSignal) -> PortSignal:
     """Return a signal as the other half hears it: limited to the ranges."""
-
-    def within(value: float, kind: Range) -> float:
-        return min(max(value, kind.low), kind.high)
-
-    return signal._replace(
-        position_m=within(signal.position_m, WAY),
-        velocity_m_per_s=within(signal.velocity_m_per_s, VELOCITY),
-        force_n=within(signal.force_n, FORCE),
-        wave_sqrt_w=within(signal.wave_sqrt_w, WAVE),
-        energy_j=within(signal.energy_j, ENERGY),
-    )
+    ranges = dict(position_m=WAY, velocity_m_per_s=VELOCITY, force_n=FORCE, wave_sqrt_w=WAVE, energy_j=ENERGY)
+    return signal._replace(**{key: min(max(getattr(signal, key), r.low), r.high) for key, r in ranges.items()})
 
 
 class _Halves:
@@ -181,8 +172,7 @@ def _run_apart(halves: _Halves) -> None:
 
 def _run_together(halves: _Halves) -> None:
     """Let the halves answer each other on a stiff spring: what is unstable grows until the ranges stop it."""
-    stiffness = halves.rng.choice((1.0, 20.0, 1e9))
-    hand_n = halves.rng.choice((1.0, 1e6))
+    stiffness, hand_n = halves.rng.choice((1.0, 20.0, 1e9)), halves.rng.choice((1.0, 1e6))
     halves.hand = HandSample(0.0, 0.0, hand_n, True)
     halves.tip = NO_TIP._replace(separation_valid=True, in_contact=True, following=True)
     for _ in range(TICKS):

@@ -209,8 +209,7 @@ class _Bench:
             self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, self.period_s)
             base = 0.0 if retracted else wanted.position_m
             pushed_n = self.stiffness_n_per_m * (base - (self.wall_m or 0.0))
-            if self.wall_m is not None:
-                pushed_n = max(pushed_n, 0.0)
+            pushed_n = pushed_n if self.wall_m is None else max(pushed_n, 0.0)
             newest = NO_TIP._replace(
                 base_position_m=base, force_n=pushed_n, in_contact=pushed_n != 0.0, following=not retracted
             )

@@ -6,6 +6,7 @@ So it knows the true age of every reading, and compares it with the age that the
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib.metadata import entry_points
 from typing import Any, NamedTuple
 
 from proto import TOPICS, encode
@@ -13,6 +14,9 @@ from proto.errors import RefusedError as RefusedError
 from proto.messages import Message
 from proto.ranges import limited
 from proto.sequence import Arrival
+from services.controller.law import longest_pause_periods as longest_pause_periods
+from services.controller.law import paced as paced
+from services.controller.law_rules import known_law as known_law
 from services.runtime.bus.bus import Received
 from services.runtime.loop.log import StructuredLog
 from services.runtime.loop.node import NodeContext
@@ -35,6 +39,13 @@ _MS = 1_000_000
 _LATE_NS, _HELD_NS, _AGAIN_NS, _PUSHED = 80 * _MS, 200 * _MS, _MS // 2, 40
 # when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before
 EPOCH_NS = 1_750_000_000_000_000_000
+
+
+def __getattr__(name: str) -> Any:
+    """Return what an installed package brings for tests, by its entry point of the group `telenano.testing`."""
+    for entry in entry_points(group="telenano.testing", name=name):
+        return entry.load()
+    raise AttributeError(f"telenano.extend.testing has no {name}, and no installed package brings it")
 
 
 def numbered(topic: str, seq: int, **changes: Any) -> Message:

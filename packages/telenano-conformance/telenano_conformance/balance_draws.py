@@ -180,7 +180,6 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         # an end of travel matters most where a half loses hold of the other one meanwhile
         events = _events(rng, rng.choice(SILENCES), duration_s, silence_limit_s)
     reach_m = _log(rng, 3e-4, 8e-3) if ends_hand else 1.0
-    base_reach_m = _log(rng, 2e-9, 4e-8) if ends_base else 1e-4
     sample = _sample(rng)
     return Order(
         name=name,
@@ -192,13 +191,18 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         sample=sample,
         line=_line(rng),
         hand_travel_m=(-reach_m * rng.uniform(0.2, 1.0), reach_m),
-        base_travel_m=(-1e-4, base_reach_m + max(sample.place_m, 0.0) if ends_base else base_reach_m),
+        base_travel_m=_base_travel(rng, sample.place_m) if ends_base else (-1e-4, 1e-4),
         hand_quantum_n=_log(rng, 2e-3, 0.1) if quantised else 0.0,
         tip_quantum_n=_log(rng, 2e-11, 2e-9) if quantised else 0.0,
         hand_quantum_m=rng.choice((0.0, 1e-6, 1e-5)) if quantised else 0.0,
         base_quantum_m=rng.choice((0.0, 1e-11, 1e-10)) if quantised else 0.0,
         events=events,
     )
+
+
+def _base_travel(rng: Random, place_m: float) -> tuple[float, float]:
+    """Return ends of travel of the base on both sides of the place of the surface and of the start [m]."""
+    return min(place_m, 0.0) - _log(rng, 2e-10, 1e-8), max(place_m, 0.0) + _log(rng, 2e-9, 4e-8)
 
 
 def _log(rng: Random, least: float, most: float) -> float:
@@ -208,7 +212,8 @@ def _log(rng: Random, least: float, most: float) -> float:
 def _hand(rng: Random) -> HandDraw:
     mass = _log(rng, 0.2, 3.0)
     stiffness = _log(rng, _LEAST_HAND_N_PER_M, _MOST_HAND_N_PER_M)
-    still = rng.random() < 0.45
+    # A hand that moves dissipates much in any law, which would cover what is lost at a transition.
+    still = rng.random() < 0.65
     return HandDraw(
         mass_kg=mass,
         stiffness_n_per_m=stiffness,
@@ -228,7 +233,7 @@ def _sample(rng: Random) -> SampleDraw:
     takes = rng.choice(("nothing", "nothing", "viscous", "hysteresis", "adhesion"))
     return SampleDraw(
         stiffness_n_per_m=stiffness,
-        place_m=rng.choice((0.0, rng.uniform(-3e-9, 2e-8))),
+        place_m=rng.choice((0.0, rng.uniform(-3e-9, 1e-9), rng.uniform(0.0, 2e-8))),
         drift_m_per_s=rng.choice((0.0, 5e-11, -5e-11, _MOST_DRIFT_M_PER_S, rng.uniform(-1, 1) * _MOST_DRIFT_M_PER_S)),
         # at a force of 10 nN the tip then sinks with 0.1 to 100 nm/s through the damper alone
         viscous_n_s_per_m=_log(rng, 1e-3, 1e-1) * stiffness if takes == "viscous" else 0.0,

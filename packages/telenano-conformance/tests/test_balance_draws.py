@@ -1,7 +1,6 @@
 """The adversary's draws: what they are stated to be, and again the same from the same seed."""
 
 import pytest
-
 from telenano_conformance.balance_draws import KINDS, MIXED, SILENCES, drawn
 
 LIMIT_S = 0.2

@@ -1,0 +1,100 @@
+"""`telenano law balance`: the energy that a law makes at its two ports, by kind of transition."""
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from typing import Annotated, Any
+
+import typer
+
+from telenano.extend.commands import ConfigError, JsonOption, TelenanoError, print_json, report_errors
+from telenano.extend.testing import known_law
+from telenano_conformance.balance import TOLERANCE_J, Balance, states_passivity, worst_balances
+from telenano_conformance.balance_draws import KINDS, MIXED
+
+_ALL = (*KINDS, MIXED)
+
+
+def law_balance(
+    laws: Annotated[list[str], typer.Argument(metavar="LAW...", help="Names of laws, as `law list` gives them.")],
+    cases: Annotated[int, typer.Option("--cases", min=1, metavar="N", help="Draws of each kind.")] = 8,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", help="Seed of the draws.")] = 1,
+    longest: Annotated[
+        float, typer.Option("--longest", min=5.0, metavar="S", help="Longest order, in the time of the rig [s].")
+    ] = 60.0,
+    kind: Annotated[
+        list[str] | None, typer.Option("--kind", metavar="KIND", help=f"One of: {', '.join(_ALL)}; default: all.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run orders of events that an adversary draws against laws, and print what energy each makes.
+
+    The exit code is 1 where a law that states an account of its energy gives out more than came in and was granted.
+    """
+    with report_errors(as_json):
+        kinds = tuple(kind or _ALL)
+        if unknown := [name for name in kinds if name not in _ALL]:
+            raise ConfigError(f"--kind {unknown[0]}: known are {', '.join(_ALL)}")
+        for name in laws:
+            known_law(name)
+        jobs = [(name, one, seed, cases, longest) for name in laws for one in kinds]
+        # a process that forks while others of its threads hold locks may stand for ever
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(max_workers=os.cpu_count(), mp_context=context) as pool:
+            done = list(pool.map(_run, jobs))
+    found = [(job[0], job[1], balances) for job, balances in zip(jobs, done, strict=True)]
+    broken = [row for row in found if states_passivity(known_law(row[0])) and not row[2][0].is_kept]
+    if as_json:
+        print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in found]})
+    else:
+        _print_table(found, broken)
+    if broken:
+        raise typer.Exit(1)
+
+
+def _run(job: tuple[str, str, int, int, float]) -> list[Balance]:
+    name, kind, seed, cases, longest_s = job
+    try:
+        return worst_balances(known_law(name), [kind], seed=seed, cases=cases, longest_s=longest_s)[kind]
+    except (ArithmeticError, ValueError) as error:
+        raise TelenanoError(f"law {name}, {kind}: fails: {type(error).__name__}: {error}") from error
+
+
+def _facts(name: str, kind: str, balances: list[Balance]) -> dict[str, Any]:
+    worst = balances[0]
+    return {
+        "law": name,
+        "transition": kind,
+        "draws": len(balances),
+        "not_kept": sum(not one.is_kept for one in balances),
+        "worst_mj": 1e3 * worst.margin_j,
+        "worst_at_reference_mj": 1e3 * min(one.reference_j for one in balances),
+        "worst_unstated_mj": 1e3 * min(one.unstated_j for one in balances),
+        "most_granted_mj": 1e3 * max(one.granted_j for one in balances),
+        "refused": sum(one.refused for one in balances),
+        "worst": worst.sentence(),
+    }
+
+
+def _print_table(found: list[tuple[str, str, list[Balance]]], broken: list[tuple[str, str, list[Balance]]]) -> None:
+    width = max(len(name) for name, _, _ in found)
+    head = f"{'law':{width}}  {'transition':20}  {'broken':>7}  {'worst':>10}  {'at ref.':>10}  {'unstated':>10}"
+    typer.echo(f"{head}  {'granted':>9}  [mJ]")
+    for row in found:
+        facts = _facts(*row)
+        typer.echo(
+            f"{facts['law']:{width}}  {facts['transition']:20}  {facts['not_kept']:3d}/{facts['draws']:<3d}"
+            f"  {facts['worst_mj']:10.3f}  {facts['worst_at_reference_mj']:10.3f}  {facts['worst_unstated_mj']:10.3f}"
+            f"  {facts['most_granted_mj']:9.3f}"
+        )
+    for name, _, balances in broken:
+        typer.echo(f"{name}: {balances[0].sentence()}")
+    for name in dict.fromkeys(row[0] for row in found):
+        lost = sum(row[0] == name for row in broken)
+        kinds = sum(row[0] == name for row in found)
+        if not states_passivity(known_law(name)):
+            typer.echo(f"{name} states no account of its energy, so that it is held to nothing")
+        else:
+            typer.echo(
+                f"{name} makes energy at {lost} of {kinds} kinds of transition" if lost else f"{name} makes none"
+            )
