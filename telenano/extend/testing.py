@@ -14,6 +14,7 @@ from proto.errors import RefusedError as RefusedError
 from proto.messages import Message
 from proto.ranges import limited
 from proto.sequence import Arrival
+from services.controller.law import changed_in_contact as changed_in_contact
 from services.controller.law import longest_pause_periods as longest_pause_periods
 from services.controller.law import paced as paced
 from services.controller.law_rules import known_law as known_law

@@ -204,7 +204,11 @@ class Seen(NamedTuple):
 
 
 class MasterState(NamedTuple):
-    """Mass, what was seen, the model and whether there is one, lag [s], share of the lag's terms, M, and the store."""
+    """Mass, what was seen, the model and whether there is one, lag [s], share of the lag's terms, M, and the store.
+
+    stood_s: for how long the device has been off [s]; device_m: where it was last [m]; ahead_j: what the hand has put
+    into the reference beyond what it has put into the device [J].
+    """
 
     mass: Mass
     seen: Seen
@@ -215,6 +219,8 @@ class MasterState(NamedTuple):
     mass_kg: float
     store: Store
     stood_s: float
+    device_m: float
+    ahead_j: float
 
 
 class SlaveState(NamedTuple):
@@ -333,8 +339,8 @@ def updated(
 
 @compiled
 def _begun(params: BoundedModelParams, mass: Mass) -> MasterState:
-    contact = Contact(params.first_n_per_m, 0.0, 0.0)
-    return MasterState(mass, nothing_seen(), contact, False, 0.0, 0.0, params.mass_kg, opened(params.start_j), 0.0)
+    contact, store = Contact(params.first_n_per_m, 0.0, 0.0), opened(params.start_j)
+    return MasterState(mass, nothing_seen(), contact, False, 0.0, 0.0, params.mass_kg, store, 0.0, mass.position_m, 0.0)
 
 
 @compiled
@@ -373,16 +379,27 @@ def _let_go(
     if state.rendered:
         y = tip_reference(p, state.mass) / p.position_scale
         store = tank(store, potential(state.contact, y), params.cap_j)
+    ahead = state.ahead_j
     if state.mass.coupled:
         # The reference goes back to the device, which is a way against the hand's force that Z pays.
         undone_j = hand.force_n * (hand.position_m - state.mass.position_m)
         store = tank(store, min(undone_j, 0.0), params.cap_j)
+        ahead += undone_j - _at_device(state, hand)
     anew = is_retracted(p, signal)
     seen, lag = state.seen, state.lag_s
     if anew:
-        seen, lag, store = nothing_seen(), 0.0, opened_anew(store, 0.0, False, params.start_j)
+        seen, lag, store, ahead = nothing_seen(), 0.0, opened_anew(store, 0.0, False, params.start_j), 0.0
     mass = let_go(p, state.mass, hand, signal)
-    return MasterState(mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s)
+    return MasterState(
+        mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s, hand.position_m, ahead
+    )
+
+
+@compiled
+def _at_device(state: MasterState, hand: HandSample) -> float:
+    """Return the work [J] of the hand at its device since the last sample; one that was off was moved by no law."""
+    works = hand.following and state.mass.coupled and state.stood_s == 0.0
+    return hand.force_n * (hand.position_m - state.device_m) if works else 0.0
 
 
 @compiled
@@ -391,7 +408,7 @@ def _first_contact(params: BoundedModelParams, goal: Contact, y_m: float, tip_m:
 
     The force that the hand begins with there is paid as well.
     """
-    if abs(y_m - tip_m) <= params.memory_m and potential(goal, y_m) <= left_j:
+    if abs(y_m - tip_m) <= params.memory_m and potential(goal, y_m) <= max(left_j, 0.0):
         return goal
     return Contact(goal.stiffness_n_per_m, max(goal.zero_m, y_m), 0.0)
 
@@ -430,13 +447,15 @@ def master_receive(
         lag += params.lag_share * (min(0.5 * signal.round_trip_s, _LONGEST_LAG_S) - lag)
     offset = mass.tip_offset_m / scale
     goal, held_back, force = goal_of(params, seen), state.held_back, 0.0
+    before, ahead = mass.position_m, state.ahead_j - _at_device(state, hand)
+    lead = mass.position_m - hand.position_m
+    # What it costs to undo the lead of a device that is stuck, and what only the reference has got from the hand, is
+    # not there to be spent.
+    owed = max(hand.force_n * bounded(lead, _LONGEST_LEAD_M), ahead, 0.0)
     if seen.known and not rendered:
         y = mass.position_m + offset
-        contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j), True
+        contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j - owed), True
         store = tank(store, -potential(contact, y), params.cap_j)
-    lead = mass.position_m - hand.position_m
-    # What it costs to undo the lead of a device that is stuck is not there to be spent.
-    owed = max(hand.force_n * bounded(lead, _LONGEST_LEAD_M), 0.0)
     if not hand.following or abs(lead) > _LONGEST_LEAD_M:
         # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
         # and booked like a motion.
@@ -448,7 +467,10 @@ def master_receive(
             store = tank(store, potential(contact, y) - potential(contact, y + back), params.cap_j)
         store = tank(store, hand.force_n * back, params.cap_j)
     if not hand.following:
-        state = MasterState(mass, seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s)
+        ahead += hand.force_n * (mass.position_m - before)
+        state = MasterState(
+            mass, seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s, hand.position_m, ahead
+        )
         return state, MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
         y = mass.position_m + offset
@@ -479,7 +501,8 @@ def master_receive(
         mass = Mass(bounded(mass.position_m + way, _FARTHEST_M), after, mass.tip_offset_m, True)
     missing = max(signal.energy_j - store.sent_j, 0.0)
     store = sent_on(store, min(max(store.left_j - owed, 0.0), params.send_share * missing))
-    state = MasterState(mass, seen, contact, rendered, lag, held_back, heavy, store, 0.0)
+    ahead += hand.force_n * (mass.position_m - before)
+    state = MasterState(mass, seen, contact, rendered, lag, held_back, heavy, store, 0.0, hand.position_m, ahead)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -565,7 +588,17 @@ def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState)
         rise = potential(scaled, tip_reference(new.mass, mass) / new.mass.position_scale) - before
         store = tank(store, -max(rise, 0.0), new.cap_j)
     return MasterState(
-        mass, seen, scaled, state.rendered, state.lag_s, state.held_back, state.mass_kg, store, state.stood_s
+        mass,
+        seen,
+        scaled,
+        state.rendered,
+        state.lag_s,
+        state.held_back,
+        state.mass_kg,
+        store,
+        state.stood_s,
+        state.device_m,
+        state.ahead_j,
     )
 
 
