@@ -40,9 +40,9 @@ CONFIDENCE = 0.95
 # The parts of a window; below the fewest nothing can be told from anything.
 MOST_PARTS, FEWEST_PARTS = 128, 24
 # The most probability of the models that leave the mean open with which there is an interval.
-MOST_OPEN = 0.12
+MOST_OPEN = 0.13
 # Weights of the priors: white noise alone, slow parts that leave the mean open, slow parts that do not, bands.
-_WHITE, _OPEN, _SETTLED, _BAND = 10.0, 1.7, 1.0, 0.5
+_WHITE, _OPEN, _SETTLED, _BAND = 10.0, 1.2, 3.0, 0.5
 # Corners of the slow parts [cycles a window], exponents of their spectra, and the white noise beside them, as a part of
 # their variance.
 _OPEN_CORNERS = (0.03, 0.1, 0.3, 1.0, 2.0, 3.5, 5.5)
@@ -151,7 +151,7 @@ def _models(count: int) -> Models:
 
 
 def _covariances(count: int) -> Iterator[tuple[bool, float, Series]]:
-    """Yield of each model whether it leaves the mean open, its weight, and the covariance of parts by their distance."""
+    """Yield of each model whether it leaves the mean open, its weight, and the covariance of parts so far apart."""
     white = np.zeros(count)
     white[0] = 1.0
     yield False, _WHITE, white

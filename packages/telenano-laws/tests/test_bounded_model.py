@@ -32,7 +32,7 @@ STEP_J = 2e-6
 def seen_on_line(stiffness: float, zero_m: float, places: list[float]) -> Seen:
     params, seen = BoundedModelConfig().to_params(PERIOD_S), nothing_seen()
     for place in places:
-        seen = taught(params, seen, place, stiffness * (place - zero_m), True)
+        seen = taught(params, seen, place, stiffness * (place - zero_m), True, PERIOD_S)
     return seen
 
 
@@ -48,7 +48,9 @@ def test_the_line_of_a_spring_is_found_and_a_tip_that_stands_changes_nothing() -
 
 def test_before_the_tip_has_moved_the_slope_is_the_one_assumed() -> None:
     params = BoundedModelConfig(first_stiffness_n_per_m=500.0).to_params(PERIOD_S)
-    assert goal_of(params, taught(params, nothing_seen(), 2e-3, 0.2, True)).stiffness_n_per_m == pytest.approx(500.0)
+    assert goal_of(
+        params, taught(params, nothing_seen(), 2e-3, 0.2, True, PERIOD_S)
+    ).stiffness_n_per_m == pytest.approx(500.0)
 
 
 @pytest.mark.parametrize("left_j", [0.0, 1e-6, 1e-4, 1.0])
