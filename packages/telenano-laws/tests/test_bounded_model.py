@@ -43,7 +43,26 @@ def test_the_line_of_a_spring_is_found_and_a_tip_that_stands_changes_nothing() -
     assert goal.stiffness_n_per_m == pytest.approx(3000.0, rel=0.02)
     assert contact_force(goal, places[-1]) == pytest.approx(3000.0 * (places[-1] - 1e-3), rel=1e-9)
     stood = goal_of(params, seen_on_line(3000.0, 1e-3, places + [places[-1]] * 1000))
-    assert stood == goal
+    # what was taken for a drift on the way in dies out
+    assert stood.stiffness_n_per_m == pytest.approx(goal.stiffness_n_per_m, rel=0.05)
+    longer = goal_of(params, seen_on_line(3000.0, 1e-3, places + [places[-1]] * 20_000))
+    assert longer.stiffness_n_per_m == pytest.approx(goal.stiffness_n_per_m, rel=0.05)
+
+
+@pytest.mark.parametrize("speed_m_per_s", [-5e-11, -1e-11, 1e-11, 5e-11])
+def test_a_drift_is_told_from_a_slope(speed_m_per_s: float) -> None:
+    """A hold of 8 s and a swing of 0.5 Hz on a spring that drifts: the slope stays, and the drift is known."""
+    params, seen, drift = BoundedModelConfig().to_params(PERIOD_S), nothing_seen(), speed_m_per_s / POSITION_SCALE
+    slopes, speeds = [], []
+    for tick in range(16_000):
+        time_s = tick * PERIOD_S
+        force = min(time_s, 1.0) + (0.3 * math.sin(math.pi * (time_s - 8.0)) if time_s > 8.0 else 0.0)
+        seen = taught(params, seen, drift * time_s + force / 3000.0, force, True, PERIOD_S)
+        if time_s > 9.0:
+            slopes.append(goal_of(params, seen).stiffness_n_per_m)
+            speeds.append(seen.drift_m_per_s)
+    assert 0.75 * 3000.0 < min(slopes) <= max(slopes) < 1.25 * 3000.0
+    assert sum(speeds) / len(speeds) == pytest.approx(drift, rel=0.1)
 
 
 def test_before_the_tip_has_moved_the_slope_is_the_one_assumed() -> None:
