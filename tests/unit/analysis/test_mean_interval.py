@@ -48,8 +48,6 @@ def test_the_interval_of_white_noise_is_that_of_student_or_somewhat_wider() -> N
 def test_a_mean_over_three_tenths_of_a_second_of_a_slow_hand_is_not_called_known() -> None:
     rows = hand()(np.random.default_rng(1), 10, 300)
     assert sum(mean_half_width(row) is None for row in rows) >= 9
-    # the scatter within the window is a tenth of what its mean is off by
-    assert np.median(rows.std(axis=1)) < 0.6 * rows.mean(axis=1).std()
 
 
 def test_scale_and_place_of_the_samples_do_not_matter() -> None:
