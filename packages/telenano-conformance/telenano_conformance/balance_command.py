@@ -13,6 +13,8 @@ from telenano_conformance.balance import TOLERANCE_J, Balance, states_passivity,
 from telenano_conformance.balance_draws import KINDS, MIXED
 
 _ALL = (*KINDS, MIXED)
+# a law, a kind of transition, and what its draws did, the worst first
+Row = tuple[str, str, list[Balance]]
 
 
 def law_balance(
@@ -40,14 +42,19 @@ def law_balance(
         jobs = [(name, one, seed, cases, longest) for name in laws for one in kinds]
         # a process that forks while others of its threads hold locks may stand for ever
         context = multiprocessing.get_context("spawn")
+        found: list[Row] = []
+        if not as_json:
+            typer.echo(_head(laws))
         with ProcessPoolExecutor(max_workers=os.cpu_count(), mp_context=context) as pool:
-            done = list(pool.map(_run, jobs))
-    found = [(job[0], job[1], balances) for job, balances in zip(jobs, done, strict=True)]
+            for job, balances in zip(jobs, pool.map(_run, jobs), strict=True):
+                found.append((job[0], job[1], balances))
+                if not as_json:
+                    typer.echo(_line(_facts(*found[-1]), laws))
     broken = [row for row in found if states_passivity(known_law(row[0])) and not row[2][0].is_kept]
     if as_json:
         print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in found]})
     else:
-        _print_table(found, broken)
+        _print_findings(found, broken)
     if broken:
         raise typer.Exit(1)
 
@@ -76,17 +83,20 @@ def _facts(name: str, kind: str, balances: list[Balance]) -> dict[str, Any]:
     }
 
 
-def _print_table(found: list[tuple[str, str, list[Balance]]], broken: list[tuple[str, str, list[Balance]]]) -> None:
-    width = max(len(name) for name, _, _ in found)
-    head = f"{'law':{width}}  {'transition':20}  {'broken':>7}  {'worst':>10}  {'at ref.':>10}  {'unstated':>10}"
-    typer.echo(f"{head}  {'granted':>9}  [mJ]")
-    for row in found:
-        facts = _facts(*row)
-        typer.echo(
-            f"{facts['law']:{width}}  {facts['transition']:20}  {facts['not_kept']:3d}/{facts['draws']:<3d}"
-            f"  {facts['worst_mj']:10.3f}  {facts['worst_at_reference_mj']:10.3f}  {facts['worst_unstated_mj']:10.3f}"
-            f"  {facts['most_granted_mj']:9.3f}"
-        )
+def _head(laws: list[str]) -> str:
+    law = f"{'law':{max(map(len, laws))}}"
+    return f"{law}  {'transition':20}  broken   {'worst':>10}  {'at ref.':>10}  {'unstated':>10}  {'granted':>9}  [mJ]"
+
+
+def _line(facts: dict[str, Any], laws: list[str]) -> str:
+    return (
+        f"{facts['law']:{max(map(len, laws))}}  {facts['transition']:20}  {facts['not_kept']:3d}/{facts['draws']:<3d}"
+        f"  {facts['worst_mj']:10.3f}  {facts['worst_at_reference_mj']:10.3f}  {facts['worst_unstated_mj']:10.3f}"
+        f"  {facts['most_granted_mj']:9.3f}"
+    )
+
+
+def _print_findings(found: list[Row], broken: list[Row]) -> None:
     for name, _, balances in broken:
         typer.echo(f"{name}: {balances[0].sentence()}")
     for name in dict.fromkeys(row[0] for row in found):

@@ -169,16 +169,18 @@ def drawn(seed: int, case: int, kind: str, silence_limit_s: float = 0.2, longest
         raise ValueError(f"{kind} is no kind of transition: known are {', '.join((*KINDS, MIXED))}")
     name = f"{seed} {kind} {case}"
     rng = Random(name)
+    # The events have numbers of their own, so that a shorter order is the beginning of the longer one.
+    event_rng = Random(f"{name} events")
     duration_s = min(rng.choices(_DURATIONS_S, (2, 4, 2, 2))[0], longest_s)
     ends_hand = kind == "end of travel: hand" or (kind == MIXED and rng.random() < 0.4)
     ends_base = kind == "end of travel: base" or (kind == MIXED and rng.random() < 0.3)
     quantised = kind == "quantised force" or (kind == MIXED and rng.random() < 0.4)
     events: tuple[Event, ...] = ()
     if kind not in _OF_THE_WORLD:
-        events = _events(rng, kind, duration_s, silence_limit_s)
+        events = _events(event_rng, kind, duration_s, silence_limit_s)
     elif kind.startswith("end of travel") and rng.random() < 0.5:
         # an end of travel matters most where a half loses hold of the other one meanwhile
-        events = _events(rng, rng.choice(SILENCES), duration_s, silence_limit_s)
+        events = _events(event_rng, event_rng.choice(SILENCES), duration_s, silence_limit_s)
     reach_m = _log(rng, 3e-4, 8e-3) if ends_hand else 1.0
     sample = _sample(rng)
     return Order(

@@ -13,6 +13,14 @@ def test_the_same_number_is_the_same_order() -> None:
         assert drawn(SEED, 3, kind) != drawn(SEED, 4, kind)
 
 
+def test_a_shorter_order_is_the_beginning_of_a_longer_one() -> None:
+    for kind in (*KINDS, MIXED):
+        for case in range(5):
+            long, short = drawn(SEED, case, kind), drawn(SEED, case, kind, longest_s=15.0)
+            assert (long.hand, long.sample, long.line, long.seed) == (short.hand, short.sample, short.line, short.seed)
+            assert short.events == long.events[: len(short.events)]
+
+
 def test_silences_are_of_a_tenth_to_three_times_the_limit_and_reach_both_ends() -> None:
     lengths = [
         event.lasts_s / LIMIT_S for kind in SILENCES for case in range(40) for event in drawn(SEED, case, kind).events
