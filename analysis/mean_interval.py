@@ -21,8 +21,14 @@ likelihoods of Toeplitz covariances, by the recursion of N. Levinson (1947) and 
 mean is a mixture of Student's, and half the interval is what has 95 % of it around the mean of the window. Where the
 models that leave the mean open have more than `MOST_OPEN` of the posterior, there is no interval.
 
-How often it covers, and how often there is none, is a table: `python -m analysis.mean_interval`
-(docs/summary.md#intervals-of-means).
+How often it covers, and how often there is none, is a table of made records: `python -m benchmarks.mean_intervals`.
+Of 150 windows of each kind (0.3, 1, 3 and 10 s; share that covers, of those that have an interval):
+
+    white                  97 of 97 %    98 of 97 %    95 of 96 %    97 of 98 %
+    1/f, 1/f^1.5, 1/f^2    3 to 6 %, 3 to 5 % and at most 1 % have one, and it covers in half of them or less
+    hand, 2 Hz             0 of 2 %      0 of 2 %      81 of 48 %    93 of 89 %
+
+So what is said of a power law is nearly always nothing, and wrong in one of forty windows.
 """
 
 import math
