@@ -525,11 +525,16 @@ def master_receive(
         # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
         # and booked like a motion.
         y, kept = mass.position_m + offset, bounded(lead, _LONGEST_LEAD_M) if hand.following else 0.0
-        mass = Mass(hand.position_m + kept, 0.0, mass.tip_offset_m, True)
-        back = kept - lead
+        back, tip_offset = kept - lead, mass.tip_offset_m
         if rendered:
-            force = contact_force(contact, y + back)
-            store = tank(store, potential(contact, y) - potential(contact, y + back), params.cap_j)
+            rise = potential(contact, y + back) - potential(contact, y)
+            if rise > max(store.left_j - owed, 0.0):
+                # What moved the device has not paid for a deeper model, so the model goes along.
+                tip_offset, rise = tip_offset - scale * back, 0.0
+                offset = tip_offset / scale
+            store = tank(store, -rise, params.cap_j)
+            force = contact_force(contact, hand.position_m + kept + offset)
+        mass = Mass(hand.position_m + kept, 0.0, tip_offset, True)
         store = tank(store, hand.force_n * back, params.cap_j)
     if not hand.following:
         ahead += hand.force_n * (mass.position_m - before)

@@ -16,6 +16,12 @@ def test_a_law_of_this_package_that_states_passivity_makes_no_energy_in_a_mixtur
     assert found.is_kept, found.sentence()
 
 
+def test_a_device_that_something_else_moves_while_it_is_off_brings_no_energy_into_the_model() -> None:
+    """The device is moved 0.1 s long into the model, whose energy nobody has paid: 0.4 mJ came out at the hand."""
+    found = balance(known_law("bounded_model"), drawn(3, 2, "resume", 0.5, 10.0))
+    assert found.is_kept, found.sentence()
+
+
 @pytest.mark.check("sixteen kinds of transition, three draws of half a minute each, for every passive law")
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_no_passive_law_makes_energy_at_any_transition(name: str) -> None:
