@@ -32,9 +32,9 @@ from analysis.holds import (
     verdict_of,
 )
 from analysis.interruptions import Interruption, Told, in_words, interruptions_of
-from analysis.intervals import with_error
+from analysis.intervals import half_width, with_error
+from analysis.mean_interval import mean_half_width
 from analysis.missing import Spans, cut_off, gaps, recording_facts
-from analysis.statistics import correlated_half_width
 from analysis.summary import Summary
 from proto import TOPICS, extras
 from proto.errors import RecordingError, ReportError
@@ -652,14 +652,17 @@ def _loop_age_parts(split_s: Mapping[str, Series]) -> dict[str, Any]:
 
 
 def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list[float]]:
-    """Return the interval of each mean, and of the percentiles of the loop's age by those of parts of the session."""
-    halves = {name: correlated_half_width(values) for name, values in samples.items()}
+    """Return the interval of each mean, and of the percentiles of the loop's age by those of parts of the session.
+
+    A mean whose record does not say how well it is known has none.
+    """
+    halves = {name: mean_half_width(values) for name, values in samples.items()}
     found = {name: (float(samples[name].mean()), half) for name, half in halves.items() if half is not None}
     if ages_ms.size >= _AGE_PARTS * _LEAST_AGES:
         parts = np.array([np.percentile(part, [50.0, 99.0]) for part in np.array_split(ages_ms, _AGE_PARTS)])
         for name, of_parts in zip(("p50", "p99"), parts.T, strict=True):
-            half = correlated_half_width(of_parts)
-            found[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half or 0.0)
+            half = half_width(float(np.std(of_parts, ddof=1)), _AGE_PARTS)
+            found[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half)
     return {name: [round(mean - half, 9) + 0.0, round(mean + half, 9) + 0.0] for name, (mean, half) in found.items()}
 
 

@@ -233,7 +233,8 @@ class Summary(_Part):
     loop_age_largest: str = Field(default="", description="The largest part in words; absent where those are")
     intervals: IntervalsSummary = Field(
         description="The ends of the interval of 95 % of each figure that is estimated, from the scatter of its own "
-        "samples, which may be correlated for a sixtieth of its window; without the errors of calibrations"
+        "samples; null where these do not say how well their mean is known, because a longer record would have slow "
+        "parts that this one does not show (`analysis/mean_interval.py`); without the errors of calibrations"
     )
     overruns: int = Field(description="Deadlines that nodes missed while the session ran")
     rate_hz: dict[str, float] = Field(description="By channel: messages sent in a second of the session [1/s]")

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.intervals import DEVIATIONS
+from analysis.mean_interval import mean_half_width
 from analysis.report import split_age
-from analysis.statistics import correlated_half_width
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
@@ -150,7 +150,7 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
 def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[np.float64], clock_ms: float) -> Stage:
     p50, p99 = np.percentile(values_ms, [50.0, 99.0])
     mean = float(values_ms.mean())
-    half = correlated_half_width(values_ms)
+    half = mean_half_width(values_ms)
     return Stage(name, mean, half, float(p50), float(p99), mean / float(loop_ms.mean()), clock_ms)
 
 

@@ -346,4 +346,11 @@ def master_energy_account(params: ModelMediatedParams, state: MasterState) -> En
     return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
-MODEL_MEDIATED = law_of(__name__, ModelMediatedConfig, local_loop=True)
+MODEL_MEDIATED = law_of(
+    __name__,
+    ModelMediatedConfig,
+    local_loop=True,
+    link_loop=False,
+    must_know=("cantilever_stiffness_n_per_m",),
+    fixed_in_contact=("cantilever_stiffness_n_per_m",),
+)

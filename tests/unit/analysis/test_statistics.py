@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analysis.intervals import with_error
-from analysis.statistics import CONFIDENCE, correlated_half_width, repetitions, share, statistic, statistics_of
+from analysis.statistics import CONFIDENCE, repetitions, share, statistic, statistics_of
 from analysis.table_files import table_files, table_formats
 from proto.errors import ConfigError
 
@@ -37,30 +37,6 @@ def test_a_share_has_an_interval_within_0_and_1() -> None:
     assert share(8, 10).high == pytest.approx(0.9433178, rel=1e-6)
     assert share(10, 10).high == 1.0
     assert 0.69 < (share(10, 10).low or 0.0) < 0.73
-
-
-def correlated(random: np.random.Generator, count: int, samples: int, lasts: float) -> Any:
-    """Return rows of samples of mean 0 and deviation 1, whose correlation falls to 1/e within `lasts` samples."""
-    kept = np.exp(-1.0 / lasts) if lasts else 0.0
-    rows = random.normal(size=(count, samples))
-    for place in range(1, samples):
-        rows[:, place] = kept * rows[:, place - 1] + np.sqrt(1.0 - kept * kept) * rows[:, place]
-    return rows
-
-
-@pytest.mark.parametrize(("samples", "lasts"), [(8, 0), (75, 0), (75, 1), (300, 0), (300, 2), (300, 5), (1000, 16)])
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_interval_of_correlated_samples_covers_their_mean(samples: int, lasts: float, seed: int) -> None:
-    rows = correlated(np.random.default_rng(seed), 2000, samples, lasts)
-    halves = np.array([correlated_half_width(row) for row in rows])
-    assert (np.abs(rows.mean(axis=1)) <= halves).mean() >= 0.93
-    # half as wide again as the interval that knows the correlation, at most
-    assert np.median(halves) <= 1.5 * 1.96 * rows.mean(axis=1).std()
-
-
-def test_samples_that_follow_too_few_or_never_differ() -> None:
-    assert correlated_half_width(np.arange(7.0)) is None
-    assert correlated_half_width(np.full(8, 3.0)) == 0.0
 
 
 @pytest.mark.parametrize(

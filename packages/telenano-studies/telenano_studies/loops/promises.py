@@ -14,6 +14,7 @@ import statistics
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from services.controller.config import OWN_LAWS
 from telenano_studies.loops.cells import Cell, CellResult, Environment, Hand
 from telenano_studies.loops.links import Uneven
 from telenano_studies.loops.sweep import Sweep
@@ -36,7 +37,7 @@ UNEVEN_MS = (15.0, 30.0, 60.0, 120.0)
 _JITTER = 0.25
 LEAST_J = -1e-6
 # the laws that promise passivity over any link
-PASSIVE_LAWS = ("wave", "passivity")
+PASSIVE_LAWS = tuple(name for name, law in OWN_LAWS.items() if law.passive)
 _INTENDED_N: dict[str, float] = {"spring": 1.0, "tip_sample": 2.0}
 
 
