@@ -11,7 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.extend.tables import read_table
 from telenano_afm_files.recorded import Array, Curves, Recorded
+
+# The head of a spectroscopy is some kB long.
+_LONGEST_HEAD = 1 << 18
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
@@ -36,17 +40,18 @@ def load_nanonis(path: str) -> Found:
 
 def load_table(path: str) -> Found:
     """Return the header of a spectroscopy and the names of its columns, and the table, shape (columns, rows)."""
-    # Some languages write a comma as decimal mark; columns are parted by tabs.
-    head, mark, body = Path(path).read_bytes().decode("utf-8", "replace").replace(",", ".").partition("[DATA]")
-    rows = [line.rstrip("\r\t ").split("\t") for line in body.strip("\r\n").splitlines()]
-    if not mark or len(rows) < 2:
+    table = read_table(Path(path))
+    if "[DATA]" not in table.head or not table.columns[0].title:
         raise ValueError("is no spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
-    names, *numbers = rows
-    for place, row in enumerate(numbers, start=1):
-        if len(row) != len(names):
-            raise ValueError(f"row {place} of its data has {len(row)} columns, and {len(names)} have names")
-    header = dict(line.split("\t")[:2] for line in head.splitlines() if "\t" in line)
-    return {"header": header, "names": names}, [np.array(numbers, dtype=np.float64).T]
+    header = dict(line.split("\t")[:2] for line in table.head if "\t" in line)
+    names = [column.title for column in table.columns]
+    return {"header": header, "names": names}, [np.array([table.numbers(column) for column in table.columns])]
+
+
+def is_spectroscopy(path: str) -> bool:
+    """Return whether a file has the line [DATA] of Nanonis within its head."""
+    with Path(path).open("rb") as file:
+        return b"[DATA]" in file.read(_LONGEST_HEAD)
 
 
 class Sweep(NamedTuple):
