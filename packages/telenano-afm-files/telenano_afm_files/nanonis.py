@@ -23,7 +23,10 @@ _SWEPT = re.compile(r"Z( rel)?( \[AVG\])? \(m\)")
 
 
 def load_nanonis(path: str) -> Found:
-    """Return the maps of the forward lines of a Nanonis .sxm file, y rising with the row; lines not scanned are NaN."""
+    """Return the maps of the forward lines of a Nanonis .sxm file, y rising with the row.
+
+    Of a scan that was stopped these are the finished lines, with the depth that they cover.
+    """
     from nanonispy2.read import Scan
 
     scan = Scan(path)
@@ -35,6 +38,20 @@ def load_nanonis(path: str) -> Found:
         facts.append({"name": name, "sides": [width, depth], "unit": "m", "z": units.get(name, "")})
         # Lines are kept in the order of the scan.
         maps.append(values[::-1] if scan.header["scan_dir"] == "down" else values)
+    begun = np.any([np.isfinite(values).any(axis=1) for values in maps], axis=0)
+    if begun.any() and not begun.all():
+        kept = slice(int(begun.argmax()), len(begun) - int(begun[::-1].argmax()))
+        # the line in which it was stopped is no whole one
+        ends = [
+            place for place in (kept.start, kept.stop - 1) if not all(np.isfinite(one[place]).all() for one in maps)
+        ]
+        kept = slice(kept.start + (kept.start in ends), kept.stop - (kept.stop - 1 in ends))
+        for fact, values in zip(facts, maps, strict=True):
+            fact["sides"] = [width, depth * (kept.stop - kept.start) / len(values)]
+            fact["left_out"] = (
+                f"{len(values) - (kept.stop - kept.start)} of {len(values)} lines, which were not finished"
+            )
+        maps = [values[kept] for values in maps]
     return {"channels": facts}, maps
 
 

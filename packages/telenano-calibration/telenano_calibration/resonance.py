@@ -53,7 +53,7 @@ _MOST_ROUNDS = 12
 _FEWEST_LINES = 16
 # Residuals that noise has in fewer spectra than these shares: errors are widened, another band is tried, refused.
 WIDENED = 0.05
-_DOUBTFUL = 1e-3
+_DOUBTFUL = 0.01
 _IMPOSSIBLE = 1e-5
 # Correlation of neighbouring lines above which there was a window, and the most that one of those in use does.
 _LEAST_JOINED = 0.15
