@@ -295,7 +295,7 @@ def _agreement_rows(document: dict[str, Any]) -> list[dict[str, str]]:
             "95 %": f"{_text(row['low'])} to {_text(row['high'])}",
             "generated": _text(row["generated"]),
             "first half": _text(row["other_half"]) + (", differs" if row["halves_differ"] else ""),
-            "agrees": "yes" if row["agrees"] else "no",
+            "agrees": "-" if None in (row["measured"], row["generated"]) else "yes" if row["agrees"] else "no",
         }
         for row in document["agreement"]
     ]
