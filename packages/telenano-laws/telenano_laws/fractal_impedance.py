@@ -41,6 +41,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
@@ -254,4 +255,4 @@ def retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state: Mast
     return MasterState(rescaled(old.mass, new.mass, state.mass), state.turn)
 
 
-FRACTAL_IMPEDANCE = law_of(__name__, FractalImpedanceConfig, local_loop=True)
+FRACTAL_IMPEDANCE = law_of(__name__, FractalImpedanceConfig, local_loop=True, rest_force=the_hands_force)

@@ -48,6 +48,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
@@ -353,4 +354,6 @@ def slave_energy_account(params: MatchedWaveParams, state: SlaveState) -> Energy
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, 0.0)
 
 
-MATCHED_WAVE = law_of(__name__, MatchedWaveConfig, uses_waves=True, uses_energy=True, local_loop=True)
+MATCHED_WAVE = law_of(
+    __name__, MatchedWaveConfig, uses_waves=True, uses_energy=True, local_loop=True, rest_force=the_hands_force
+)

@@ -61,6 +61,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -441,4 +442,4 @@ def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
-WAVE = law_of(__name__, WaveConfig, uses_waves=True, uses_energy=True, local_loop=True)
+WAVE = law_of(__name__, WaveConfig, uses_waves=True, uses_energy=True, local_loop=True, rest_force=the_hands_force)
