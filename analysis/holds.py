@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.swings import Swing, swings_of
-from analysis.verdict import SMALL_SHARE, Kind, Verdict, judge
+from analysis.verdict import ERROR_SHARE, LEFT_SHARE, SMALL_SHARE, Kind, Verdict, judge
 
 Series = npt.NDArray[np.float64]
 FactKind = Literal[
@@ -47,14 +47,10 @@ SHORTEST_HOLD_S = 0.5
 STEADY_SHARE = 0.01
 # greatest force at the tip, in forces of the hand [1]: an undamped spring met by a step goes to twice its force
 STRUCK_FORCES = 2.0
-# what a tip may rest off the force that the law states [1, share]: errors of two calibrations of 5 % each
-FORCE_ERROR_SHARE = 0.1
 # how far hand and tip may rest apart, at the hand's scale [m]: three times the way of 1 N on 20 N/m
 PARTED_M = 1e-3
 # what is late by more than this [s] is the machine's: a fifth of the deadline of both devices
 LATE_S = 0.01
-# share of a hold [1] without samples above which it has no data
-MISSING_SHARE = 0.1
 
 HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
 # samples come every millisecond; at this distance [s] the deadline of the loop has passed
@@ -238,7 +234,7 @@ def lacks_of(
     lacking = []
     for topic, times in ((HAND, hand_time_s), (TIP, tip_time_s)):
         spans = gaps_in(times, start_s, end_s)
-        if sum(last - first for first, last in spans) > MISSING_SHARE * (end_s - start_s):
+        if sum(last - first for first, last in spans) > ERROR_SHARE * (end_s - start_s):
             lacking += [Lack(topic, first, last) for first, last in spans]
     knows_hand = not any(lack.topic == HAND for lack in lacking)
     if knows_hand and answered_s is not None and not ((answered_s >= start_s) & (answered_s <= end_s)).any():
@@ -296,7 +292,7 @@ def judge_holds(
         if shown_s >= 0.5 * (end - start):
             continue
         pressed = hand_force_n[slice(*np.searchsorted(hand_time_s, (start, end)).tolist())]
-        is_held = len(pressed) and abs(float(pressed.mean()) - force) < FORCE_ERROR_SHARE * greatest
+        is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest
         if lacks_of(hand_time_s, hand_time_s, (start, end)):
             holds.append((start, end, force))
         elif is_held and not programme.by_hand:
@@ -436,7 +432,7 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     contacts = [one for one in episodes if one.kind == "contact"]
     lacking = lacks_of(session.hand_s, session.tip_s, (start, end), session.known.answered_s)
     away = next((one for one in episodes if one.kind == "away"), None)
-    touches = bool(contacts) and bool(session.tip.in_contact[_last(session, contacts[-1])].any())
+    touches = bool(contacts) and bool(session.tip.in_contact[_last(session, contacts[-1])].all())
     if abs(force) <= session.small_n and not touches and not lacking and away is None:
         return None
     if lacking and away is None:
@@ -514,7 +510,7 @@ def _judge_span(session: _Session, start_s: float, end_s: float, force_n: float)
     before = judge(session.tip_s[part], tip_n[: part.stop - part.start], session.greatest_n, rest_n)
     if before.kind in ("diverged", "limit_cycle"):
         return before
-    if before.kind == "stable" and late[0].start_s - start_s > 0.8 * (end_s - start_s):
+    if before.kind == "stable" and late[0].start_s - start_s > (1.0 - LEFT_SHARE) * (end_s - start_s):
         # what follows is too short to show more than the consequence
         return before
     words = f"{verdict.reason}, while {_late_words(late)}: a run in which nothing is late would decide"
@@ -625,7 +621,7 @@ def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -
     """Return how a tip rests that presses with a mean force: right, with the hand, and other than before it."""
     found, force_n = [], hold.hand_force_n
     due_n = session.rest_n(force_n)
-    if due_n is not None and abs(mean_n - due_n) > max(FORCE_ERROR_SHARE * abs(due_n), session.small_n):
+    if due_n is not None and abs(mean_n - due_n) > max(ERROR_SHARE * abs(due_n), session.small_n):
         text = f"off its force by {mean_n - due_n:.3g} N: the tip rests at {mean_n:.3g} N, the law at {due_n:.3g} N"
         found.append(Fact("off_force", mean_n - due_n, text))
     if session.tip.apart_m is not None:
@@ -637,7 +633,7 @@ def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -
     asked_n = force_n - float(np.interp(before_s, session.hand_s, session.hand_n))
     if then.stop > then.start and abs(asked_n) > session.small_n:
         moved_n = mean_n - float(session.tip_n[then].mean())
-        if abs(moved_n) < FORCE_ERROR_SHARE * abs(asked_n):
+        if abs(moved_n) < ERROR_SHARE * abs(asked_n):
             text = f"nothing moved: the hand changed by {asked_n:.3g} N and the tip by less than a tenth of that"
             found.append(Fact("nothing_moved", moved_n, text))
     return found

@@ -30,7 +30,7 @@ _MOST_MODES = 4
 _BLOCKS = 24
 # growths at which a mode is looked for [1/length of the series]
 _GROWTHS = (0.0, -1.0, 1.0, -3.0, 3.0, -8.0, 8.0, -20.0, 20.0, -50.0, 50.0)
-# a line of white noise exceeds 20 times its mean power once in 5e8
+# power of a line over that of noise [1]: white noise has one of 20 times its mean once in 5e8
 LINE_OVER_NOISE = 20.0
 _STEPS = 20
 # share [1] of a motion of which a fit that is not quite at its end makes modes of its own
@@ -45,8 +45,9 @@ _MOST_GROWTH = 400.0
 class Mode(NamedTuple):
     """One exponential of the motion: frequency [Hz], growth [1/s] and its standard error [1/s], size [N].
 
-    begin_n and end_n are what it moves from peak to peak at either end of the stretch; of one that makes less than half
-    a turn in the stretch what it is away from its own rest.
+    thirds_n: its amplitude in each third of the stretch, with what the fit leaves. begin_n and end_n are what it moves
+    from peak to peak at either end of the stretch; of one that makes less than half a turn in the stretch how far it
+    goes in either half.
     """
 
     frequency_hz: float
@@ -54,6 +55,7 @@ class Mode(NamedTuple):
     error_per_s: float
     begin_n: float
     end_n: float
+    thirds_n: tuple[float, ...]
 
 
 class Fit(NamedTuple):
@@ -350,6 +352,12 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
             if not turn and growth < 0.0:
                 end = min(abs(float(course[-1])), way)
         frequency_hz = turn / (2.0 * math.pi * length_s)
-        found.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end))
+        own = state.left
+        for column in range(place, place + (2 if turn else 1)):
+            own = own + state.weights[column] * columns[column]
+        wave = np.concatenate([[0.0], np.cumsum(own * np.exp(-1j * turn * times))])
+        parts = np.diff(wave[np.linspace(0, len(times), 4).astype(int)])
+        thirds = tuple(scale * 6.0 / len(times) * abs(complex(part)) for part in parts)
+        found.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end, thirds))
         place, of_growth = place + (2 if turn else 1), of_growth + (2 if turn else 1)
     return found

@@ -30,14 +30,13 @@ SMALL_SHARE = 0.05
 LEAST_CHANGE = 0.15
 # the same of a motion without a swing [1]: a quarter of a slow swing, and a drift that bends, change by less
 ONE_SIDED_CHANGE = 1.5
-# share of the hand's force [1] by which a stage and a sensor may drift in a hold
-DRIFT_SHARE = 0.1
 # standard errors of a growth [1]: chance exceeds them once in 700 times
 SURE_ERRORS = 3.0
 # what modes may leave of a motion, as a share of its root mean square [1]: the wall of a contact leaves a tenth
 LEFT_SHARE = 0.2
-# root mean square, as a share of the hand's force [1], up to which what has no line is noise of a read-out
-MOST_NOISE_SHARE = 0.1
+# what an instrument may err by, as a share of the hand's force [1]: drift in a hold, noise, two calibrations, and as a
+# share of a hold: samples that it lacks
+ERROR_SHARE = 0.1
 
 # below this share of the hand's force [1] there are rounding errors
 _FLOOR_SHARE = 1e-7
@@ -89,8 +88,8 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | 
     # one step of a read-out that rounds is no motion
     small, floor = max(SMALL_SHARE * hand_force_n, 1.5 * step), _FLOOR_SHARE * hand_force_n
     noise = max(noise_floor(values), step / math.sqrt(12.0))
-    if noise > MOST_NOISE_SHARE * max(hand_force_n, float(np.ptp(values))):
-        most_n = MOST_NOISE_SHARE * hand_force_n
+    if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
+        most_n = ERROR_SHARE * hand_force_n
         words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {most_n:.2g} N"
         return Verdict("cannot_say", None, 0.0, noise, f"{words} would decide")
     for share in _TAILS:
@@ -112,7 +111,7 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
     """Return whether modes leave of the whole motion, and of its last quarter, noise alone or a small share."""
     for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
         moved = rms(fit.motion[part] - float(np.cumsum(fit.motion[part])[-1]) / len(fit.motion[part]))
-        noise = max(1.5 * fit.noise_n, MOST_NOISE_SHARE * hand_force_n if fit.whole else 0.0)
+        noise = max(1.5 * fit.noise_n, ERROR_SHARE * hand_force_n if fit.whole else 0.0)
         seen_n = 1.5 * float(np.ptp(fit.motion[part])) + 3.0 * noise
         if any(mode.end_n > seen_n for mode in fit.modes):
             # large modes that cancel are no motion
@@ -144,15 +143,16 @@ def _by_modes(fit: Fit, length_s: float, small_n: float, end_s: float) -> Verdic
         least = LEAST_CHANGE if cycles >= 2.0 else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
         if change - error > least:
             # what grows is seen over what is left, and in each part of the stretch more
-            is_seen = mode.end_n > 4.0 * left_n and mode.end_n * math.exp(min(change, 50.0)) > small_n
-            is_seen = is_seen and (not is_swing or _rises(fit, mode, length_s, change))
+            rises = not is_swing or _rises(fit, mode, change)
+            reaches = mode.end_n * math.exp(min(change, 50.0)) > small_n
+            is_seen = rises and reaches and mode.end_n > SURE_ERRORS * left_n
             (growing if is_seen else unsure if mode.end_n > small_n else left).append(mode)
         elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
             left.append(mode)
         elif cycles >= 2.0 and abs(change) + error < 2.0 * LEAST_CHANGE:
             (lasting if mode.end_n > small_n else left).append(mode)
         else:
-            drifts = not is_swing and max(mode.begin_n, mode.end_n) < DRIFT_SHARE * small_n / SMALL_SHARE
+            drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * small_n / SMALL_SHARE
             is_small = drifts or max(mode.end_n, 0.0 if is_swing else mode.begin_n) <= small_n
             (left if is_small else unsure).append(mode)
     size = max((mode.end_n for mode in fit.modes), default=0.0)
@@ -180,15 +180,11 @@ def _by_modes(fit: Fit, length_s: float, small_n: float, end_s: float) -> Verdic
     return Verdict("stable", rate, size, fit.noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
 
 
-def _rises(fit: Fit, mode: Mode, length_s: float, change: float) -> bool:
+def _rises(fit: Fit, mode: Mode, change: float) -> bool:
     """Return whether a line grows from each third of a stretch to the next by half of what its fit says."""
-    turn = 2.0 * math.pi * mode.frequency_hz * length_s * np.linspace(0.0, 1.0, len(fit.motion))
-    wave = (fit.motion - float(np.cumsum(fit.motion)[-1]) / len(turn)) * np.exp(-1j * turn)
-    sums = np.concatenate([[0.0], np.cumsum(wave)])[np.linspace(0, len(turn), 4).astype(int)]
-    sizes = [abs(complex(own)) * 6.0 / len(turn) for own in np.diff(sums)]
-    noise_n = rms(fit.left) * math.sqrt(12.0 / len(turn))
-    rises = [after >= before * math.exp(change / 6.0) for before, after in pairwise(sizes)]
-    return all(rise or before <= SURE_ERRORS * noise_n for rise, before in zip(rises, sizes, strict=False))
+    least_n = max(SURE_ERRORS * rms(fit.left) * math.sqrt(12.0 / len(fit.left)), LEFT_SHARE**2 * mode.thirds_n[-1])
+    factor = math.exp(change / 6.0)
+    return all(after >= before * factor or before <= least_n for before, after in pairwise(mode.thirds_n))
 
 
 def _until(mode: Mode, small_n: float) -> float:
@@ -226,14 +222,11 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
         (math.log(max(sizes[j], 1e-9 * small) / max(sizes[i], 1e-9 * small)), j - i)
         for i, j in combinations(range(2, _WINDOWS), 2)
     ]
-    slope = float(np.median([rise / steps for rise, steps in rises]))
-    trend = sum((rise > 0.0) - (rise < 0.0) for rise, _ in rises) / len(rises)
+    slope = float(np.median([rise / apart for rise, apart in rises]))
+    steps = list(pairwise(sizes[_WINDOWS // 2 :]))
+    grows, falls = all(after > before for before, after in steps), all(after < before for before, after in steps)
     size, rate = sizes[-1], slope / window_s
-    if (
-        trend >= _CLEAR_TREND
-        and slope * _WINDOWS > LEAST_CHANGE
-        and size * math.exp(min(slope * _WINDOWS, 50.0)) > small
-    ):
+    if grows and slope * _WINDOWS > LEAST_CHANGE and size * math.exp(min(slope * _WINDOWS, 50.0)) > small:
         return Verdict(
             "diverged", rate, size, noise_n, f"a motion of {size:.3g} N from peak to peak grows by {rate:.3g}/s"
         )
@@ -241,15 +234,11 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
         last = max((k for k, own in enumerate(sizes) if own > small), default=-1)
         rest = end_s - (_WINDOWS - 1 - last) * window_s
         return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest)
-    if trend <= -_CLEAR_TREND and slope * _WINDOWS < -LEAST_CHANGE:
+    if falls and slope * _WINDOWS < -LEAST_CHANGE:
         return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}")
     return Verdict(
         "limit_cycle", rate, size, noise_n, f"a motion of {max(sizes[4:]):.3g} N from peak to peak goes on irregularly"
     )
-
-
-# 14 of the 15 pairs of six windows in one order
-_CLEAR_TREND = 0.85
 
 
 def _step(values: Series) -> float:

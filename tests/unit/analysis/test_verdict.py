@@ -119,13 +119,14 @@ def test_more_than_a_read_out_can_have_hides_what_moves() -> None:
 def test_a_swing_that_grows_is_seen_whatever_its_phase(frequency_hz: float, growth_per_s: float) -> None:
     for phase in np.arange(4) * np.pi / 4.0:
         swing = np.exp(growth_per_s * (TIME_S - 8.0)) * np.sin(2.0 * np.pi * frequency_hz * TIME_S + phase)
-        assert judge(TIME_S, 1.0 + 0.004 * swing, 1.0).kind == "diverged"
+        found = judge(TIME_S, 1.0 + 0.004 * swing, 1.0)
+        assert found.kind == "diverged", found
 
 
 @pytest.mark.parametrize("arrival_s", [0.0, 2.0, 6.0, 7.0])
 @pytest.mark.parametrize("rate_per_s", [2.0, 9.0, 30.0])
 def test_a_landing_that_comes_to_rest_is_stable_whenever_it_is(arrival_s: float, rate_per_s: float) -> None:
-    since_s = TIME_S[TIME_S >= arrival_s] - arrival_s
+    since_s = TIME_S[arrival_s <= TIME_S] - arrival_s
     force = 1.0 - 2.1 * np.exp(-rate_per_s * since_s) * np.cos(4.0 * np.pi * since_s)
     assert judge(since_s, force, 1.0).kind == "stable"
 
@@ -164,6 +165,6 @@ def test_seven_kinds_and_no_more() -> None:
 
 
 def test_the_hand_has_to_press() -> None:
-    assert LEAST_SAMPLES == 32
+    assert LEAST_SAMPLES == 24
     with pytest.raises(ValueError, match=r"-1\.0 N"):
         judge(TIME_S, TIME_S, -1.0)
