@@ -68,6 +68,11 @@ class Share(NamedTuple):
         return self.limit is not None and self.value > self.limit
 
 
+def sealed(recorded: Course) -> Course:
+    """Return a course without its truth and all that belongs to it, as the judge receives it."""
+    return recorded._replace(truth="no_truth", rate_per_s=0.0, frequency_hz=0.0, tags=frozenset(), cell="", seed=0)
+
+
 def answer(judge: Judge, recorded: Course) -> Answer:
     """Return what a judge says of a course.
 
@@ -76,7 +81,7 @@ def answer(judge: Judge, recorded: Course) -> Answer:
     Raises:
         ValueError: the judge named a kind that FAMILIES does not have.
     """
-    kind, reason = judge(recorded)
+    kind, reason = judge(sealed(recorded))
     if kind not in FAMILIES:
         raise ValueError(f"course {recorded.seed}: the judge says {kind!r}, and not one of {', '.join(FAMILIES)}")
     family = FAMILIES[kind]
@@ -203,7 +208,12 @@ def report(answers: list[Answer]) -> Iterator[str]:
 
 def _judge() -> Judge:
     """Return the judge; it is imported when it is needed, so that the courses can be read without it."""
-    judge: Judge = importlib.import_module("judge").judge_course
+    try:
+        judge: Judge = importlib.import_module("judge").judge_course
+    except ModuleNotFoundError as error:
+        if error.name != "judge":
+            raise
+        sys.exit("There is no judge.py in tests/verdicts: it has to offer judge_course(course) -> (kind, reason).")
     return judge
 
 

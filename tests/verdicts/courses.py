@@ -53,7 +53,7 @@ class Course(NamedTuple):
 
 def _octaves(generator: np.random.Generator, time_s: Floats, shortest_s: float) -> Floats:
     """Return 1/f noise of unit variance: lines between random values, a set for each octave of time."""
-    noise = np.zeros_like(time_s)
+    noise: Floats = np.zeros(time_s.size)
     for octave in range(_OCTAVES):
         step_s = shortest_s * 2.0**octave
         values = generator.standard_normal(int(time_s[-1] / step_s) + 2)
@@ -67,14 +67,15 @@ def _narrow_band(generator: np.random.Generator, time_s: Floats, frequency_hz: f
     step_s = memory_s / _STEPS_IN_A_MEMORY
     keep = math.exp(-1.0 / _STEPS_IN_A_MEMORY)
     count = int(time_s[-1] / step_s) + 2
-    quadratures = []
+    quadratures: list[Floats] = []
     for normals in generator.standard_normal((2, count)).tolist():
         values = [normals[0]]
         for normal in normals[1:]:
             values.append(keep * values[-1] + math.sqrt(1.0 - keep * keep) * normal)
         quadratures.append(np.interp(time_s, step_s * np.arange(count), np.array(values)))
     angle = 2.0 * math.pi * frequency_hz * time_s
-    return quadratures[0] * np.cos(angle) + quadratures[1] * np.sin(angle)
+    noise: Floats = quadratures[0] * np.cos(angle) + quadratures[1] * np.sin(angle)
+    return noise
 
 
 def _planned_force(drawn: Plan, time_s: Floats) -> Floats:

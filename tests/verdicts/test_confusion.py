@@ -10,8 +10,16 @@ SEEDS = range(120)
 KIND_OF = {"settles": "settling", "grows": "diverged", "goes_on": "limit_cycle", "no_truth": "cannot_say"}
 
 
+TRUTHS = {one.tip_force_n.tobytes(): one.truth for one in map(course, SEEDS)}
+
+
+def truth_of(recorded: Course) -> str:
+    """Return the truth of a course by its samples, since a judge does not receive it."""
+    return TRUTHS[recorded.tip_force_n.tobytes()]
+
+
 def oracle(recorded: Course) -> tuple[str, str]:
-    return KIND_OF[recorded.truth], "a longer hold would decide it"
+    return KIND_OF[truth_of(recorded)], "a longer hold would decide it"
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +55,22 @@ def test_a_judge_with_one_word_is_above_the_limit_of_that_word(
     assert not counted[below].such
 
 
+def test_a_judge_does_not_receive_the_truth(recorded: list[Course]) -> None:
+    received: list[Course] = []
+
+    def judge(one: Course) -> tuple[str, str]:
+        received.append(one)
+        return "stable", "because"
+
+    answers = [confusion.answer(judge, one) for one in recorded]
+    hidden = ("truth", "rate_per_s", "frequency_hz", "tags", "cell", "seed")
+    assert {tuple(getattr(one, name) for name in hidden) for one in received} == {
+        ("no_truth", 0.0, 0.0, frozenset(), "", 0)
+    }
+    assert [one.seed for one in answers] == list(SEEDS)
+    assert all(one.time_s is given.time_s for one, given in zip(received, recorded, strict=True))
+
+
 def test_guarded_without_a_withdrawal_says_nothing(recorded: list[Course]) -> None:
     counted = shares(lambda _: ("guarded", "the guard withdrew"), recorded)
     known = [one for one in recorded if one.truth != "no_truth"]
@@ -55,7 +79,7 @@ def test_guarded_without_a_withdrawal_says_nothing(recorded: list[Course]) -> No
 
 
 def test_cannot_say_needs_a_reason_also_where_there_is_no_truth(recorded: list[Course]) -> None:
-    counted = shares(lambda one: (KIND_OF[one.truth], " "), recorded)["cannot say without a reason"]
+    counted = shares(lambda one: (KIND_OF[truth_of(one)], " "), recorded)["cannot say without a reason"]
     assert counted.too_large
     assert counted.such == [one.seed for one in recorded if one.truth == "no_truth"]
 

@@ -87,7 +87,8 @@ def test_no_sum_is_left_to_a_library_and_its_order(name: str) -> None:
 def test_a_seed_is_one_course() -> None:
     for seed in range(30):
         for one, other in zip(course(seed), course(seed), strict=True):
-            assert np.array_equal(one, other) if isinstance(one, np.ndarray) else one == other
+            same = np.array_equal(one, np.asarray(other)) if isinstance(one, np.ndarray) else one == other
+            assert same, seed
     assert not np.array_equal(course(0).tip_force_n[:20], course(1).tip_force_n[:20])
 
 
@@ -245,7 +246,7 @@ def test_a_decay_without_noise_ends_nearer_to_its_rest(corpus: list[plans.Plan])
         fifths = [np.abs(part).max() for part in np.array_split(force_n, 5) if part.size]
         assert fifths[-1] <= 0.75 * fifths[0] + abs(plan.friction_offset_n), plan.seed
         tried += 1
-    assert tried >= 3, truth0
+    assert tried >= 30
 
 
 def test_what_opens_the_loop_is_in_the_flags(corpus: list[plans.Plan]) -> None:
