@@ -432,7 +432,7 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     contacts = [one for one in episodes if one.kind == "contact"]
     lacking = lacks_of(session.hand_s, session.tip_s, (start, end), session.known.answered_s)
     away = next((one for one in episodes if one.kind == "away"), None)
-    touches = bool(contacts) and bool(session.tip.in_contact[_last(session, contacts[-1])].all())
+    touches = bool(contacts) and bool(session.tip.in_contact[session.at(0.5 * (start + end), end)].all())
     if abs(force) <= session.small_n and not touches and not lacking and away is None:
         return None
     if lacking and away is None:

@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
 
-# a series is averaged to at least half so many samples [1], which leaves a swing of 40 Hz in a hold of 20 s
-_MOST_SAMPLES = 2048
+# a series is averaged to so many samples or up to twice as many [1], to the first of these that leaves its motion
+_MOST_SAMPLES = (384, 1536)
 # fewer samples [1] than this tell no mode from the constant and the drift, each of which takes one unknown
 LEAST_SAMPLES = 24
 _MOST_MODES = 4
@@ -32,7 +32,7 @@ _BLOCKS = 24
 _GROWTHS = (0.0, -1.0, 1.0, -3.0, 3.0, -8.0, 8.0, -20.0, 20.0, -50.0, 50.0)
 # power of a line over that of noise [1]: white noise has one of 20 times its mean once in 5e8
 LINE_OVER_NOISE = 20.0
-_STEPS = 20
+_STEPS = 14
 # share [1] of a motion of which a fit that is not quite at its end makes modes of its own
 _RESIDUE = 1e-3
 # a swing that turns by less in its stretch [rad] may be an exponential; a growth is no greater [1/length]
@@ -101,19 +101,20 @@ def averaged(values: Series) -> tuple[Series, int]:
 
     Where what the averages leave out moves by more than noise, the series stays as it is.
     """
-    block = max(1, len(values) // _MOST_SAMPLES)
-    if block == 1:
-        return values, 1
-    whole = values[len(values) % block :].reshape(-1, block)
-    means = whole[:, 0].copy()
-    for column in whole.T[1:]:
-        means = means + column
-    means = means / block
-    fast = (whole - means[:, None]).ravel()
-    slow = np.interp(np.arange(len(fast)), np.arange(len(means)) * block + 0.5 * (block - 1), means)
-    fast = whole.ravel() - slow
-    is_noise = rms(fast) <= 1.5 * noise_floor(values) + 0.1 * rms(means - means[0])
-    return (means, block) if is_noise else (values, 1)
+    noise = noise_floor(values)
+    for most in _MOST_SAMPLES:
+        block = len(values) // most
+        if block < 2:
+            continue
+        whole = values[len(values) % block :].reshape(-1, block)
+        means = whole[:, 0].copy()
+        for column in whole.T[1:]:
+            means = means + column
+        means = means / block
+        slow = np.interp(np.arange(whole.size), np.arange(len(means)) * block + 0.5 * (block - 1), means)
+        if rms(whole.ravel() - slow) <= 1.5 * noise + 0.03 * rms(means - means[0]):
+            return means, block
+    return values, 1
 
 
 def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
@@ -142,7 +143,8 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
         # a slow swing is looked for from both sides of the grid
         growth, turn = found
         starts = [found] if turn > 2.0 * math.pi else [found, (0.0, 1.5), (0.0, 4.5), (growth, turn + 1.5)]
-        more = min((_refined(times, bare, [*state.poles, start]) for start in starts), key=lambda one: one.power)
+        start = min(starts, key=lambda one: _solve(times, bare, [*state.poles, one]).power)
+        more = _refined(times, bare, [*state.poles, start])
         for place, (growth, turn) in enumerate(more.poles):
             if 0.0 < turn < _REAL_TURN:
                 # less than half a swing is mostly an exponential, which takes two unknowns less

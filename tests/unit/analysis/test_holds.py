@@ -197,7 +197,7 @@ def starved(at_s: float, length_s: float) -> Programme:
 
 
 @pytest.mark.parametrize("length_s", [0.12, 0.2])
-@pytest.mark.parametrize("at_s", np.arange(1.6, 4.4, 0.2).tolist())
+@pytest.mark.parametrize("at_s", [1.7, 2.2, 2.9, 3.6, 4.1, 4.3])
 def test_what_an_interruption_makes_the_tip_do_is_not_the_laws(at_s: float, length_s: float) -> None:
     # starved, the tip goes on as it went, and comes back with a blow
     since_s = TIME_S - at_s - 0.02
@@ -215,8 +215,8 @@ def test_what_an_interruption_makes_the_tip_do_is_not_the_laws(at_s: float, leng
 
 
 def test_a_machine_that_is_late_is_named_and_blamed() -> None:
-    kicks = HAND_N + swing(2.6, 2.9, 0.0, 0.2) + swing(3.3, 3.6, 0.0, 0.2) + swing(4.0, 4.4, 0.0, 0.2)
-    late = Programme(late=[Late(2.6, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
+    kicks = HAND_N + swing(2.0, 2.3, 0.0, 0.2) + swing(3.3, 3.6, 0.0, 0.2) + swing(4.0, 4.4, 0.0, 0.2)
+    late = Programme(late=[Late(2.0, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
     hold = judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument(), late)[0]
     assert hold.verdict == "cannot_say"
     assert "the machine was late by 30 ms, 3 times" in hold.reason
