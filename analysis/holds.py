@@ -336,7 +336,9 @@ class _Session(NamedTuple):
             steps_s = np.diff(self.known.answered_s)
             # over a link that is uneven anyway what is usual is not late
             places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
-            found += [Late(float(self.known.answered_s[i]), float(steps_s[i]), "link") for i in places.tolist()]
+            # what did not come had been due at the tip for up to the transit before
+            since_s = self.known.answered_s[places] - self.known.transit_s
+            found += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
         return sorted(one for one in found if start_s <= one.start_s < end_s)
 
     def at(self, start_s: float, end_s: float) -> slice:
@@ -506,7 +508,7 @@ def _judge_span(session: _Session, start_s: float, end_s: float, force_n: float)
     late = session.late_in(start_s, end_s)
     if not late or verdict.kind == "stable":
         return verdict
-    part = session.at(start_s, late[0].start_s - session.known.transit_s)
+    part = session.at(start_s, late[0].start_s)
     before = judge(session.tip_s[part], tip_n[: part.stop - part.start], session.greatest_n, rest_n)
     if before.kind in ("diverged", "limit_cycle"):
         return before

@@ -37,6 +37,8 @@ _STEPS = 14
 _RESIDUE = 1e-3
 # a swing that turns by less in its stretch [rad] may be an exponential; a growth is no greater [1/length]
 _REAL_TURN = math.pi
+# lines that are less apart than three turns [rad] are one in a third of the stretch
+_TOLD_APART = 6.0 * math.pi
 # the octave below this bin has too few bins for a median
 _LEAST_BIN = 4.0
 _MOST_GROWTH = 400.0
@@ -45,9 +47,9 @@ _MOST_GROWTH = 400.0
 class Mode(NamedTuple):
     """One exponential of the motion: frequency [Hz], growth [1/s] and its standard error [1/s], size [N].
 
-    thirds_n: its amplitude in each third of the stretch, with what the fit leaves. begin_n and end_n are what it moves
-    from peak to peak at either end of the stretch; of one that makes less than half a turn in the stretch how far it
-    goes in either half.
+    thirds_n: the amplitude at its frequency in each third of the stretch, without other lines. begin_n and end_n: what
+    it moves from peak to peak at either end of the stretch; of one that makes less than half a turn in the stretch how
+    far it goes in either half.
     """
 
     frequency_hz: float
@@ -354,9 +356,13 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
             if not turn and growth < 0.0:
                 end = min(abs(float(course[-1])), way)
         frequency_hz = turn / (2.0 * math.pi * length_s)
-        own = state.left
-        for column in range(place, place + (2 if turn else 1)):
-            own = own + state.weights[column] * columns[column]
+        # what a third of the stretch cannot tell from the mode belongs to it
+        own, column = state.left, 1
+        for _, other in state.poles:
+            for _ in range(2 if other else 1):
+                near = abs(other - turn) < _TOLD_APART
+                own = own + state.weights[column] * columns[column] if near else own
+                column += 1
         wave = np.concatenate([[0.0], np.cumsum(own * np.exp(-1j * turn * times))])
         parts = np.diff(wave[np.linspace(0, len(times), 4).astype(int)])
         thirds = tuple(scale * 6.0 / len(times) * abs(complex(part)) for part in parts)

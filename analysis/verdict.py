@@ -98,12 +98,15 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | 
             break
         fit = fitted(tail, period_s, floor)
         if _explains(fit, hand_force_n):
-            found = _by_modes(fit, period_s * len(tail), small, float(time_s[-1]))._replace(noise_n=noise)
+            found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step), float(time_s[-1]))._replace(noise_n=noise)
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
             if found.kind == "stable" and share < 1.0 and _recurs(_sizes(values, noise), small):
                 break
             return found
+    if len(values) < _WINDOWS**2:
+        words = f"{len(values)} samples were taken of a motion of {float(np.ptp(values)):.2g} N"
+        return Verdict("cannot_say", None, float(np.ptp(values)), noise, f"{words}: a longer hold would decide")
     return _by_windows(values, period_s, noise, small, float(time_s[-1]))
 
 
@@ -112,7 +115,7 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
     for part in (slice(None), slice(-max(2, len(fit.left) // 4), None)):
         moved = rms(fit.motion[part] - float(np.cumsum(fit.motion[part])[-1]) / len(fit.motion[part]))
         noise = max(1.5 * fit.noise_n, ERROR_SHARE * hand_force_n if fit.whole else 0.0)
-        seen_n = 1.5 * float(np.ptp(fit.motion[part])) + 3.0 * noise
+        seen_n = SURE_ERRORS * (float(np.ptp(fit.motion[part])) + noise)
         if any(mode.end_n > seen_n for mode in fit.modes):
             # large modes that cancel are no motion
             return False
@@ -121,8 +124,9 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
     return True
 
 
-def _by_modes(fit: Fit, length_s: float, small_n: float, end_s: float) -> Verdict:
-    """Judge by the modes of a stretch of length_s [s] that they explain."""
+def _by_modes(fit: Fit, length_s: float, least_n: tuple[float, float], end_s: float) -> Verdict:
+    """Judge by the modes of a stretch [s] that they explain; least_n: what is small, and what rounding makes [N]."""
+    small_n, rounded_n = least_n
     growing: list[Mode] = []
     lasting: list[Mode] = []
     unsure: list[Mode] = []
@@ -145,8 +149,10 @@ def _by_modes(fit: Fit, length_s: float, small_n: float, end_s: float) -> Verdic
             # what grows is seen over what is left, and in each part of the stretch more
             rises = not is_swing or _rises(fit, mode, change)
             reaches = mode.end_n * math.exp(min(change, 50.0)) > small_n
-            is_seen = rises and reaches and mode.end_n > SURE_ERRORS * left_n
-            (growing if is_seen else unsure if mode.end_n > small_n else left).append(mode)
+            is_seen = rises and reaches and mode.end_n > max(SURE_ERRORS * left_n, rounded_n)
+            # what may only just be seen is not said to be at rest
+            is_near = mode.end_n > small_n or (rises and reaches and is_swing)
+            (growing if is_seen else unsure if is_near else left).append(mode)
         elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
             left.append(mode)
         elif cycles >= 2.0 and abs(change) + error < 2.0 * LEAST_CHANGE:
