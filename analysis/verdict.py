@@ -5,7 +5,7 @@ loop closed. It fits the modes of the motion (`analysis.modes`) to all of it, an
 last half, quarter, and eighth: a blow, a landing and a motion that has reached its size come to be before that. What no
 modes explain is judged by how far the force goes in eight windows.
 
-A mode grows, or dies out, where its growth does so by three of its standard errors, and changes it by more than
+A mode grows, or dies out, where its growth does so by SURE_ERRORS of its standard errors, and changes it by more than
 LEAST_CHANGE over the stretch; it goes on where it is sure that it does neither. What is smaller than a twentieth of the
 hand's force, and stays so for another such stretch, is rest. What cannot be told is not said, with what would decide.
 """
@@ -30,8 +30,8 @@ SMALL_SHARE = 0.05
 LEAST_CHANGE = 0.15
 # the same of a motion without a swing [1]: a quarter of a slow swing, and a drift that bends, change by less
 ONE_SIDED_CHANGE = 1.5
-# standard errors of a growth [1]: chance exceeds them once in 700 times
-SURE_ERRORS = 3.0
+# standard errors of a growth [1]: chance exceeds them to one side once in 160 times
+SURE_ERRORS = 2.5
 # what modes may leave of a motion, as a share of its root mean square [1]: the wall of a contact leaves a tenth
 LEFT_SHARE = 0.2
 # what an instrument may err by, as a share of the hand's force [1]: drift in a hold, noise, two calibrations, and as a
@@ -149,9 +149,9 @@ def _by_modes(fit: Fit, length_s: float, least_n: tuple[float, float], end_s: fl
             # what grows is seen over what is left, and in each part of the stretch more
             rises = not is_swing or _rises(fit, mode, change)
             reaches = mode.end_n * math.exp(min(change, 50.0)) > small_n
-            is_seen = rises and reaches and mode.end_n > max(SURE_ERRORS * left_n, rounded_n)
+            is_seen = rises and reaches and mode.end_n > max(2.0 * SURE_ERRORS * left_n, rounded_n)
             # what may only just be seen is not said to be at rest
-            is_near = mode.end_n > small_n or (rises and reaches and is_swing)
+            is_near = mode.end_n > small_n or (rises and reaches and is_swing and mode.end_n > rounded_n)
             (growing if is_seen else unsure if is_near else left).append(mode)
         elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
             left.append(mode)
