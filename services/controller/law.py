@@ -169,6 +169,11 @@ def kept(old: Any, new: Any, state: Any) -> Any:
     return state
 
 
+def the_hands_force(params: Any, force_n: float) -> float:
+    """Return the force of the hand [N]: what a law rests at that loses none of it."""
+    return force_n
+
+
 @dataclass(frozen=True)
 class Law:
     """A law of the table: its configuration and its compiled steps.
@@ -184,6 +189,8 @@ class Law:
       `slave_retune` a slave state; a law without one has a slave state that holds nothing of its parameters
 
     - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
+    - `rest_force(params, force) -> float`: alpha_f F_s [N] at which the law rests in contact under a constant force F_m
+      of the hand [N]; a law that leaves it out is not judged by it
 
     The slave half steps on each signal, and, where `local_loop` is set, also each time that the instrument has stepped
     by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
@@ -219,6 +226,7 @@ class Law:
     retune: Steps
     master_energy_account: Steps = no_energy_account
     slave_energy_account: Steps = no_energy_account
+    rest_force: Steps | None = None
     uses_waves: bool = False
     uses_energy: bool = False
     local_loop: bool = False
@@ -231,18 +239,19 @@ class Law:
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
 _SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
-_ACCOUNTS = ("master_energy_account", "slave_energy_account")
+_OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force")
 _SCALES = ("position_scale", "force_scale")
 
 
-def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **flags: Any) -> Law:
+def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **given: Any) -> Law:
     """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
 
     Args:
         module: The `__name__` of the module, which calls this below its last step.
         config: The model of the law's section.
         slave: The module with the steps of the slave half, if that is another one.
-        flags: What the law says of itself by the fields of `Law` that have defaults.
+        given: What the law says of itself by the fields of `Law` that have defaults, and steps that the module does not
+            write down itself.
 
     Raises:
         AttributeError: A step is missing; the message names it.
@@ -250,10 +259,10 @@ def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = N
     own = sys.modules[module]
     values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
     values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
-    values |= {step: getattr(own, step) for step in _ACCOUNTS if hasattr(own, step)}
+    values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
     if hasattr(slave or own, "slave_retune"):
         values["slave_retune"] = (slave or own).slave_retune
-    values |= flags
+    values |= given
     return Law(name=module.rpartition(".")[2], config=config, **values)
 
 

@@ -46,6 +46,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
@@ -697,4 +698,12 @@ def slave_energy_account(params: BoundedModelParams, state: SlaveState) -> Energ
     return account_of(state.store)
 
 
-BOUNDED_MODEL = law_of(__name__, BoundedModelConfig, uses_energy=True, local_loop=True, link_loop=False, passive=True)
+BOUNDED_MODEL = law_of(
+    __name__,
+    BoundedModelConfig,
+    uses_energy=True,
+    local_loop=True,
+    link_loop=False,
+    passive=True,
+    rest_force=the_hands_force,
+)

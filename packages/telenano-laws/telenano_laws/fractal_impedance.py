@@ -41,6 +41,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
@@ -268,5 +269,9 @@ def slave_retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state
 
 
 FRACTAL_IMPEDANCE = law_of(
-    __name__, FractalImpedanceConfig, local_loop=True, fixed_in_contact=("stiffness_n_per_m", "greatest_force_n")
+    __name__,
+    FractalImpedanceConfig,
+    local_loop=True,
+    fixed_in_contact=("stiffness_n_per_m", "greatest_force_n"),
+    rest_force=the_hands_force,
 )

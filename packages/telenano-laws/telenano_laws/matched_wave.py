@@ -48,6 +48,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
@@ -387,4 +388,5 @@ MATCHED_WAVE = law_of(
     local_loop=True,
     passive=True,
     fixed_in_contact=("impedance_n_s_per_m",),
+    rest_force=the_hands_force,
 )

@@ -47,6 +47,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
 )
@@ -262,4 +263,4 @@ def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount
     return account_of(state.store)
 
 
-TDPA = law_of(__name__, TdpaConfig, uses_energy=True, passive=True)
+TDPA = law_of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

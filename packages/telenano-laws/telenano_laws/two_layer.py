@@ -36,6 +36,7 @@ from telenano.extend.laws import (
     moved,
     periods_in,
     ranges,
+    the_hands_force,
 )
 from telenano_laws.ports import (
     clipped_force,
@@ -175,4 +176,4 @@ def slave_receive(
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
-TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True, passive=True)
+TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

@@ -40,6 +40,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
 )
 from services.controller.laws.shared.pass_through import SlaveState
 from services.controller.laws.shared.pass_through import slave_send as slave_send
@@ -353,4 +354,5 @@ MODEL_MEDIATED = law_of(
     link_loop=False,
     must_know=("cantilever_stiffness_n_per_m",),
     fixed_in_contact=("cantilever_stiffness_n_per_m",),
+    rest_force=the_hands_force,
 )

@@ -78,6 +78,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -553,4 +554,6 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = law_of(__name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True)
+PASSIVITY = law_of(
+    __name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True, rest_force=the_hands_force
+)

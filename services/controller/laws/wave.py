@@ -61,6 +61,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -485,4 +486,5 @@ WAVE = law_of(
     local_loop=True,
     passive=True,
     fixed_in_contact=("impedance_n_s_per_m",),
+    rest_force=the_hands_force,
 )

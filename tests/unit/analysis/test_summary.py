@@ -170,8 +170,12 @@ def test_every_verdict_is_one_that_a_summary_may_have(
     hold = Hold(0.5, 1.5, 1.0, kind, None if kind == "no_data" else -1.0, 0.0, 0.0, "in words")
     monkeypatch.setattr(report, "judge_holds", lambda *given: [hold])
     summary = summarise(session, recording)
-    assert (summary["verdict"], summary["reason"], summary["stable"]) == (kind, "in words", kind == "stable")
-    assert summary["holds"] == [hold._asdict()]
+    assert (summary["verdict"], summary["reason"], summary["stable"]) == (
+        kind,
+        "in words",
+        None if kind in ("cannot_say", "no_data") else kind == "stable",
+    )
+    assert summary["holds"] == [{**hold._asdict(), "facts": []}]
 
 
 def new_condition(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,7 @@ from services.controller.law import (
     checked_law,
     law_of,
     no_energy_account,
+    the_hands_force,
 )
 from services.controller.law_names import LAW_NAMES
 from services.controller.law_rules import RULES, broken_rules
@@ -52,7 +53,7 @@ def test_table_is_made_of_the_steps_that_a_module_has() -> None:
         slave_receive=wave.slave_receive, slave_send=wave.slave_send, retune=wave.retune,
         master_energy_account=wave.master_energy_account, slave_energy_account=wave.slave_energy_account,
         uses_waves=True, uses_energy=True, local_loop=True, passive=True, slave_retune=wave.slave_retune,
-        fixed_in_contact=("impedance_n_s_per_m",),
+        fixed_in_contact=("impedance_n_s_per_m",), rest_force=the_hands_force,
     )  # fmt: skip
     smith = LAWS["smith"]
     assert (smith.slave_start, smith.slave_receive, smith.slave_send) == (
