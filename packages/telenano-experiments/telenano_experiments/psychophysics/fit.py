@@ -179,7 +179,8 @@ def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[fl
     if len(answers) < LEAST_TRIALS:
         return ""
     places = model.on_axis([level for level, _ in answers])
-    shares = np.array([float(model.share(float(place), *function)) for place in places])
+    threshold, width, lapse = map(np.asarray, function)
+    shares = model.share(places, threshold, width, lapse)
     right = np.array([correct for _, correct in answers], dtype=float)
     order = np.arange(len(answers)) - 0.5 * (len(answers) - 1)
     variance = float(total(shares * (1.0 - shares) * order * order))
