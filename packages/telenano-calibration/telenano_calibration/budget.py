@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.intervals import DEVIATIONS
-from analysis.mean_interval import mean_half_width
 from analysis.report import split_age
+from analysis.statistics import mean_half_width
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
