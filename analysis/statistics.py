@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from analysis.intervals import half_width, wilson
+from analysis.mean_interval import mean_half_width as mean_half_width
 from services.runtime.settings.config import flatten
 
 CONFIDENCE = 0.95

@@ -28,3 +28,13 @@ def test_no_passive_law_makes_energy_at_any_transition(name: str) -> None:
     found = worst_balances(known_law(name), seed=1, cases=3, longest_s=30.0)
     assert len(found) == 16
     assert {kind: rows[0].sentence() for kind, rows in found.items() if not rows[0].is_kept} == {}
+
+
+@pytest.mark.check("twenty seconds of a rig for each law")
+@pytest.mark.parametrize("name", [*OWN, *CORE])
+def test_at_the_end_of_the_hands_travel_only_bounded_model_takes_no_work_that_the_device_has_not(name: str) -> None:
+    """What docs/laws.md states as a limit of the others: their reference goes on where the device is stuck."""
+    law = known_law(name)
+    found = balance(law, drawn(3, 2, "end of travel: hand", law.config().silence_limit_s, 20.0))
+    assert found.is_kept == (name == "bounded_model"), found.sentence()
+    assert found.reference_j >= -1e-5

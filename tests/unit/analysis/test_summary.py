@@ -86,7 +86,8 @@ def test_every_summary_has_the_keys_of_the_page_and_each_of_them_is_met(summarie
     assert len(rows) == len(set(rows)) > 50
     met = {key for summary in summaries.values() for key in keys_of(summary)}
     packages = {f"plugins.<name>.{key}" for key in Package.model_fields}
-    assert met | packages == set(rows)
+    # In a session without noise the hand's position still settles, so that its mean over a window has no interval.
+    assert met | packages | {"intervals.contact_x_cm"} == set(rows)
 
 
 def test_every_summary_is_what_the_model_and_the_file_hold(
