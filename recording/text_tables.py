@@ -41,6 +41,9 @@ _SUFFIXES = {
     **{"nn": "nN", "pn": "pN", "un": "uN", "uN": "uN", "percent": "%"},
 }
 _SEPARATORS = ("\t", ";", "", ",")
+_LONGEST_NUMBER = 64
+# A line of a head that is longer says no units: to look for them takes the square of its length.
+_LONGEST_LINE = 4000
 # Lines of a head, before the first row of numbers.
 _LONGEST_HEAD = 4000
 
@@ -125,7 +128,7 @@ class TextTable(NamedTuple):
     def units_in_head(self, *wanted: str) -> set[str]:
         """Return the words of the head, as they stand, that are units of one of these kinds."""
         kinds = [kind.powers for kind in map(unit_of, wanted) if kind]
-        text = "\n".join(self.head)
+        text = "\n".join(line for line in self.head if len(line) <= _LONGEST_LINE)
         words = re.findall(r"\[([^\]\n]+)\]|\(([^()\n]+)\)|([^\s,;]+)", text)
         spaced = re.findall(r"\S+ ?/ ?(?:√|sqrt|root|rt) ?\(?Hz\)?|\S+ per (?:sqrt|root) ?\(?Hz\)?", text)
         found = {word.strip(" :,;'\"") for group in words for word in group if word} | set(spaced)
@@ -153,20 +156,20 @@ def parse_table(content: bytes, name: str) -> TextTable:
     if not any(map(str.strip, rows)):
         raise ConfigError(f"{name}: is empty")
     first, separator = _first_row(rows, name)
-    fold = _Folding(name, separator)
+    fold = _Folding(separator)
     width, ends_whole = fold.width_of(islice(rows, first, first + 50)), text.endswith(("\n", "\r"))
     # rows of numbers with another width, such as a count of points, belong to the head
-    while width and fold.split(rows[first], first)[1] != width:
+    while width and fold.split(rows[first])[1] != width:
         first += 1
-    width = width or fold.split(rows[first], first)[1]
+    width = width or fold.split(rows[first])[1]
     head, titles = _titles(rows[:first], width, separator)
     columns = [array("d") for _ in range(width)]
     lines = array("q")
     bad: dict[int, tuple[int, str]] = {}
     for number, row in enumerate(rows[first:], start=first + 1):
-        if not row.strip() or (_COMMENT.match(row) and not fold.is_numeric(row, number)):
+        if not row.strip() or (_COMMENT.match(row) and not fold.is_numeric(row)):
             continue
-        cells, count = fold.split(row, number)
+        cells, count = fold.split(row)
         numbers = [fold.number(cell, number) for cell in cells]
         if (count < width or None in numbers) and number == len(rows) and not ends_whole:
             remarks.append("its last line has no end and is no whole row; it is left out")
@@ -187,7 +190,9 @@ def parse_table(content: bytes, name: str) -> TextTable:
             f"{name}: line {fold.commas} has a decimal comma and line {fold.points} a point; write one of them, and"
             " nothing between thousands"
         )
-    names = len(_split_head(head[-1], separator)) if head else 0
+    # a sentence above the table names no column
+    is_named = bool(head) and (separator in head[-1] or len(head[-1].split()) == 1)
+    names = len(_split_head(head[-1], separator)) if is_named else 0
     if separator == "," and not fold.points and (0 < 2 * names == width or (not names and width in (4, 6))):
         raise ConfigError(
             f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the commas are"
@@ -212,7 +217,7 @@ def parse_table(content: bytes, name: str) -> TextTable:
 
 def as_number(cell: str) -> float | None:
     """Return the number in a cell with a decimal point or comma, nan for a word that says it is missing, else None."""
-    if "_" in cell:
+    if "_" in cell or len(cell) > _LONGEST_NUMBER:
         return None
     if not _NUMBER.fullmatch(cell):
         cell = cell.strip().strip('"').replace("\u2212", "-")
@@ -227,17 +232,14 @@ def as_number(cell: str) -> float | None:
 class _Folding:
     """Splits the lines of a file by what separates its columns, and notes which decimal marks it has."""
 
-    def __init__(self, name: str, separator: str) -> None:
-        self._name, self._separator = name, separator
+    def __init__(self, separator: str) -> None:
+        self._separator = separator
         # the first line with a decimal comma, and with a decimal point
         self.commas, self.points = 0, 0
 
-    def split(self, row: str, number: int) -> tuple[list[str], int]:
+    def split(self, row: str) -> tuple[list[str], int]:
         """Return the cells of a row, and how many they are."""
-        try:
-            cells = _split(row, self._separator)
-        except csv.Error as error:
-            raise ConfigError(f"{self._name}, line {number}: {error}") from error
+        cells = _split(row, self._separator)
         return cells, len(cells)
 
     def number(self, cell: str, line: int) -> float | None:
@@ -249,12 +251,12 @@ class _Folding:
                 self.points = line
         return value
 
-    def is_numeric(self, row: str, number: int) -> bool:
-        return all(as_number(cell) is not None for cell in self.split(row, number)[0])
+    def is_numeric(self, row: str) -> bool:
+        return all(as_number(cell) is not None for cell in self.split(row)[0])
 
     def width_of(self, rows: Iterator[str]) -> int:
         """Return how many columns most of these rows have."""
-        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row, 0)[0]] if _is_data(cells)]
+        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row)[0]] if _is_data(cells)]
         return max(set(counts), key=lambda count: (counts.count(count), count), default=0)
 
 
@@ -274,7 +276,7 @@ def _decoded(content: bytes, name: str) -> str:
 def _split(row: str, separator: str) -> list[str]:
     if not separator:
         return row.split()
-    if '"' in row and row.count('"') % 2 == 0:
+    if '"' in row and row.count('"') % 2 == 0 and len(row) < csv.field_size_limit():
         cells = next(csv.reader([row.strip("\r\n")], delimiter=separator))
     else:
         cells = row.strip("\r\n ").split(separator)
@@ -329,6 +331,8 @@ def _titles(rows: Sequence[str], width: int, separator: str) -> tuple[list[str],
     numbered = [(number, row) for number, row in enumerate(rows, start=1) if row.strip()]
     fitting = []
     for number, row in numbered[-1:-6:-1]:
+        if len(row) > _LONGEST_LINE * width:
+            break
         plain = _bare(row)
         ways = (
             _split_head(row, separator),

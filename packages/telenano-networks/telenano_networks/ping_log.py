@@ -29,6 +29,8 @@ _HEAD = re.compile(rf"^(?:{_STAMP})?(?:PING|Pinging) ")
 # of Windows in any language: the answer has its life, and the head ends with a colon
 _OF_WINDOWS = re.compile(r"\bTTL=\d{1,3}\s*$")
 _WINDOWS_HEAD = re.compile(r".*\d.*[:：]\s*$")
+# No line of ping is longer.
+_LONGEST_LINE = 500
 # The sixteen bits of the number begin again after 65535.
 _TURN = 65536
 # A number that falls by more belongs to a run of its own, or to the next turn; answers overtake one another by less.
@@ -68,7 +70,8 @@ class Trips(NamedTuple):
 
 def is_ping_log(text: str) -> bool:
     """Return whether a text is what `ping` printed, by its first line or its first answer."""
-    return any(_HEAD.match(line) or _ANSWER.match(line) for line in text[:20_000].splitlines()[:20])
+    lines = [line for line in text[:20_000].splitlines()[:20] if len(line) <= _LONGEST_LINE]
+    return any(_HEAD.match(line) or _ANSWER.match(line) for line in lines)
 
 
 def round_trips(text: str, name: str, period_s: float | None = None) -> Trips:
@@ -110,6 +113,8 @@ def _runs(text: str, name: str) -> Iterator[_Run]:
             continue
         if total := _TOTAL.match(row):
             run.sent, run.took_s = int(total[1]), 1e-3 * int(total[2] or 0)
+            continue
+        if len(row) > _LONGEST_LINE:
             continue
         answer, named = _ANSWER.match(row), _NUMBER.search(row)
         if "(DUP!)" in row or (answer is None and named is None):
@@ -185,7 +190,7 @@ def _of_windows(text: str, name: str, period_s: float | None) -> Trips:
     """Return the packets of each run: lines that stand together, of which one at least is an answer."""
     parts: list[Rows] = []
     for block in re.split(r"\n[^\S\n]*\n", text.replace("\r\n", "\n")):
-        lines = [line for line in block.splitlines() if line.strip()]
+        lines = [line for line in block.splitlines() if line.strip() and len(line) <= _LONGEST_LINE]
         answers = [_ANSWER.match(line) if _OF_WINDOWS.search(line) else None for line in lines]
         if not any(answers):
             continue

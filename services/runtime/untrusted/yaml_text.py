@@ -22,9 +22,10 @@ class YamlError(ValueError):
     """A text is no YAML, or beyond the bounds; the text says what is wrong, and where that is known."""
 
 
-# what YAML 1.1 takes for another number than a person who writes it
+# What YAML 1.1 takes for another number than a person who writes it. Digits with an 8 or 9 behind a 0 are a text to it,
+# such as the identity of a device, which its writers leave without quotes.
 _OTHER_BASE = re.compile(
-    r"[-+]?(?:0[0-9_]+(?:\.[0-9_]*)?(?:[eE][-+]?[0-9]+)?|0[xXoObB][0-9a-fA-F_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)"
+    r"[-+]?(?:0[0-7_]+|0[0-9_]+\.[0-9_]*(?:[eE][-+]?[0-9]+)?|0[0-9_]+[eE][-+]?[0-9]+|0[xXoObB][0-9a-fA-F_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)"
 )
 _REPLACED = ("tag:yaml.org,2002:bool", *_NUMBER_TAGS)
 
@@ -41,7 +42,7 @@ _Loader.yaml_implicit_resolvers = {
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"(?i:true|false)$"), list("tTfF"))
-_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?[0-9][0-9_]*$"), list("-+0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?(?:0|[1-9][0-9_]*)$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(
