@@ -95,9 +95,8 @@ def main() -> int:
     for (loop, outage_s), kinds in found.items():
         gain = "" if loop.gain is None else f", K_f {loop.gain:g}"
         says = "stable" if loop.is_stable else "unstable"
-        sys.stdout.write(
-            f"{loop.law}{gain}, {loop.round_trip_ms:g} ms ({says}), outage {1e3 * outage_s:g} ms: {dict(kinds)}\n"
-        )
+        words = f"{loop.law}{gain}, {loop.round_trip_ms:g} ms ({says}), outage {1e3 * outage_s:g} ms"
+        sys.stdout.write(f"{words}: {dict(kinds)}\n")
     errors = sum(count for (loop, _), kinds in found.items() for kind, count in kinds.items() if wrong(loop, kind))
     sys.stdout.write(f"{errors} of {sum(map(Counter.total, found.values()))} verdicts contradict the theory\n")
     return int(errors > 0)
