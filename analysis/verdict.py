@@ -242,9 +242,11 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
         return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest)
     if falls and slope * _WINDOWS < -LEAST_CHANGE:
         return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}")
-    return Verdict(
-        "limit_cycle", rate, size, noise_n, f"a motion of {max(sizes[4:]):.3g} N from peak to peak goes on irregularly"
-    )
+    words = f"a motion of {max(sizes[4:]):.3g} N from peak to peak goes on irregularly"
+    # what goes on is of one size, or comes again and again
+    if min(sizes[4:]) < 0.5 * max(sizes[4:]) and not _recurs(sizes, small):
+        return Verdict("cannot_say", rate, size, noise_n, f"{words}: a longer hold would decide")
+    return Verdict("limit_cycle", rate, size, noise_n, words)
 
 
 def _step(values: Series) -> float:
