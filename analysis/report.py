@@ -84,7 +84,7 @@ _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = (
     "seq", "tip_force_n.2", "base_position_m.2", "separation_m", "separation_valid", "in_contact", "meniscus",
-    "limited", "mode",
+    "limited", "mode", "placed",
 )  # fmt: skip
 
 
@@ -473,6 +473,18 @@ def summarise(
     return Summary.model_validate(found).model_dump(exclude_unset=True)
 
 
+def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
+    """Return whether the tip had been placed by then: what it meets on its way there is no contact of the hand.
+
+    Args:
+        placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.
+    """
+    said = np.asarray(placed, dtype=np.float64)
+    if np.isnan(said).all():
+        return np.ones(said.shape, dtype=np.bool_)
+    return np.asarray(np.maximum.accumulate(np.nan_to_num(said) > 0.0), dtype=np.bool_)
+
+
 def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]]:
     """Return the series of a session, its holds, and what depends on how the clocks of two sites are read."""
     series = session.series()
@@ -481,7 +493,7 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     hand_m = np.interp(series.tip_time_s, series.hand_time_s, series.hand_position_m)
     tip = Instrument(
         np.isin(mode, ("follow", "hold")),
-        session.tip["in_contact"].astype(bool),
+        session.tip["in_contact"].astype(bool) & was_placed(session.tip["placed"]),
         np.isin(mode, ("hold",)),
         hand_m + session.tip["base_position_m.2"] / session.conditions["parameters"]["position_scale"],
         session.knows_contact,
