@@ -350,7 +350,8 @@ def simulate_document(document: Mapping[str, Any], origin: str, steers: Steers |
     ages_s = _ages_s(schedule, period_s)
     transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
     known = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
-    known = known._replace(answered_s=1e-9 * schedule.backward_ns - settle * period_s)
+    answered_s = np.asarray(1e-9 * schedule.backward_ns - settle * period_s, dtype=np.float64)
+    known = known._replace(answered_s=answered_s)
     return SimulatedSession(
         conditions,
         course,

@@ -44,7 +44,8 @@ class Outcome(NamedTuple):
     """What became of a law at a round trip [ms]: runs, those with energy >= LEAST_J and the least [J], and stable ones.
 
     share, least_share: median and least force at the tip over the intended one, and apart_m, the median of how far the
-    hand is ahead of the tip [m], of the runs that were stable and came to rest as they should; None where none was. failed: what the others did.
+    hand is ahead of the tip [m], of the runs that were stable and came to rest as they should; None where none was.
+    failed: what became of the others.
     """
 
     law: str
