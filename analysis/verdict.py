@@ -273,7 +273,7 @@ def _sizes(values: Series, noise_n: float) -> list[float]:
 
 def _recurs(sizes: list[float], small_n: float) -> bool:
     """Return whether a motion began at least twice after a rest, as a cycle of snaps does, and a landing does not."""
-    return sum(before <= small_n < after for before, after in pairwise(sizes)) >= 2
+    return sum(before <= small_n and after > 2.0 * small_n for before, after in pairwise(sizes)) >= 2
 
 
 def _moved(values: Series, noise_n: float) -> float:

@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
 
     share, least_share: median and least force at the tip over the intended one, and apart_m, the median of how far the
     hand is ahead of the tip [m], of the runs that were stable and came to rest as they should; None where none was.
-    failed: what the others did.
+    failed: what became of the others.
     """
 
     law: str
