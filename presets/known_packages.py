@@ -12,6 +12,7 @@ KNOWN_PACKAGES = {
     "bridge ros2": "telenano-ros2",
     "budget": "telenano-calibration",
     "calibrate": "telenano-calibration",
+    "compare": "telenano-studies",
     "conformance": "telenano-conformance",
     "curve": "telenano-microscopy",
     "device accept": "telenano-acceptance",

@@ -46,8 +46,8 @@ from recording.messages import (
 from recording.odd_times import LONGEST_PAUSE_NS, Dates, odd_text
 
 END_OF_TIME = 2**64
-# A file that ends so is followed by another one, at once or with the next trigger.
-_PLANNED_ENDS = ("split", "snapshot")
+# A file that ends so is followed by another one, at once.
+_PLANNED_END = "split"
 # A piece has one chunk, or no more than so much in several [bytes]; its lead may have so many where it has one.
 _LARGEST_PIECE, _LEAD = 16 << 20, 2
 # groups of messages with odd times that are named
@@ -86,7 +86,7 @@ class Recording:
 
     @property
     def ending(self) -> str:
-        """Why the recorder ended the file: stopped, split, snapshot or quota; empty where that is not recorded."""
+        """Why the recorder ended the file: stopped, split or quota; empty where that is not recorded."""
         return self.metadata.get(END_NAME, {}).get("state", "")
 
     @property
@@ -350,7 +350,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
     for number, recording in enumerate(recordings):
         part, found = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += found
-        if number and recordings[number - 1].ending not in _PLANNED_ENDS:
+        if number and recordings[number - 1].ending != _PLANNED_END:
             before = Path(parts[-1].path).name
             missing.append(f"nothing was recorded for {part.pause_s:.3f} s between {before} and {recording.path.name}")
         if not part.closed:

@@ -20,7 +20,7 @@ from recording.mcap_messages import Compression, MessageWriter
 from recording.records import GAP_TOPIC, RECORDS, REJECTED_TOPIC, GapRecord, RejectedRecord
 
 # why a file ended
-FileEnd = Literal["stopped", "split", "snapshot", "quota"]
+FileEnd = Literal["stopped", "split", "quota"]
 
 
 def channel_topic(topic: str, src: str, site: str) -> str:

@@ -54,13 +54,5 @@ def explanation() -> str | None:
     return f"{words} has taken the place of telenano's own: {_REMEDY.format(others=_names(lost))}"
 
 
-def shared_with() -> str | None:
-    """Return which other distributions telenano's packages stand in the way of; None if there are none."""
-    shared = sharing()
-    if not shared:
-        return None
-    return f"{_names(shared)} cannot work beside telenano, both have {' and '.join(sorted(shared))}"
-
-
 def _names(shared: dict[str, set[str]]) -> str:
     return " ".join(sorted({name for names in shared.values() for name in names}))

@@ -294,11 +294,11 @@ def report_of(
 def disk_warning(plan: Plan, free: Callable[[Path], int | None] = free_bytes) -> str:
     """Return a sentence when the disk has less room than the recording of a session is expected to take; else empty.
 
-    None for a recorder that is set to record less, or in snapshots: how much it will write is not known.
+    None for a recorder that is set to record less: how much it will write is not known.
     """
     recorders = [node for node in plan.nodes if node.startswith("recorder@")]
     config = plan.loaded.section("recorder", RecorderConfig)
-    if not recorders or config.topics or config.exclude or config.snapshot_s is not None:
+    if not recorders or config.topics or config.exclude:
         return ""
     needed = round(_BYTES_PER_S[config.compression] * plan.scenario.duration_s)
     needed = min(needed, config.quota_bytes or needed)

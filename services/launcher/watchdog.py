@@ -19,7 +19,7 @@ from services.runtime.clock import Clock
 
 # node/health comes twice a second
 SILENCE_S = 2.0
-# A recorder writes a snapshot in one go, and that may be hundreds of megabytes.
+# A recorder writes the index of a long file in one go, on a disk that may be slow.
 RECORDER_BUSY_S = 120.0
 # A hanging process uses at least this share of the wall time; below it something kept the processor from it.
 BUSY_SHARE = 0.8

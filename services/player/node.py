@@ -18,7 +18,7 @@ import zmq
 from proto.errors import RefusedError
 from proto.messages import Scalar, SessionControl
 from recording.messages import RecordedChannel, RecordedMessage
-from services.player.plan import ReplayPlan
+from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, PlaybackClock, is_state
 from services.runtime.bus.publisher import SNDMORE, ZmqPublisher
 from services.runtime.clock import Clock
@@ -167,7 +167,7 @@ class PlayerNode(Node):
         self.playback_clock = PlaybackClock(now, playback.position_ns, settings.rate, paused=settings.paused)
         self._plan = plan
         self._publishers = publishers
-        self._routes = {channel: self._route(channel) for channel in plan.topics}
+        self._routes = {channel: self._route(channel) for channel in plan.channels}
         # The same by the identity of a channel, which is kept with it: its hash takes longer than sending a message.
         self._known: dict[int, tuple[RecordedChannel, Route]] = {}
         self._observe = observe
@@ -176,7 +176,6 @@ class PlayerNode(Node):
         self._deferred: deque[Callable[[], None]] = deque()
         self._pending_state: deque[RecordedMessage] = deque()
         self._steps = 0
-        self._step_topic = ""
         self._wait_until_ns = now + round(settings.wait_s * 1e9)
         self._tick_ns = now
         self._retry_ns = 0
@@ -234,11 +233,11 @@ class PlayerNode(Node):
         self._check_rate(rate)
         self.playback_clock.change(self.clock.monotonic_ns(), self.playback.position_ns, rate=rate)
 
-    def step(self, count: int = 1, topic: str = "") -> None:
-        """Send the next `count` messages at once, or all up to the next one on a topic, and pause."""
-        self._check_step(count, topic)
+    def step(self, count: int = 1) -> None:
+        """Send the next `count` messages at once, and pause."""
+        self._check_step(count)
         self.pause(True)
-        self._steps, self._step_topic = count, topic
+        self._steps = count
 
     def seek(self, time_s: float) -> None:
         """Move to a time [s] from the start of the recording, and publish the state there."""
@@ -265,7 +264,7 @@ class PlayerNode(Node):
                 raise RefusedError(f"{name} is {value!r}, a {kinds[0].__name__} is needed")
         # All that can refuse comes first, so that a command is carried out as a whole or not at all.
         self._check_rate(float(parameters.get("player.rate", 1.0)))
-        self._check_step(int(parameters.get("player.step", 1)), str(parameters.get("player.step_topic", "")))
+        self._check_step(int(parameters.get("player.step", 1)))
         if parameters.get("player.next_event"):
             if parameters.keys() & {"player.seek_s", "player.skip_s"}:
                 raise RefusedError("player.next_event and another place: give one of them")
@@ -280,11 +279,9 @@ class PlayerNode(Node):
         if rate != 0.0 and not rate >= _LEAST_RATE:
             raise RefusedError(f"player.rate is {rate}, it must be 0 (as fast as possible), or {_LEAST_RATE:g} or more")
 
-    def _check_step(self, count: int, topic: str) -> None:
+    def _check_step(self, count: int) -> None:
         if count < 1:
             raise RefusedError(f"player.step is {count}, it must be 1 or more")
-        if topic and topic not in {channel.channel_topic for channel in self._plan.topics}:
-            raise RefusedError(f"player.step_topic: {topic} is not played")
 
     def _next_event_ns(self) -> int:
         found = self.playback.next_event_ns()
@@ -322,7 +319,7 @@ class PlayerNode(Node):
                 return
             self.playback.advance(found)
             if self._steps:
-                self._count_step(found.message)
+                self._steps -= 1
 
     def _use_gap(self, due_ns: int) -> None:
         """Do what can wait, one piece after the other, while there is time before the next message is due."""
@@ -331,10 +328,6 @@ class PlayerNode(Node):
                 self._deferred.popleft()()
             elif not self.playback.read_ahead():
                 return
-
-    def _count_step(self, message: RecordedMessage) -> None:
-        if self._step_topic in ("", message.channel_topic):
-            self._steps -= 1
 
     def _send(self, message: RecordedMessage) -> bool:
         channel = message[0]
@@ -353,8 +346,7 @@ class PlayerNode(Node):
         return True
 
     def _route(self, channel: RecordedChannel) -> Route:
-        publisher, topic = self._publishers[self._plan.node(channel)], self._plan.topics[channel]
-        return Route(publisher, topic, is_command=channel.topic == "session/control")
+        return Route(self._publishers[node_of(channel)], channel.topic, is_command=channel.topic == "session/control")
 
     def _handle_end(self) -> None:
         self._steps = 0
@@ -405,8 +397,8 @@ class PlayerNode(Node):
         unsubscribed = sorted(
             {
                 channel.channel_topic
-                for channel, topic in self._plan.topics.items()
-                if is_state(channel) and not self._publishers[self._plan.node(channel)].has_subscriber(topic)
+                for channel in self._plan.channels
+                if is_state(channel) and not self._publishers[node_of(channel)].has_subscriber(channel.topic)
             }
         )
         if unsubscribed and now_ns < self._wait_until_ns:
@@ -491,6 +483,5 @@ SETTERS: dict[str, tuple[tuple[type, ...], Callable[[PlayerNode, Any], None] | N
     "player.skip_s": (_NUMBER, lambda player, value: player.seek(player.playback.time_s + value)),
     "player.next_event": ((bool,), lambda player, value: player.seek_event() if value else None),
     "player.step": ((int,), lambda player, value: player.step(value)),
-    "player.step_topic": ((str,), lambda player, value: player.step(topic=value)),
     "player.pause": ((bool,), lambda player, value: player.pause(value)),
 }

@@ -1,6 +1,4 @@
-"""What of a recording is played: its nodes, and the topic on which each of its channels is published."""
-
-from collections.abc import Mapping
+"""What of a recording is played: its nodes and channels."""
 
 from proto.errors import ConfigError
 from proto.nodes import LAUNCHER, LINK, is_console, name_of
@@ -21,31 +19,24 @@ def node_of(channel: RecordedChannel) -> str:
 
 
 class ReplayPlan:
-    """Nodes of the address book that are played, and the topic on which each channel is published."""
+    """Nodes of the address book that are played, and the channels that are published again."""
 
     def __init__(
         self,
         recording: RecordingSource,
         book: AddressBook,
         selection: Selection,
-        remap: Mapping[str, str] | None = None,
     ) -> None:
-        """Select channels and nodes; ConfigError names nodes that are not in the address book.
-
-        `remap` renames topics (channel name to topic) and moves nodes (node@site to node@site).
-        """
+        """Select channels and nodes; ConfigError names nodes that are not in the address book."""
         self._selection = selection
-        self._remap = dict(remap or {})
         # the launcher of the slave's site reports on processes, and a rig on one machine has no place for it
         launchers = {channel.src for channel in recording.channels if name_of(channel.src) == name_of(LAUNCHER)}
-        self.without_place = sorted(
-            node for node in launchers if not selection.nodes and self._remap.get(node, node) not in book.nodes
-        )
-        selected = [channel for channel in recording.channels if self.plays(channel)]
+        self.without_place = sorted(node for node in launchers if not selection.nodes and node not in book.nodes)
+        self.channels = [channel for channel in recording.channels if self.plays(channel)]
         # consoles whose name stays free
         commanded = {channel.src for channel in recording.channels if channel.topic == "session/control"}
         self.left_out = sorted(node for node in commanded if is_console(node) and not self._plays_node(node))
-        self.nodes = sorted({self.node(channel) for channel in selected})
+        self.nodes = sorted({node_of(channel) for channel in self.channels})
         absent = [node for node in self.nodes if node not in book.nodes]
         if absent:
             known = ", ".join(sorted(book.nodes))
@@ -53,9 +44,8 @@ class ReplayPlan:
             others = f", or play the others alone: `{others}`" if others else ""
             raise ConfigError(
                 f"{recording.path}: {', '.join(absent)} is not in the site file, which has {known}; name one that has "
-                f"it with --site-file, or move it to another with `--remap {absent[0]}=NAME@SITE`{others}"
+                f"it with --site-file{others}"
             )
-        self.topics = {channel: self._topic(channel) for channel in selected}
 
     def plays(self, channel: RecordedChannel) -> bool:
         """Return whether a channel is played.
@@ -81,11 +71,3 @@ class ReplayPlan:
         if not self._selection.nodes:
             return not is_console(node)
         return any(test(node) for test in self._selection.nodes)
-
-    def node(self, channel: RecordedChannel) -> str:
-        """Return the node at whose endpoint a channel is published."""
-        found = node_of(channel)
-        return self._remap.get(found, found)
-
-    def _topic(self, channel: RecordedChannel) -> str:
-        return self._remap.get(channel.channel_topic, channel.topic)

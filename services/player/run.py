@@ -1,7 +1,7 @@
 """A process that plays recordings on the bus in the place of nodes."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from recording.indexed import open_indexed
 from recording.messages import RecordedChannel
 from recording.multi_file import RecordingSource
 from services.player.node import PlayerNode, PlaySettings, ReplayPublisher
-from services.player.plan import ReplayPlan
+from services.player.plan import ReplayPlan, node_of
 from services.player.playback import Playback, Span
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.loop.realtime import on_time, shallow_idle
@@ -36,7 +36,6 @@ class ReplayRequest:
     nodes: Sequence[str] = ()
     topics: Sequence[str] = ()
     exclude: Sequence[str] = ()
-    remap: Mapping[str, str] = field(default_factory=dict)
     span: Span = field(default_factory=Span)
     settings: PlaySettings = field(default_factory=PlaySettings)
 
@@ -67,7 +66,7 @@ def run_replay(
     book = load_site(request.site_file)
     if PLAYER not in book.nodes:
         raise ConfigError(f"{request.site_file}: nodes: {PLAYER} is missing, the player needs an endpoint")
-    plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes), request.remap)
+    plan = ReplayPlan(recording, book, Selection.of(request.topics, request.exclude, request.nodes))
     playback = Playback(recording, plan.plays, request.span)
     if playback.peek() is None:
         nodes = ", ".join(plan.nodes)
@@ -119,7 +118,7 @@ def absent_topics(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
     for node in plan.nodes:
         if name_of(node) == LINK:
             continue
-        played = {topic for channel, topic in plan.topics.items() if plan.node(channel) == node}
+        played = {channel.topic for channel in plan.channels if node_of(channel) == node}
         rated = [topic for topic in book.published_by(node) if TOPICS[topic].rate_hz and topic != "node/health"]
         lacking = [topic for topic in rated if topic not in played and plan.chooses(topic)]
         if lacking:

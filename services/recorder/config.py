@@ -53,19 +53,6 @@ class RecorderConfig(FileSettings):
     quota_policy: Literal["stop", "drop_oldest"] = Field(
         default="stop", description="At the quota: stop recording, or remove the oldest file of this recording"
     )
-    snapshot_s: Annotated[float, Field(ge=0.1, le=3600.0)] | None = Field(
-        default=None,
-        description="Keep this time in memory and write it on a trigger only [s], 0.1 to 3600; none = always write",
-    )
-    snapshot_after_s: Annotated[float, Field(ge=0.0, le=3600.0)] = Field(
-        default=1.0, description="Go on writing after a trigger for this time [s], 0 to 3600"
-    )
-    snapshot_size_bytes: Annotated[int, Field(ge=65_536, le=1 << 32)] = Field(
-        default=256 << 20, description="Most that the snapshot may keep in memory [bytes]"
-    )
-    snapshot_on: tuple[Literal["mode", "fault", "contact"], ...] = Field(
-        default=(), description="Events that trigger a snapshot, besides the command: mode, fault, contact (snap-in)"
-    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -73,7 +60,7 @@ class RecorderConfig(FileSettings):
             self.selection()
         except ConfigError as error:
             raise ValueError(str(error)) from error
-        splits = self.split_size_bytes is not None or self.split_interval_s is not None or self.snapshot_s is not None
+        splits = self.split_size_bytes is not None or self.split_interval_s is not None
         if self.quota_bytes is not None and self.quota_policy == "drop_oldest" and not splits:
             raise ValueError(
                 "quota_policy drop_oldest removes whole files: it needs split_size_bytes or split_interval_s"
@@ -86,9 +73,6 @@ class RecorderConfig(FileSettings):
         return Selection.of(self.topics, self.exclude)
 
     def subscribes(self, topic: str, site: str) -> bool:
-        """Return whether a bus topic is needed at a site: to be recorded, for commands and ends, or for a trigger."""
-        needed = (
-            ("session/control", END_TOPIC) if self.snapshot_s is None else ("session/control", END_TOPIC, "afm/state")
-        )
+        """Return whether a bus topic is needed at a site: to be recorded, or for commands and ends."""
         selection = self.selection()
-        return topic in needed or selection.names(topic) or selection.names(f"{topic}@{site}")
+        return topic in ("session/control", END_TOPIC) or selection.names(topic) or selection.names(f"{topic}@{site}")

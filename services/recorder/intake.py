@@ -18,7 +18,6 @@ from recording.records import GapRecord, RejectedRecord
 from recording.writer import FileEnd, RecordingWriter, channel_topic
 from services.recorder.listener import Listener, Stream
 from services.recorder.rotation import FileRotation, QuotaError
-from services.recorder.snapshot_buffer import TRIGGER_TOPICS, Entry, SnapshotBuffer, Trigger, event_trigger
 from services.runtime.bus.bus import Received, split_frames
 
 # messages on these topics are decoded, of all others only the header is read
@@ -26,7 +25,6 @@ _DECODED = frozenset(("node/health", "session/control", END_TOPIC))
 _SOURCE = re.compile(SOURCE_PATTERN)
 _MAX_SOURCE_LENGTH = 64
 _MAX_REJECTED_FRAMES = 4
-_NEVER = event_trigger(())
 # a member of an enumeration takes longer to look up, and there is one for every message
 _NEXT = Arrival.NEXT
 # a gap is recorded when so much has passed: what the link has late is not missing
@@ -61,8 +59,7 @@ class Intake:
     """Records messages, and continues without recording once the file cannot be written.
 
     `fault` is then the reason. Only the header of a message is validated here: one with a valid header is recorded
-    as it came, whatever its fields. With `rotation` it begins new files on its own; with a snapshot buffer as well it
-    writes only from a trigger on, beginning with the content of the buffer.
+    as it came, whatever its fields. With `rotation` it begins new files on its own.
 
     `missing` counts the messages that were sent to the recorder and did not reach it, `notes` has a sentence for
     whatever else the recording lacks; both are of the whole recording, not of one file.
@@ -75,11 +72,8 @@ class Intake:
         *,
         selection: Selection = ALL,
         rotation: FileRotation | None = None,
-        snapshot_buffer: SnapshotBuffer | None = None,
-        is_trigger: Trigger = _NEVER,
-        after_s: float = 0.0,
     ) -> None:
-        """Record into a writer; without one and without a snapshot buffer nothing is recorded, and `fault` is why."""
+        """Record into a writer; without one nothing is recorded, and `fault` is why."""
         self.writer = writer
         self.fault = fault
         # At the slave's site of two the commands of the master's come by the link only.
@@ -91,21 +85,15 @@ class Intake:
         self.missing = 0
         self.notes: list[str] = []
         self.rejected = 0
-        self.snapshot_buffer = snapshot_buffer
         self.rotation = rotation
         self.written = 0
         self.removed = 0
         self._selection = selection
-        self._is_trigger = is_trigger
-        self._after_ns = round(after_s * 1e9)
-        self._decoded = _DECODED if snapshot_buffer is None else _DECODED | frozenset(TRIGGER_TOPICS)
         self._streams: list[Stream] = []
         # publishers that have ended, and were not received since
         self._ended: set[str] = set()
         # nodes that a player stands in for, whose last message is not played
         self._replayed: set[str] = set()
-        self._triggered = False
-        self._until_ns = 0
         self._open_gaps: list[_OpenGap] = []
         self._newest_ns = 0
 
@@ -133,11 +121,11 @@ class Intake:
             if stream.wanted:
                 if arrival is not _NEXT:
                     self._note_arrival(stream, arrival, seq, received_ns)
-                self._store(Entry(received_ns, t_ns, seq, payload, stream, None))
+                self._store(stream, received_ns, t_ns, seq, payload)
             if self._ended and stream.direct:
                 # one that is received again was started again
                 self._ended.discard(src)
-            if topic in self._decoded:
+            if topic in _DECODED:
                 # What is not valid is recorded as it came, and means nothing.
                 message = decode(topic, payload)
                 self._interpret(listener, stream, fields_of(topic, message), received_ns)
@@ -167,12 +155,6 @@ class Intake:
             raise RecordingError(self.fault or "nothing is being written")
         self._record_gaps(self._newest_ns)
         self._next_file(self.rotation, self.writer, now_ns)
-
-    def snapshot(self) -> None:
-        """Write the snapshot buffer, at the next flush at the latest; RecordingError when there is none."""
-        if self.snapshot_buffer is None or self.fault:
-            raise RecordingError(self.fault or "there is no snapshot without snapshot_s: everything is recorded")
-        self._triggered = True
 
     def finish(self) -> None:
         try:
@@ -214,14 +196,6 @@ class Intake:
         self._use(following)
 
     def _rotate(self, rotation: FileRotation, now_ns: int) -> None:
-        if self._triggered and self.snapshot_buffer is not None:
-            self._triggered = False
-            self._until_ns = now_ns + self._after_ns
-            if self.writer is None:
-                self._write_snapshot(rotation, self.snapshot_buffer, now_ns)
-        elif self.writer is not None and self.snapshot_buffer is not None and now_ns >= self._until_ns:
-            rotation.finish(self.writer, self._end("snapshot"))
-            self.writer = None
         if self.writer is not None and rotation.due(self.writer, now_ns):
             self._next_file(rotation, self.writer, now_ns)
         rotation.keep_quota(self.writer)
@@ -237,37 +211,21 @@ class Intake:
         for stream in self._streams:
             stream.channel = None
 
-    def _write_snapshot(self, rotation: FileRotation, snapshot_buffer: SnapshotBuffer, now_ns: int) -> None:
-        self._use(rotation.begin(now_ns))
-        for entry in snapshot_buffer.drain():
-            self._store(entry)
-
-    def _store(self, entry: Entry) -> None:
-        writer = self.writer
-        if writer is None:
-            if self.snapshot_buffer is not None and not self.fault:
-                self.snapshot_buffer.add(entry)
+    def _store(self, stream: Stream, log_ns: int, publish_ns: int, seq: int, payload: bytes) -> None:
+        if self.writer is None:
             return
         self.written += 1
-        if isinstance(entry.record, GapRecord):
-            writer.write_gap(entry.log_ns, entry.record)
-        elif entry.record is not None:
-            writer.write_rejected(entry.log_ns, entry.record)
-        else:
-            stream: Stream = entry.stream
-            if stream.channel is None:
-                stream.channel = writer.channel(stream.topic.name, stream.src, stream.site)
-            writer.write(stream.channel, entry.log_ns, entry.publish_ns, entry.seq, entry.payload)
+        if stream.channel is None:
+            stream.channel = self.writer.channel(stream.topic.name, stream.src, stream.site)
+        self.writer.write(stream.channel, log_ns, publish_ns, seq, payload)
 
     def _interpret(self, listener: Listener, stream: Stream, fields: Mapping[str, Any], received_ns: int) -> None:
-        """Take note of what a message means for the recording: a replay, the end of a publisher, a trigger."""
+        """Take note of what a message means for the recording: a replay, the end of a publisher."""
         topic = stream.topic.name
         if topic == "node/health" and fields.get("replay") is True:
             self._replayed.add(stream.src)
         if topic == END_TOPIC and stream.direct:
             self._compare_end(listener, stream.src, fields, received_ns)
-        if self.snapshot_buffer is not None and stream.direct and self._is_trigger(topic, fields):
-            self._triggered = True
 
     def _open_stream(self, listener: Listener, topic: str, src: str, *, live: bool) -> Stream:
         row, site = TOPICS[topic], site_of(listener.publisher) or site_of(src)
@@ -340,7 +298,9 @@ class Intake:
             last_missing=last,
             count=last - first + 1,
         )
-        self._store(Entry(self._newest_ns, self._newest_ns, 0, b"", None, gap))
+        if self.writer is not None:
+            self.written += 1
+            self.writer.write_gap(self._newest_ns, gap)
 
     def _reject(self, listener: Listener, frames: Sequence[bytes], received_ns: int, error: WireError) -> None:
         subscriber = listener.subscriber
@@ -355,7 +315,9 @@ class Intake:
             frames=tuple(frame[:MAX_MESSAGE_BYTES] for frame in frames[:_MAX_REJECTED_FRAMES]),
         )
         try:
-            self._store(Entry(received_ns, received_ns, 0, b"".join(rejected.frames), None, rejected))
+            if self.writer is not None:
+                self.written += 1
+                self.writer.write_rejected(received_ns, rejected)
         except RecordingError as fault:
             self._stop(fault)
 

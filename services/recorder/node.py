@@ -30,7 +30,7 @@ _CALM_PASSES, _PASS_NS, _BACKLOG = 30, 5_000_000, 256
 _RATE_PERIOD_NS = 1_000_000_000
 # to wake up for every message costs more than to write it, and takes its turn from the loop
 _PERIOD_NS = 1_000_000
-ACTIONS = ("record.split", "record.snapshot", "record.status")
+ACTIONS = ("record.split", "record.status")
 
 
 class RecorderBus(ZmqBus):
@@ -148,7 +148,7 @@ class RecorderNode(Node):
         self._on_flush(self)
 
     def on_control(self, control: SessionControl) -> str:
-        """Record a mark; `set` begins a new file, writes a snapshot, or only returns the status."""
+        """Record a mark; `set` begins a new file, or only returns the status."""
         if control.command == "mark":
             return self._mark(control)
         if control.command != "set":
@@ -159,12 +159,8 @@ class RecorderNode(Node):
         wrong = [name for name, value in control.parameters.items() if value is not True]
         if wrong:
             raise RefusedError(f"{', '.join(wrong)} must be true")
-        if control.parameters.keys() >= {"record.split", "record.snapshot"}:
-            raise RefusedError("record.split and record.snapshot: give them one after the other")
         if "record.split" in control.parameters:
             self.split()
-        if "record.snapshot" in control.parameters:
-            self.snapshot()
         return self.status()
 
     @property
@@ -176,20 +172,12 @@ class RecorderNode(Node):
         self._intake.split(self.clock.monotonic_ns())
         self._report()
 
-    def snapshot(self) -> None:
-        self._intake.snapshot()
-
     def status(self) -> str:
         """Return the state of the recording in one line: file, size, rate, losses."""
         intake = self._intake
         if intake.fault:
             return f"not recording: {intake.fault}"
-        parts = [f"recording to {self._path}" if intake.writer is not None else "waiting for a trigger"]
-        parts += [f"{intake.size_bytes / 1e6:.1f} MB"] * (intake.writer is not None)
-        if intake.snapshot_buffer is not None:
-            parts.append(
-                f"{len(intake.snapshot_buffer)} messages, {intake.snapshot_buffer.size_bytes / 1e6:.1f} MB in memory"
-            )
+        parts = [f"recording to {self._path}", f"{intake.size_bytes / 1e6:.1f} MB"]
         parts += [f"{intake.written} written", f"{self.rate_hz:.0f} messages/s", f"{intake.lost} lost"]
         parts += [f"{intake.rejected} rejected"] * (intake.rejected > 0)
         parts += [self._disk.text] if self._disk.text else []

@@ -45,7 +45,6 @@ _ABOUT = {
     "record": "Attach to a running rig and record it.",
     "replay": "Play a recording in the place of nodes that do not run.",
     "report": "Write figure and summary of a recording again.",
-    "compare": "Draw sessions over one another, with one table.",
     "bag": "Inspect a recording, and make others from it.",
     "scenario": "List, show, check and make scenarios.",
     "param": "List the keys of a scenario, and get their values.",
@@ -107,6 +106,17 @@ def package_commands() -> dict[tuple[str, ...], LazyCommand]:
 def load(name: str) -> Any:
     """Import a command of the table, or one of a package."""
     return load_row(name, LAZY_COMMANDS.get(name) or package_commands()[(name,)], (name,))
+
+
+def function_of_package(words: str) -> Any:
+    """Return the function of a command that a package of the project has; ConfigError where it is not installed."""
+    from proto.extras import how_to_add_package
+
+    row = package_commands().get(tuple(words.split()))
+    if row is None:
+        package = KNOWN_PACKAGES[words]
+        raise ConfigError(f"the command {words!r} is in the package {package}: {how_to_add_package(package)}")
+    return getattr(importlib.import_module(row.module), row.attribute)
 
 
 def load_row(name: str, row: LazyCommand, path: tuple[str, ...]) -> Any:

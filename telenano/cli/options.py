@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from presets import site_file_named
+from proto.errors import ConfigError
 from proto.nodes import Site
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
@@ -86,6 +87,7 @@ StyleOption = Annotated[
 TableOption = Annotated[
     str, typer.Option("--table", metavar="csv,parquet,mat", help="Formats of the tables, one or several.")
 ]
+_TABLE_FORMATS = ("csv", "parquet", "mat")
 # Commands that serve browsers share this option.
 HostOption = Annotated[str, typer.Option("--host", metavar="ADDRESS", help="Address to bind; others need TLS.")]
 CertificateOption = Annotated[
@@ -116,3 +118,11 @@ def command_group() -> typer.Typer:
         # markup would swallow the units in brackets
         rich_markup_mode=None,
     )
+
+
+def table_formats(text: str) -> tuple[str, ...]:
+    """Read `csv,parquet,mat`; ConfigError names what is known."""
+    chosen = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
+    if not chosen or set(chosen) - set(_TABLE_FORMATS):
+        raise ConfigError(f"--table {text}: name one or more of {', '.join(_TABLE_FORMATS)}")
+    return chosen

@@ -3,12 +3,9 @@
 import ctypes
 import errno
 import fcntl
-import os
 import re
 import socket
-import statistics
 import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -26,12 +23,7 @@ Level = Literal["ok", "warning", "problem"]
 _OLDEST_PYTHON = (3, 11)
 _LEAST_PROCESSORS = 2
 _PRIORITY = 50
-_GOOD_TIMER_S = 1e-3
-_LEAST_OPEN_FILES = 1024
 _LEAST_DISK_BYTES = 10**9
-# sun_path holds 108 bytes with its closing zero; the longest name of a socket in the folder is delay_node@master.lock
-_LONGEST_FOLDER = 107 - len("/haptic_node@master.lock")
-_SLOW_CLOCKS = ("hpet", "acpi_pm", "pit", "jiffies", "refined-jiffies")
 # These extras are for developers of the project itself, or the sum of all others.
 _NOT_LISTED = ("dev", "rig")
 _ENDPOINT_ADVICE: dict[str, tuple[Level, str]] = {
@@ -114,18 +106,6 @@ def check_packages(requires: Iterable[str], installed: Callable[[str], str | Non
         Finding("packages", "ok", listed or "none"),
         Finding("extras", "ok", f"{len(missing)} not installed:{lacking}" if lacking else "all are installed"),
     ]
-
-
-def check_zmq(libzmq: str, *, curve: bool) -> Finding:
-    """Check whether the message library can encrypt."""
-    if curve:
-        return Finding("libzmq", "ok", f"{libzmq} with CURVE")
-    return Finding(
-        "libzmq",
-        "warning",
-        f"{libzmq} without CURVE: connections to other machines cannot be secured",
-        "run `pip install --force-reinstall --only-binary pyzmq pyzmq`",
-    )
 
 
 def check_processors(permitted: int, quota: float | None) -> Finding:
@@ -227,46 +207,6 @@ def _attempt(code: str) -> str:
     return lines[-1].rpartition("] ")[2]
 
 
-def check_governor(processors: Path, permitted: Iterable[int]) -> Finding:
-    """Check the frequency governor of the processors that may be used."""
-    found = {_text(processors / f"cpu{number}/cpufreq/scaling_governor") for number in permitted} - {None}
-    names = ", ".join(sorted(name for name in found if name))
-    if not names:
-        return Finding("CPU governor", "ok", "none is visible here: the host or the hypervisor sets the frequency")
-    if names == "performance":
-        return Finding("CPU governor", "ok", names)
-    advice = "run `sudo cpupower frequency-set --governor performance`, in a container on its host"
-    return Finding("CPU governor", "warning", f"{names}: a processor is slow after an idle time", advice)
-
-
-def check_idle(device: Path, driver: Path, *, container: bool) -> Finding:
-    """Check whether a rig can keep the processors out of deep idle; the file `driver` names the idle driver."""
-    name = _text(driver)
-    if name in (None, "", "none"):
-        return Finding("deep idle", "ok", "there is no idle driver, so no deep idle")
-    try:
-        os.close(os.open(device, os.O_WRONLY))
-    except OSError as error:
-        advice = (
-            f"give the container `devices: [{device}]`" if container else f"run `sudo setfacl -m u:USER:w {device}`"
-        )
-        reason = f"{device} cannot be written ({error.strerror}), {name} may put processors into deep idle"
-        return Finding("deep idle", "warning", reason, advice)
-    return Finding("deep idle", "ok", f"can be prevented through {device}")
-
-
-def check_clock_source(folder: Path) -> Finding:
-    """Check which counter the kernel reads the time from."""
-    name = _text(folder / "current_clocksource")
-    if name not in _SLOW_CLOCKS:
-        return Finding("clock source", "ok", name or "is not visible here")
-    if "tsc" in (_text(folder / "available_clocksource") or "").split():
-        advice = f"run `echo tsc | sudo tee {folder / 'current_clocksource'}`"
-    else:
-        advice = "boot with `tsc=reliable` where the processor's counter is stable, or use another machine"
-    return Finding("clock source", "warning", f"{name}: reading the clock is slow", advice)
-
-
 def check_synchronised(clock: KernelClock | None) -> Finding:
     """Check whether a time service disciplines the clock; None if the kernel does not report it."""
     if clock is None:
@@ -307,62 +247,6 @@ def kernel_clock() -> KernelClock | None:
 def kernel_clock_of(result: int, status: int, largest_error_us: int) -> KernelClock:
     """Interpret the result of adjtimex(2): TIME_ERROR (5) or STA_UNSYNC (0x40) is a clock that is not disciplined."""
     return KernelClock(result != 5 and not status & 0x40, largest_error_us * 1e-6)
-
-
-def measure_lateness_s(
-    count: int,
-    period_s: float,
-    now_s: Callable[[], float] = time.monotonic,
-    sleep_s: Callable[[float], None] = time.sleep,
-) -> list[float]:
-    """Sleep to absolute deadlines and return how late each sleep ended [s]."""
-    start_s = now_s()
-    lateness = []
-    for number in range(1, count + 1):
-        deadline_s = start_s + number * period_s
-        sleep_s(max(0.0, deadline_s - now_s()))
-        lateness.append(now_s() - deadline_s)
-    return lateness
-
-
-def check_timers(lateness_s: Sequence[float]) -> Finding:
-    """Judge how late sleeps ended [s], two samples or more."""
-    p99_s = statistics.quantiles(lateness_s, n=100, method="inclusive")[98]
-    found = f"late by {statistics.median(lateness_s) * 1e3:.3f} ms (p50), {p99_s * 1e3:.3f} ms (p99)"
-    if p99_s <= _GOOD_TIMER_S:
-        return Finding("timers", "ok", found)
-    advice = "end other programs that load the processors, permit SCHED_FIFO, dedicate cores to a virtual machine"
-    return Finding("timers", "warning", f"{found}: more than a period of the 1 kHz loops", advice)
-
-
-def check_open_files(limit: int) -> Finding:
-    """Check the number of files that a process may have open."""
-    found = f"RLIMIT_NOFILE {_limit(limit)}"
-    if limit < 0 or limit >= _LEAST_OPEN_FILES:
-        return Finding("open files", "ok", found)
-    return Finding("open files", "warning", found, "run `ulimit -n 4096` first; a container: `ulimits: {nofile: 4096}`")
-
-
-def check_runtime_folder(folder: Path, user: int) -> Finding:
-    """Check the private folder of the sockets: short path, owned by this user, closed to others, or not yet made."""
-    name = "runtime folder"
-    elsewhere = "set another by TELENANO_RUNTIME_DIR"
-    if len(os.fsencode(folder)) > _LONGEST_FOLDER:
-        found = f"{folder} has {len(os.fsencode(folder))} bytes, a socket in it has room for {_LONGEST_FOLDER}"
-        return Finding(name, "problem", found, elsewhere + " that is shorter")
-    if not folder.exists():
-        if _can_be_written(folder):
-            return Finding(name, "ok", f"{folder} can be made")
-        return Finding(name, "problem", f"{folder} does not exist and cannot be made", elsewhere)
-    if not _can_be_written(folder):
-        return Finding(name, "problem", f"{folder} is not a writable folder", elsewhere)
-    status = folder.stat()
-    if status.st_uid != user:
-        return Finding(name, "problem", f"{folder} belongs to user {status.st_uid}, this is user {user}", elsewhere)
-    if status.st_mode & 0o077:
-        found = f"{folder} has mode {status.st_mode & 0o777:o}: other users can reach the sockets"
-        return Finding(name, "problem", found, f"run `chmod 700 {folder}`")
-    return Finding(name, "ok", f"{folder} is private")
 
 
 def check_endpoints(endpoints: Mapping[str, str], probe: Callable[[str], Endpoint]) -> list[Finding]:
@@ -451,26 +335,9 @@ def check_disk(folder: Path, free_bytes: int) -> Finding:
     return Finding("disk", "warning", found, "free some space, or record elsewhere with `telenano up --out DIR`")
 
 
-def check_cache(folder: Path | None) -> Finding:
-    """Check the folder of compiled code; None where there is no compiler."""
-    name = "compiled code"
-    if folder is None:
-        return Finding(name, "ok", "numba is not installed: rigs run without it, studies cannot")
-    if not _can_be_written(folder):
-        advice = "set a writable folder by XDG_CACHE_HOME or NUMBA_CACHE_DIR"
-        return Finding(name, "problem", f"{folder} cannot be written, so every study would compile again", advice)
-    there = "is there" if folder.exists() else "is made by the first study, which takes up to 60 s longer"
-    return Finding(name, "ok", f"{folder} {there}")
-
-
 def in_container(root: Path = Path("/")) -> bool:
     """Return whether docker or podman runs this process."""
     return (root / ".dockerenv").exists() or (root / "run/.containerenv").exists()
-
-
-def _can_be_written(folder: Path) -> bool:
-    there = next(part for part in (folder.absolute(), *folder.absolute().parents) if part.exists())
-    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
 def _limit(value: int) -> str:

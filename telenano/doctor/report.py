@@ -27,19 +27,13 @@ from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.checks import Finding
-from telenano.doctor.datagrams import check_datagrams
 from telenano.doctor.devices import check_instrument, check_serial_ports
-from telenano.doctor.relay import check_relay
-from telenano.shared_names import explanation, shared_with
+from telenano.shared_names import explanation
 
 if TYPE_CHECKING:
     from services.runtime.bus.address_book import AddressBook
 
-_ROOT = Path(__file__).resolve().parents[2]
-_SYSTEM = Path("/sys/devices/system")
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
-_TIMER_SAMPLES = 200
-_TIMER_PERIOD_S = 1e-3
 
 
 def doctor(
@@ -83,7 +77,7 @@ def compile_models(*, as_json: bool) -> None:
 
 def examine(site_file: Path) -> list[Finding]:
     """Run every check that this machine allows."""
-    findings = [checks.check_python(sys.version_info[:3]), *packages(), *stale(Path(sys.prefix), _ROOT)]
+    findings = [checks.check_python(sys.version_info[:3]), *packages()]
     # those of packages come first, so that what cannot be loaded of them is known to the next one
     findings += [*checks_of_packages(), *extensions()]
     findings += machine(container=checks.in_container())
@@ -106,12 +100,7 @@ def machine(*, container: bool) -> list[Finding]:
         checks.check_rig_processors(len(permitted), held(permitted, shared_folder())),
         checks.check_fifo(checks.attempt_fifo(), _limit(resource.RLIMIT_RTPRIO), runtime_us, container=container),
         checks.check_memory_lock(checks.attempt_memory_lock(), _limit(resource.RLIMIT_MEMLOCK), container=container),
-        checks.check_governor(_SYSTEM / "cpu", permitted),
-        checks.check_idle(Path("/dev/cpu_dma_latency"), _SYSTEM / "cpu/cpuidle/current_driver", container=container),
-        checks.check_clock_source(_SYSTEM / "clocksource/clocksource0"),
         checks.check_synchronised(checks.kernel_clock()),
-        checks.check_timers(checks.measure_lateness_s(_TIMER_SAMPLES, _TIMER_PERIOD_S)),
-        checks.check_open_files(_limit(resource.RLIMIT_NOFILE)),
         checks.check_disk(here, shutil.disk_usage(here).free),
         *check_serial_ports(),
     ]
@@ -145,25 +134,11 @@ def packages() -> list[Finding]:
     """Compare the installed packages with those that the project requires."""
     try:
         found = checks.check_packages(requires("telenano") or (), _installed)
-        advice = "give telenano an environment of its own: python -m venv, pipx install or uv tool install"
-        overwritten, shared = explanation(), shared_with()
-        if overwritten:
-            return [*found, Finding("names", "problem", overwritten)]
-        return [*found, Finding("names", "warning", shared, advice)] if shared else found
+        overwritten = explanation()
+        return [*found, Finding("names", "problem", overwritten)] if overwritten else found
     except PackageNotFoundError:
         advice = "run `pip install -e .` in its folder"
         return [Finding("packages", "problem", "telenano is run without being installed", advice)]
-
-
-def stale(environment: Path, checkout: Path) -> list[Finding]:
-    """Say which settings of a checkout are newer than the environment that `make setup` made of them."""
-    made = environment / ".complete"
-    own = (checkout / "pyproject.toml", checkout / "requirements.lock")
-    settings = [*own, *checkout.glob("packages/*/pyproject.toml")]
-    if not made.is_file():
-        return []
-    newer = [str(file.relative_to(checkout)) for file in settings if file.stat().st_mtime > made.stat().st_mtime]
-    return [Finding("environment", "warning", f"stale: older than {', '.join(newer)}", "make setup")] if newer else []
 
 
 def extensions() -> list[Finding]:
@@ -210,20 +185,12 @@ def _installed(name: str) -> str | None:
 
 def rig(site_file: Path) -> list[Finding]:
     """Check what a rig of this site file uses; ImportError if a package that every process needs is missing."""
-    import zmq
-
     from services.runtime.bus.address_book import load_site
-    from services.runtime.bus.local_endpoint import runtime_directory
 
-    findings = [
-        checks.check_zmq(zmq.zmq_version(), curve=bool(zmq.has("curve"))),
-        checks.check_runtime_folder(runtime_directory(), os.getuid()),
-        checks.check_cache(_cache()),
-    ]
     try:
-        return [*findings, *_addresses(load_site(site_file))]
+        return _addresses(load_site(site_file))
     except (ConfigError, EndpointError) as error:
-        return [*findings, Finding("site file", "problem", str(error), "correct it, or name another with --site-file")]
+        return [Finding("site file", "problem", str(error), "correct it, or name another with --site-file")]
 
 
 def _addresses(book: "AddressBook") -> list[Finding]:
@@ -232,7 +199,6 @@ def _addresses(book: "AddressBook") -> list[Finding]:
     keyring = Keyring()
     machine = this_machine(keyring)
     found = checks.check_endpoints(endpoints_of(book, machine), checks.probe_endpoint)
-    found += check_datagrams(book, machine) if book.relay is None else check_relay(book, machine, keyring)
     if book.requires_keys:
         others = {book.machine_of(node) for node in book.nodes} - {machine}
         found += checks.check_keys(machine, others, keyring)
@@ -256,14 +222,6 @@ def endpoints_of(book: "AddressBook", machine: str) -> dict[str, str]:
                 if endpoint is not None:
                     endpoints[endpoint] = node
     return endpoints
-
-
-def _cache() -> Path | None:
-    if importlib.util.find_spec("numba") is None:
-        return None
-    from services.numerics.source_digest import cache_directory
-
-    return cache_directory()
 
 
 def _limit(kind: int) -> int:

@@ -22,6 +22,7 @@ from recording.whole_files import whole_file as whole_file
 from recording.whole_files import whole_folder as whole_folder
 from recording.writer import RecordingWriter
 from services.recorder.config import RecorderConfig
+from services.recorder.provenance import versions as versions
 
 
 def write_recording(folder: Path, messages: Iterable[RecordedMessage]) -> Path:

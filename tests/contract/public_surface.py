@@ -1,7 +1,7 @@
 """What others rely on: names, options, extras, entry points, keys of scenarios and of summaries, topics and exit codes.
 
 `python tests/contract/public_surface.py` writes what there is now into `public_surface.json`. The rule for what may go
-is in docs/release.md: a name leaves that file only after a release that has said so, in the table `deprecated` there.
+is in docs/release.md: before the first release a name leaves that file with a line in CHANGELOG.md.
 """
 
 import ast

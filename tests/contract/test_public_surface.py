@@ -1,24 +1,14 @@
-"""Nothing that others rely on goes away without a release that has announced it; see docs/release.md."""
+"""Nothing that others rely on goes away unnoticed; see docs/release.md."""
 
 import json
-import re
 
-from public_surface import FILE, ROOT, surface
-
-RULE = (ROOT / "docs" / "release.md").read_text(encoding="utf-8")
-
-
-def announced() -> dict[str, str]:
-    """Return the deprecated names of docs/release.md, each with the version that announced it."""
-    table = RULE.partition("<!-- deprecated -->")[2].partition("<!-- end of deprecated -->")[0]
-    return dict(re.findall(r"^\| `([^`]+)` \| ([0-9]+\.[0-9]+\.[0-9]+) \|", table, re.MULTILINE))
+from public_surface import FILE, surface
 
 
 def test_every_public_name_is_still_there() -> None:
     pinned, now = json.loads(FILE.read_text(encoding="utf-8")), surface()
     gone = {f"{kind}: {name}" for kind, names in pinned.items() for name in names if name not in now[kind]}
-    gone -= {f"{kind}: {name}" for kind in pinned for name in announced()}
-    assert not gone, "announce it in docs/release.md first, or put it back"
+    assert not gone, "put it back, or state it in CHANGELOG.md and write the file again (docs/release.md)"
 
 
 def test_the_pin_has_something_of_every_kind() -> None:

@@ -27,7 +27,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     "player": (
         *("player.rate", "player.seek_s", "player.skip_s", "player.a_s", "player.b_s", "player.step", "player.pause"),
     ),
-    "recorder": ("record.status", "record.snapshot", "record.split"),
+    "recorder": ("record.status", "record.split"),
 }
 NONSENSE = (".".join("a" * 5000), "", "a..b", "x" * 100_000)
 VALUES = (

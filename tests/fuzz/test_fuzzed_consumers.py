@@ -35,7 +35,6 @@ from recording.tables import plain
 from recording.writer import FileSettings, RecordingWriter
 from services.recorder.intake import Intake
 from services.recorder.listener import Listener
-from services.recorder.snapshot_buffer import SnapshotBuffer, event_trigger
 from services.runtime.bus.bus import Subscriber
 from services.viz_node.access import Role
 from services.viz_node.document import RecordingDocument
@@ -157,18 +156,16 @@ def test_pages_of_all_roles_and_the_metrics_outlive_them(reader: Subscriber, mes
 def test_a_recorder_keeps_them_as_they_came(
     reader: Subscriber, messages: list[tuple[str, bytes]], tmp_path: Path
 ) -> None:
-    for name, buffer in (("all.mcap", None), ("snapshot.mcap", SnapshotBuffer(1e3, 1 << 30))):
-        writer = RecordingWriter.create("recorder@master", FileSettings(directory=tmp_path, file_name=name))
-        trigger = event_trigger(("limits", "fault", "mark"))
-        intake = Intake(writer, selection=ALL, snapshot_buffer=buffer, is_trigger=trigger)
-        listeners = {topic: Listener(publisher_of(topic), reader) for topic in TOPICS}
-        for topic, payload in messages:
-            intake.record(listeners[topic], [topic.encode(), payload], BEGAN_NS)
-        intake.finish()
-        assert intake.fault == ""
-        assert intake.rejected > 0
-        info = Recording(writer.path).info()
-        assert info.messages >= len(messages)
+    writer = RecordingWriter.create("recorder@master", FileSettings(directory=tmp_path, file_name="all.mcap"))
+    intake = Intake(writer, selection=ALL)
+    listeners = {topic: Listener(publisher_of(topic), reader) for topic in TOPICS}
+    for topic, payload in messages:
+        intake.record(listeners[topic], [topic.encode(), payload], BEGAN_NS)
+    intake.finish()
+    assert intake.fault == ""
+    assert intake.rejected > 0
+    info = Recording(writer.path).info()
+    assert info.messages >= len(messages)
 
 
 def test_what_bridges_are_handed_has_a_plain_form(reader: Subscriber, messages: list[tuple[str, bytes]]) -> None:

@@ -68,9 +68,6 @@ def test_both_sites_dial_out_and_find_the_way_past_the_relay(rig: RelayedSites, 
     heard = sniff(rig.master, 1.0, tmp_path / "wire")
     assert len(heard) > 10_000
     assert [text for text in IN_THE_CLEAR if text in heard] == []
-    doctor = json.loads(rig.master.telenano("doctor", "--json").stdout)
-    (finding,) = [finding for finding in doctor["findings"] if finding["name"] == "relay"]
-    assert "lab_master; the other site is there; by UDP it sees it as 198.51.100.1 port" in finding["found"]
     # To an end on a busy machine the line may seem full for a while, and then its reports have no datagrams.
     probe = "link", "probe", "--duration", "2", "--out", str(tmp_path / "probe")
     rig.wait_until(lambda: rig.master.telenano(*probe).returncode == 0, "a probe of the network", 60.0)

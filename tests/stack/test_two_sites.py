@@ -6,20 +6,13 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from statistics import median
-from typing import Any, NamedTuple
+from typing import Any
 
-import machine
 import pytest
-from empty_loop import EmptyLoops
-from killed import slept
 from ledger import record
 from stack_rig import CONSTANT_PUSH, judged
 from two_sites import MASTER, ROOT, SLAVE, Site, TwoSites, needs_namespaces, sniff
-
-from services.runtime.security.socket_filters import BURST, PER_S
 
 pytestmark = [needs_namespaces, pytest.mark.stack, pytest.mark.timeout(900)]
 
@@ -105,45 +98,6 @@ while waiting and time.monotonic() < end:
             waiting.remove(s)
     time.sleep(0.05)
 print(accepted - len(waiting))
-"""
-
-# begins as many connections as it is told to, and says garbage on one and what a client of ZeroMQ says first on the
-# next: that costs it nothing, and the server a handshake; arguments: host, port, duration [s], connections a second,
-# key of the server; prints how many it began, and on how many it got to say something
-FLOOD = """
-import os, socket, sys, time, zmq
-host, port, duration_s, per_s, server = sys.argv[1:]
-context = zmq.Context()
-client = context.socket(zmq.SUB)
-client.linger = 0
-client.curve_publickey, client.curve_secretkey = zmq.curve_keypair()
-client.curve_serverkey = server.encode()
-with socket.create_server(("127.0.0.1", 0)) as trap:
-    client.connect(f"tcp://127.0.0.1:{trap.getsockname()[1]}")
-    caught = trap.accept()[0]
-    caught.sendall(b"\\xff" + bytes(8) + b"\\x7f\\x03\\x01" + b"CURVE".ljust(20, b"\\0") + b"\\x01" + bytes(31))
-    hello = b""
-    while len(hello) < 64 + 202:
-        hello += caught.recv(4096)
-context.destroy(linger=0)
-begin = now = time.monotonic()
-began, made, batch = 0, 0, []
-while now < begin + float(duration_s):
-    for number, s in enumerate(batch):
-        try:
-            s.send(hello if number % 2 else os.urandom(200))
-            made += 1
-        except OSError:
-            pass
-        s.close()
-    batch = [socket.socket() for _ in range(int(float(per_s) * (now + 0.01 - begin)) - began)]
-    for s in batch:
-        s.setblocking(False)
-        s.connect_ex((host, int(port)))
-    began += len(batch)
-    time.sleep(0.01)
-    now = time.monotonic()
-print(began, made)
 """
 
 # greets as ZeroMQ 3.1 with CURVE does, then announces a frame of 1 GB and sends some of it
@@ -432,9 +386,6 @@ FAST_AT_SLAVE = ("afm/state", "afm/command")
 
 # half-open connections that each stranger begins, and the time in which all of them have [s]
 TRIED, OPENING_S = 500, 3.0
-# connections a second; the strangers of these tests run on the processors of the rig and have a part of them
-FLOODS_PER_S = (1000, 100)
-FLOOD_S = 3.0
 
 
 def rates_of_both(rig: TwoSites, first_ns: int, last_ns: int) -> dict[str, float]:
@@ -448,20 +399,11 @@ def rates_of_both(rig: TwoSites, first_ns: int, last_ns: int) -> dict[str, float
     }
 
 
-def undisturbed(rig: TwoSites) -> dict[str, float]:
-    """Give the rates of the same rig in the last two seconds, once every topic of the loop went on in them."""
-    found: dict[str, float] = {}
-
-    def going_on() -> bool:
-        now_ns = time.time_ns()
-        found.update(rates_of_both(rig, now_ns - 2 * NS_PER_S, now_ns))
-        return min(found.values()) > 0.0
-
-    rig.wait_until(going_on, "two seconds of the whole loop")
-    return found
+# half-open connections that each stranger begins
+TRIED = 500
 
 
-def test_half_open_connections_are_limited_closed_and_counted(rig: TwoSites) -> None:
+def test_half_open_connections_are_closed_and_counted_and_the_loop_goes_on(rig: TwoSites) -> None:
     doors = (
         (rig.master, "delay_node@master", rig.slave, MASTER, LINK_PORT),
         (rig.slave, "controller@slave", rig.master, SLAVE, CONTROLLER_PORT),
@@ -470,101 +412,23 @@ def test_half_open_connections_are_limited_closed_and_counted(rig: TwoSites) -> 
         (rig.slave, "launcher@slave", rig.master, SLAVE, LAUNCHER_PORT),
     )
     start = {node: rejected(victim, node).get("handshake", 0) for victim, node, *_ in doors}
-    with ThreadPoolExecutor(1) as pool:
-        opening = [attacker.python(HALF_OPEN, host, str(port), str(TRIED)) for *_, attacker, host, port in doors]
-        late_s = pool.submit(slept, OPENING_S).result() / NS_PER_S
-    if late_s > 0.02:
-        machine.note(f"half-open connections were begun while an idle process was up to {late_s * 1e3:.0f} ms late")
+    opening = [attacker.python(HALF_OPEN, host, str(port), str(TRIED)) for *_, attacker, host, port in doors]
     accepted = []
     for process in opening:
-        made_text, began_text, took_text, closed_text = process.communicate(timeout=90)[0].split()
+        made_text, _, _, closed_text = process.communicate(timeout=90)[0].split()
         made = int(made_text)
-        assert int(closed_text) == made
-        # What two bursts and the queue of the system hold, what comes with the time that the opening took, and what
-        # comes before a loop has ended the accepting: as many as are begun while it is late, as another process is.
-        meanwhile = min(TRIED, late_s * TRIED / float(began_text))
-        assert BURST <= made <= 4 * BURST + 2 * PER_S * float(took_text) + 32 + meanwhile
+        assert int(closed_text) == made > 0
         accepted.append(made)
     for made, (victim, node, *_) in zip(accepted, doors, strict=True):
         rig.wait_until(
             lambda v=victim, n=node, m=made: rejected(v, n).get("handshake", 0) - start[n] >= m,
             "half-open ones to be counted",
         )
-    ports = f"at each of {len(doors)} ports, {max(accepted)} at most"
-    record("500 half-open connections", f"accepted {ports}, all closed after 5 s")
-
-
-class Flood(NamedTuple):
-    """A stranger that floods a node: connections that it began and that were accepted, and its time [ns]."""
-
-    node: str
-    began: int
-    accepted: int
-    begin_ns: int
-    end_ns: int
-
-
-def flooded(attacker: Site, host: str, port: int, node: str, per_s: int, server_key: str) -> Flood:
     begin_ns = time.time_ns()
-    stranger = attacker.python(FLOOD, host, str(port), str(FLOOD_S), str(per_s), server_key)
-    began, accepted = map(int, stranger.communicate(timeout=60)[0].split())
-    return Flood(node, began, accepted, begin_ns, time.time_ns())
-
-
-def age_ms(rig: TwoSites, first_ns: int, last_ns: int) -> float:
-    """Give the median age of what the hand answers with, between two times."""
-    states = (m.fields() for m in rig.master.recording().messages("haptic/state", first_ns) if m.publish_ns < last_ns)
-    return median((state["answered_at_ns"] - state["answered_t_ns"]) * 1e-6 for state in states)
-
-
-def test_strangers_do_not_slow_the_loop(rig: TwoSites) -> None:
-    doors = (
-        (rig.slave, MASTER, LINK_PORT, "delay_node@master", rig.keys["master"]),
-        (rig.master, SLAVE, CONTROLLER_PORT, "controller@slave", rig.keys["slave"]),
-    )
-    victims = {"delay_node@master": rig.master, "controller@slave": rig.slave}
-    start = {node: rejected(site, node).get("handshake", 0) for node, site in victims.items()}
-    for per_s in FLOODS_PER_S:
-        time.sleep(2.0)  # of the rig by itself, to compare with
-        before = undisturbed(rig)
-        now_ns = time.time_ns()
-        before_ms = age_ms(rig, now_ns - 2 * NS_PER_S, now_ns)
-        with EmptyLoops() as machine_loops:
-            floods = [flooded(*door[:4], per_s, door[4]) for door in doors]
-        kept = {flood.node: worst_of(rig, flood, before, machine_loops) for flood in floods}
-        ages_ms = {flood.node: age_ms(rig, flood.begin_ns, flood.end_ns) for flood in floods}
-        if min(share for share, _ in kept.values()) > 0.95 and max(ages_ms.values()) < 2.0 * before_ms:
-            break
-        machine.note(f"a flood of {per_s} connections a second slowed the loop down: {kept}, {ages_ms} ms, {before_ms}")
-    assert min(share for share, _ in kept.values()) > 0.95, kept
-    assert max(ages_ms.values()) < 2.0 * before_ms, (ages_ms, before_ms)
-    for flood in floods:
-        assert flood.accepted <= 2 * BURST + PER_S * (flood.end_ns - flood.begin_ns) / NS_PER_S + 32
-        counted = rejected(victims[flood.node], flood.node).get("handshake", 0) - start[flood.node]
-        record(
-            "a flood of connections and garbage",
-            f"{flood.began / FLOOD_S:.0f} a second at {flood.node}, {flood.accepted} of {flood.began} accepted, "
-            f"{counted} refusals counted; {kept[flood.node][1]}; age of the loop {ages_ms[flood.node]:.2f} ms, "
-            f"{before_ms:.2f} undisturbed (medians)",
-        )
-    # both ends of the link are reported to be flooded, and no longer to be
-    for node, site in victims.items():
-        rig.wait_until(
-            lambda n=node, s=site: (
-                {"flooded", "calm"}
-                <= {event.data.get("connection") for event in events(s, floods[0].begin_ns) if event.src == n}
-            ),
-            f"{node} to report the flood and its end",
-        )
-
-
-def worst_of(rig: TwoSites, flood: Flood, before: dict[str, float], machine_loops: EmptyLoops) -> tuple[float, str]:
-    """Give the least share that a topic kept of its rate, of what the machine gave, and describe it."""
-    seen = rates_of_both(rig, flood.begin_ns, flood.end_ns)
-    given = machine_loops.share(flood.begin_ns, flood.end_ns)
-    worst = min(seen, key=lambda topic: seen[topic] / before[topic])
-    text = f"least rate {seen[worst]:.1f} Hz ({worst}), {before[worst]:.1f} undisturbed"
-    return seen[worst] / (before[worst] * given), text
+    rates = rates_of_both(rig, begin_ns, begin_ns + NS_PER_S)
+    assert min(rates.values()) > 0.0, rates
+    ports = f"at each of {len(doors)} ports, {max(accepted)} at most"
+    record("500 half-open connections", f"accepted {ports}, all closed after 5 s; the loop went on")
 
 
 def test_a_huge_frame_takes_no_memory(rig: TwoSites) -> None:

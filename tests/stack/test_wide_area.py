@@ -181,13 +181,15 @@ def test_attacks_on_the_line_reach_no_node_are_counted_and_cost_no_rate(rig: tup
     late = lateness(after, counts, begin_ns, end_ns)
     for place, site in enumerate(ends):
         expected = {cause: done[place][cause] for cause in ATTACKS}
-        expected["unknown_key"] += flooded[place]
         assert min(done[place].values()) > 50
         assert flooded[place] > 0
         # reports come twice a second: in one of after the last datagram every one of them is counted by its name
         sites.wait_until(lambda s=site: newest_report(s).publish_ns > done_ns, "a report of the time after")  # type: ignore[misc]
         report = newest_report(site).fields()
-        assert {cause: report["refused"].get(cause, 0) - before[place].get(cause, 0) for cause in ATTACKS} == expected
+        refused = {cause: report["refused"].get(cause, 0) - before[place].get(cause, 0) for cause in ATTACKS}
+        # of the flood, what the buffer of the system has no room for is not counted
+        assert expected["unknown_key"] < refused.pop("unknown_key") <= expected.pop("unknown_key") + flooded[place]
+        assert refused == expected
         # one that was held back comes in time where what is to overtake it was held up as well
         if distorted(late) and report["late"] < 0.9 * done[place][REORDERED]:
             machine.note(f"{report['late']} of {done[place][REORDERED]} datagrams came after others: {distorted(late)}")

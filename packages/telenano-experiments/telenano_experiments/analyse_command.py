@@ -77,7 +77,7 @@ def analyse(
 
 
 def _print(document: dict[str, Any], page: Path) -> None:
-    from analysis.page import text
+    from telenano_studies.page import text
 
     out = console()
     columns = {

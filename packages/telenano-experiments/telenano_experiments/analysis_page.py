@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from telenano_studies.page import Page, write_images
 
-from analysis.page import Page, write_images
 from services.recorder.provenance import versions as origin_of
 from services.viz_node.figure_style import COLUMN_IN, LINES, FigureOptions, lettered, styled
 from telenano_experiments.analyse import Analysis, versions

@@ -40,7 +40,8 @@ def benchmark(
 ) -> None:
     """Run the benchmark of laws: fixed tasks, networks and hands in lockstep; one page, and a digest of the runs."""
     with report_errors(as_json, INTERRUPTED):
-        from analysis.page import write_images
+        from telenano_studies.page import write_images
+
         from telenano_experiments.benchmark.plan import plan_of
         from telenano_experiments.benchmark.results import rows_of, runs_text, summary_of
         from telenano_experiments.benchmark.run import RUNS

@@ -9,6 +9,10 @@ COMMANDS = {
         "telenano_studies.plot_command:plot",
         "Draw fields over time, on the terminal or into a PNG.",
     ),
+    "compare": (
+        "telenano_studies.compare_command:compare",
+        "Draw sessions over one another, with one table.",
+    ),
     "study": (
         "telenano_studies.study_command:app",
         "Study each law in lockstep: stability, transparency.",

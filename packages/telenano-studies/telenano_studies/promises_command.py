@@ -4,7 +4,6 @@ from typing import Annotated
 
 import typer
 
-from analysis.page import Page
 from telenano.cli.completion import law_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import JsonOption
@@ -12,6 +11,7 @@ from telenano.cli.output import report_errors
 from telenano.cli.sample_options import results_in
 from telenano_studies import option_values
 from telenano_studies.loops.promises import as_dict, broken, outcomes
+from telenano_studies.page import Page
 from telenano_studies.study_options import OutOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
 

@@ -4,13 +4,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from analysis.page import Page, write_images
 from services.viz_node.figure_style import figure_options, styled
 from telenano.cli.completion import law_names
 from telenano.cli.options import FormatOption, JsonOption, StyleOption
 from telenano.cli.output import report_errors
 from telenano.cli.sample_options import results_in
 from telenano_studies import option_values
+from telenano_studies.page import Page, write_images
 from telenano_studies.study_options import OutOption, WorkersOption
 from telenano_studies.study_results import INTERRUPTED, command_line, print_result, sweep_in, write_study
 

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from analysis.page import Page, write_images
-from analysis.table_files import table_formats
 from services.viz_node.figure_style import figure_options, styled
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.model_options import Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, command_group, table_formats
 from telenano.cli.output import report_errors, results_folder
 from telenano.cli.sample_options import results_in
 from telenano.extend.sessions import profile_named
@@ -24,6 +22,7 @@ from telenano_studies.loops.advice import Question
 from telenano_studies.loops.sample import drawn_cells
 from telenano_studies.loops.stability import Axes, LineResult, run_stability
 from telenano_studies.network_command import network_command
+from telenano_studies.page import Page, write_images
 from telenano_studies.pages.transparency_page import (
     Feel,
     measure_all,

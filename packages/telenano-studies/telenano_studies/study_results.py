@@ -11,10 +11,10 @@ from typing import Any
 import typer
 from rich.table import Column, Table
 
-from analysis.page import Page, text, write_tables
 from telenano.cli.output import console, print_json, results_folder
 from telenano.cli.progress import progress
 from telenano_studies.loops.sweep import HOLDS, JOURNAL_NAME, Journal, Kind, Sweep
+from telenano_studies.page import Page, text, write_tables
 
 INTERRUPTED = "interrupted: the journal keeps the finished cells, the same command continues"
 NO_JOURNAL = "interrupted: this study keeps no journal, the same command begins anew"

@@ -237,15 +237,6 @@ class AddressBook(Settings):
             return f"tcp://{_numeric(node, match.group(1))}:{match.group(2)}"
         return endpoint
 
-    def addresses(self) -> set[str]:
-        """Return the numeric addresses of the machines that nodes are reached at, where their names can be resolved."""
-        hosts = {match.group(1) for node in self.nodes if (match := _TCP.fullmatch(self.network_endpoint(node) or ""))}
-        found = set()
-        for host in hosts:
-            with contextlib.suppress(EndpointError):
-                found.add(_numeric(host, host).strip("[]"))
-        return found
-
     def reaches(self, reader: str | None, node: str) -> bool:
         """Return whether a reader on a machine can connect to a node at all: ipc does not leave a machine."""
         near = reader in (None, self.machine_of(node)) or not self.spans_machines

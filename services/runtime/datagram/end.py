@@ -44,7 +44,6 @@ from services.runtime.datagram.touch import Touch
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from services.runtime.relay.path import RelayPath
 from services.runtime.security.sealed import RejectedError
-from services.runtime.security.socket_filters import admit_tags, dropped_datagrams
 
 # The node looks at its deadline again after so many datagrams, so that a flood cannot hold a loop.
 _BATCH = 64
@@ -152,7 +151,6 @@ class DatagramEnd:
         self._acknowledged_counts = (0, 0)
         self._maintain_ns = self._report_ns = now
         self._offered_ns = now - _CALM_OFFER_NS
-        self._kernel_drops = 0
         # What the other end has measured of the line from here [bit/s], 0 before that.
         self._known = 0
         # How many trains are still to be sent at the start.
@@ -161,7 +159,6 @@ class DatagramEnd:
         try:
             self.socket.setblocking(False)
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-            admit_tags(self.socket, self._tags())
             self.socket.bind(place.bind)
         except OSError:
             self.socket.close()
@@ -380,7 +377,6 @@ class DatagramEnd:
         self._adapt(now_ns)
         if now_ns >= self._report_ns:
             self._report_ns = now_ns + _REPORT_NS
-            self._count_kernel_drops()
             if self.acknowledged:
                 figures = (self.incoming.measured, self.outgoing.control.carried_while_full)
                 self._send(mark(CARRIES, b"".join(figure.to_bytes(8, "big") for figure in figures)), now_ns)
@@ -437,8 +433,6 @@ class DatagramEnd:
                 self._expected = 0
                 self._reception.begin_keys(now_ns)
             changed = changed or new
-        if changed:
-            self._admit()
         calm = not silent and agreement.sealer is not None
         if changed or now_ns - self._offered_ns >= (_CALM_OFFER_NS if calm else _OFFER_NS):
             self._offered_ns = now_ns
@@ -452,23 +446,6 @@ class DatagramEnd:
     def _refuse_key(self, reason: str) -> None:
         self.rejected["key"] = self.rejected.get("key", 0) + 1
         self.last_error = f"link/key of {self.machine} is refused: {reason}"
-
-    def _admit(self) -> None:
-        # Where the kernel refuses a filter, messages of strangers are rejected here.
-        with contextlib.suppress(OSError):
-            admit_tags(self.socket, self._tags())
-
-    def _tags(self) -> list[bytes]:
-        return [*self._agreement.tags, *([] if self._relay is None else [self._relay.tag])]
-
-    def _count_kernel_drops(self) -> None:
-        with contextlib.suppress(OSError):
-            dropped = dropped_datagrams(self.socket)
-            if dropped > self._kernel_drops:
-                count = self.rejected.get("unknown_key", 0) + dropped - self._kernel_drops
-                self.rejected["unknown_key"] = count
-                self.last_error = f"{dropped} datagrams that no key fits were dropped before they were read"
-                self._kernel_drops = dropped
 
     def _tell(self, level: str, text: str) -> None:
         data: Mapping[str, bool | float | str] = {"peer": self.machine, "transport": self.receiving}
@@ -491,7 +468,6 @@ class DatagramEnd:
             return
         now = self._clock.monotonic_ns()
         self._agreement.forget(now)
-        self._admit()
         self._reception.forget()
         self._expected = 0
         self._tell("warning", f"the link's datagrams with {self.machine} have ended: its key is no longer allowed")

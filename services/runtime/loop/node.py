@@ -15,7 +15,7 @@ from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.loop.deferred import PATIENCE_NS, DeferredTasks, Task
 from services.runtime.loop.freshness import Freshness
 from services.runtime.loop.log import StructuredLog
-from services.runtime.loop.node_state import FindInput, Migration
+from services.runtime.loop.node_state import FindInput
 
 NodeState = Literal["starting", "ready", "running", "safe", "stopping"]
 # This is the period of a rig that gives no `realtime.rate_hz`.
@@ -72,11 +72,9 @@ class Node(ABC):
     replay: ClassVar[bool] = False
     # The inputs of the node are written to node/journal, and its clock stands still during a turn.
     journalled: ClassVar[bool] = False
-    # `capture` returns this NamedTuple; its version counts the changes in the meaning of the fields, and a migration of
-    # version n makes a state of version n + 1 from one of n, so that older recordings are run again.
+    # `capture` returns this NamedTuple; its version counts the changes in the meaning of the fields.
     state_kind: ClassVar[type[tuple[Any, ...]]] = tuple
     state_version: ClassVar[int] = 1
-    state_migrations: ClassVar[Mapping[int, Migration]] = {}
     # node/health of others is a turn as well, and not only for `admits`
     acts_on_health: ClassVar[bool] = False
     # A tick of the control loop comes to the node with this topic before the idle gap in which deferred tasks are run;

@@ -1,13 +1,13 @@
 """The state of a node in its journal: what the node declares, as bytes, and what these bytes were made of.
 
 A node declares all that its outputs depend on besides its inputs: `capture` returns a NamedTuple of the class
-`state_kind`, `restore` takes one, `state_version` counts what its values have meant, and `state_migrations` leads from
-an older version to the next. Its fields are plain values, arrays, settings, messages, structs, and NamedTuples of
-these. What the settings choose, such as a law, a sample or a program, keeps its state in a `Part`. The bytes hold the
-names of the fields and no name of an attribute, class or module, so these may change without ending a re-run.
+`state_kind`, `restore` takes one, and `state_version` counts what its values have meant. Its fields are plain values,
+arrays, settings, messages, structs, and NamedTuples of these. What the settings choose, such as a law, a sample or a
+program, keeps its state in a `Part`. The bytes hold the names of the fields and no name of an attribute, class or
+module, so these may change without ending a re-run.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any, NamedTuple, Protocol, TypeVar, cast, get_args, get_origin, get_type_hints
 
@@ -20,8 +20,6 @@ from proto.errors import ConfigError, RecordingError
 T = TypeVar("T")
 # payload of an input by topic, source, seq, time of arrival [ns] and size [bytes]
 FindInput = Callable[[str, str, int, int, int], bytes]
-# It makes the values of the next version from those of one, by the names of the fields; NamedTuples within are lists.
-Migration = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 class Stateful(Protocol):
@@ -29,7 +27,6 @@ class Stateful(Protocol):
 
     state_kind: Any
     state_version: int
-    state_migrations: Mapping[int, Migration]
 
     def capture(self) -> Any:
         """Return the state, None for a node that has none to restore. ValueError says why it has none now."""
@@ -93,23 +90,11 @@ def restore(node: Any, packed: bytes, find: FindInput = _zeros) -> None:
     try:
         version, names, values = msgspec.msgpack.decode(packed, type=tuple[int, tuple[str, ...], Any])
         if version != node.state_version:
-            values = _migrated(node, version, names, values)
-        else:
-            _compare(names, _declared(node.state_kind))
+            raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
+        _compare(names, _declared(node.state_kind))
         node.restore(msgspec.convert(values, node.state_kind, dec_hook=_object), find)
     except (ConfigError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise RecordingError(f"{node.context.key}: its state in the journal does not fit this code: {error}") from error
-
-
-def _migrated(node: Any, version: int, names: tuple[str, ...], values: Any) -> list[Any]:
-    """Return the values of a state of an older version as those of the version that the code reads."""
-    found = dict(zip((name for name in names if "." not in name), values, strict=True))
-    for older in range(version, max(node.state_version, version + 1)):
-        if older not in node.state_migrations:
-            raise ValueError(f"it has version {version}, and this code reads version {node.state_version}")
-        found = node.state_migrations[older](found)
-    _compare(tuple(found), node.state_kind._fields)
-    return list(found.values())
 
 
 def _compare(recorded: tuple[str, ...], expected: tuple[str, ...]) -> None:

@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import zmq
 
-LISTENING = int(zmq.EVENT_LISTENING)
-ACCEPTED = int(zmq.EVENT_ACCEPTED)
 CONNECTED = int(zmq.EVENT_HANDSHAKE_SUCCEEDED)
 CLOSED_IN_HANDSHAKE = int(zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL)
 PROTOCOL_FAILED = int(zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
@@ -29,7 +27,7 @@ class MonitorEvent(NamedTuple):
 
 
 class Monitor:
-    """The events of one socket that concern listening, handshakes and lost connections."""
+    """The events of one socket that concern handshakes and lost connections."""
 
     def __init__(self, socket: "zmq.Socket[bytes]", wanted: int) -> None:
         """Monitor a socket for the events that are added up in `wanted`."""

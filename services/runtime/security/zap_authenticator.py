@@ -1,21 +1,17 @@
 """The binding side: accepts or rejects CURVE clients by public key, and disconnects those whose key was revoked."""
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import zmq
 
 from services.runtime.bus.bus import ConnectionEvent
 from services.runtime.bus.publisher import ZmqPublisher
-from services.runtime.clock import Clock
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.keyring import key_text
-from services.runtime.security.socket_filters import PER_S, AcceptLimiter, Admission
 from services.runtime.security.socket_monitor import (
-    ACCEPTED,
     CLOSED_IN_HANDSHAKE,
     FAILURES,
-    LISTENING,
     PROTOCOL_FAILED,
     Monitor,
     RejectionCounter,
@@ -44,20 +40,13 @@ class BoundEndpoint:
     publisher: ZmqPublisher
     monitor: Monitor
     endpoint: str
-    limiter: AcceptLimiter
     accepted: set[str] = field(default_factory=set)
     unbound: bool = False
     attempts: int = 0
-    # It is true since connections came faster than the limit, until they have been slow for long enough.
-    flooded: bool = False
 
     @property
     def node(self) -> str:
         return self.publisher.node
-
-    @property
-    def port(self) -> int:
-        return int(self.endpoint.rpartition(":")[2])
 
 
 class ZapAuthenticator:
@@ -68,8 +57,6 @@ class ZapAuthenticator:
         context: "zmq.Context[zmq.Socket[bytes]]",
         access_control: AccessControl,
         rejections: RejectionCounter,
-        clock: Clock,
-        known_addresses: Callable[[], Collection[str]],
     ) -> None:
         """Bind the ZAP endpoint; before any server socket binds.
 
@@ -77,13 +64,8 @@ class ZapAuthenticator:
             context: The context of ZeroMQ whose servers are protected.
             access_control: Decides which keys are accepted.
             rejections: Counts the clients that are rejected.
-            clock: The clock of the node.
-            known_addresses: Returns the numeric addresses of machines that are accepted even while too many others
-                come.
         """
         self.endpoints: list[BoundEndpoint] = []
-        self._clock = clock
-        self._known_addresses = known_addresses
         self._monitors: dict[str, Monitor] = {}
         self._events: list[ConnectionEvent] = []
         self._access_control = access_control
@@ -96,7 +78,7 @@ class ZapAuthenticator:
 
     def prepare(self, socket: "zmq.Socket[bytes]", node: str) -> None:
         """Monitor a socket before it binds an endpoint for other machines, and have it require a key of them."""
-        self._monitors[node] = Monitor(socket, LISTENING | ACCEPTED | CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED)
+        self._monitors[node] = Monitor(socket, CLOSED_IN_HANDSHAKE | PROTOCOL_FAILED)
         if self._access_control.own is not None:
             socket.set(zmq.CURVE_SERVER, 1)
             socket.set(zmq.CURVE_SECRETKEY, self._access_control.own.secret)
@@ -108,8 +90,7 @@ class ZapAuthenticator:
     def add(self, publisher: ZmqPublisher) -> None:
         """Attend to a prepared publisher whose last endpoint is one for other machines."""
         bound = publisher.socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
-        limiter = AcceptLimiter(self._known_addresses(), self._clock.monotonic_ns())
-        self.endpoints.append(BoundEndpoint(publisher, self._monitors.pop(publisher.node), bound, limiter))
+        self.endpoints.append(BoundEndpoint(publisher, self._monitors.pop(publisher.node), bound))
 
     def abandon(self, node: str) -> None:
         """Close what was prepared for a socket that could not bind."""
@@ -119,8 +100,6 @@ class ZapAuthenticator:
 
     def close(self) -> None:
         """Close what libzmq does not close with the publishers."""
-        for bound in self.endpoints:
-            bound.limiter.close()
         for socket in self.sockets:
             socket.close()
 
@@ -133,15 +112,8 @@ class ZapAuthenticator:
         """Answer authentication requests, record failed handshakes; True when more is left to do."""
         left = self.socket is not None and self._answer(self.socket)
         for bound in self.endpoints:
-            accepted = 0
             for event in bound.monitor.events():
-                if event.kind == ACCEPTED:
-                    accepted += 1
-                elif event.kind == LISTENING:
-                    bound.limiter.watch(event.value, bound.port)
-                else:
-                    self._rejections.record("handshake", f"a client of {bound.node}: {FAILURES[event.kind]}")
-            self._limit(bound, accepted)
+                self._rejections.record("handshake", f"a client of {bound.node}: {FAILURES[event.kind]}")
             left |= bound.monitor.has_pending
             if bound.unbound:
                 left |= self._bind_again(bound)
@@ -158,26 +130,6 @@ class ZapAuthenticator:
             if gone:
                 names = {self._access_control.authorize(key)[0] or "a machine removed from the list" for key in gone}
                 self._close_connections(bound, names)
-
-    def _limit(self, bound: BoundEndpoint, accepted: int) -> None:
-        """Count connections, and report when they begin to come too fast and when they no longer do."""
-        try:
-            bound.limiter.count(accepted, self._clock.monotonic_ns())
-        except OSError as error:
-            bound.limiter.close()
-            text = f"connections to {bound.node} ({bound.endpoint}) cannot be limited: {error.strerror}"
-            self._report(bound, "warning", text, "unlimited")
-        if not bound.flooded and bound.limiter.admission is not Admission.EVERYBODY:
-            bound.flooded = True
-            text = (
-                f"connections to {bound.node} ({bound.endpoint}) come too fast: not more than {PER_S:g} a second are "
-                "accepted, those of the site file's machines before others"
-            )
-            self._report(bound, "warning", text, "flooded")
-        elif bound.flooded and bound.limiter.calm:
-            bound.flooded = False
-            text = f"connections to {bound.node} ({bound.endpoint}) no longer come too fast"
-            self._report(bound, "info", text, "calm")
 
     def _report(self, bound: BoundEndpoint, level: str, text: str, state: str) -> None:
         self._events.append(ConnectionEvent(level, text, {"endpoint": bound.endpoint, "connection": state}))
@@ -212,8 +164,6 @@ class ZapAuthenticator:
     def _close_connections(self, bound: BoundEndpoint, names: Iterable[str]) -> None:
         bound.accepted.clear()
         if not bound.unbound:
-            # it holds the port as well
-            bound.limiter.close()
             # libzmq cannot close one connection; unbinding closes all that came through this endpoint
             bound.publisher.socket.unbind(bound.endpoint)
             bound.unbound, bound.attempts = True, 0

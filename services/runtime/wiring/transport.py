@@ -130,7 +130,7 @@ class Transport:
         self.clock = clock
         self.book = book
         self._rejections = RejectionCounter()
-        self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections, clock, book.addresses)
+        self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
         self._peers: list[PeerConnections] = []
         self._handlers: list[NetworkHandler] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS

@@ -19,7 +19,7 @@ from telenano.cli.model_options import SECONDS, Given, with_options
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors
 
-_KEYS_TEXT = "s new file · t snapshot · q end"
+_KEYS_TEXT = "s new file · q end"
 
 
 class RecordKeyBindings:
@@ -30,7 +30,7 @@ class RecordKeyBindings:
         self._note = _KEYS_TEXT
 
     def __call__(self, node: RecorderNode) -> None:
-        actions: dict[str, Callable[[], None]] = {"s": node.split, "t": node.snapshot, "q": node.context.request_stop}
+        actions: dict[str, Callable[[], None]] = {"s": node.split, "q": node.context.request_stop}
         for key in self._keys.pressed():
             try:
                 self._note = _KEYS_TEXT if key in actions else f"unknown key {key!r}: {_KEYS_TEXT}"
@@ -41,7 +41,7 @@ class RecordKeyBindings:
 
 
 # These are options of the command's own, and settings that only the recorder of a rig has.
-_FILES = ("directory", "file_name", "sync_to_disk", "chunk_size_bytes", "snapshot_size_bytes")
+_FILES = ("directory", "file_name", "sync_to_disk", "chunk_size_bytes")
 _OWN = (*_FILES, "topics", "exclude", "far", "fetch_kbit_per_s")
 
 
@@ -62,7 +62,7 @@ def record(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
-    """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, t snapshot, q end.
+    """Attach to a running rig and record it; Ctrl-C or q completes the file. Keys: s new file, q end.
 
     The exit code is 3 if the recording lacks messages that were sent.
     """

@@ -1,6 +1,6 @@
 """`telenano replay`: recordings take the place of nodes on the bus, the rest of the rig being live."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,17 +16,14 @@ from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, Topi
 from telenano.cli.output import print_answer, report_errors
 
 _RATE_STEP = 1.25
-_KEYS_TEXT = (
-    "space pause · . step · n next on topic · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"
-)
+_KEYS_TEXT = "space pause · . step · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"
 
 
 class PlayerKeyBindings:
     """What the keys do to a player."""
 
-    def __init__(self, keys: RawKeyboard, step_topic: str) -> None:
+    def __init__(self, keys: RawKeyboard) -> None:
         self._keys = keys
-        self._step_topic = step_topic
         self._note = ""
 
     def __call__(self, player: PlayerNode) -> None:
@@ -42,7 +39,6 @@ class PlayerKeyBindings:
         actions: dict[str, Callable[[], Any]] = {
             "space": lambda: player.pause(not player.playback_clock.paused),
             ".": player.step,
-            "n": lambda: player.step(topic=self._step_topic or playback.channels[0].channel_topic),
             "e": player.seek_event,
             "right": lambda: player.seek(playback.time_s + 1.0),
             "left": lambda: player.seek(playback.time_s - 1.0),
@@ -57,17 +53,6 @@ class PlayerKeyBindings:
             return _KEYS_TEXT
         actions[key]()
         return ""
-
-
-def parse_remap(texts: Sequence[str]) -> dict[str, str]:
-    """Read OLD=NEW; ConfigError names what is wrong."""
-    found: dict[str, str] = {}
-    for text in texts:
-        old, _, new = text.partition("=")
-        if not old or not new:
-            raise ConfigError(f"--remap {text}: is not of the form OLD=NEW")
-        found[old] = new
-    return found
 
 
 def replay(
@@ -93,21 +78,13 @@ def replay(
     wait: Annotated[
         float, typer.Option("--wait", min=0.0, metavar="S", help="Longest wait until all topics have a reader [s].")
     ] = 1.0,
-    remap: Annotated[
-        list[str] | None,
-        typer.Option("--remap", metavar="OLD=NEW", help="Rename a topic, or move a node@site (repeatable)."),
-    ] = None,
-    step_topic: Annotated[
-        str, typer.Option("--step-topic", metavar="TOPIC", help="Channel to which the key n steps; default: the first.")
-    ] = "",
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     as_json: JsonOption = False,
 ) -> None:
     """Play a recording in the place of nodes that do not run; only node/health shows that it is a replay.
 
-    Keys: space pause, . step, n step to the next message of --step-topic, e next event, arrows 1 s back and on,
-    + and - rate, a and b the ends of a loop, l loop on and off, q end. The same by
-    `telenano session set player.KEY=VALUE --target player`.
+    Keys: space pause, . step, e next event, arrows 1 s back and on, + and - rate, a and b the ends of a loop, l loop on
+    and off, q end. The same by `telenano session set player.KEY=VALUE --target player`.
     """
     with report_errors(as_json):
         if end is not None and duration is not None:
@@ -119,12 +96,11 @@ def replay(
             nodes or (),
             topics or (),
             exclude or (),
-            parse_remap(remap or ()),
             Span(start, until, loop),
             PlaySettings(rate, paused, wait),
         )
         with RawKeyboard() as keys:
-            done = run_replay(request, PlayerKeyBindings(keys, step_topic), _warn)
+            done = run_replay(request, PlayerKeyBindings(keys), _warn)
         document = {"nodes": done.nodes, "messages": done.sent, "time_s": done.time_s, "warnings": done.warnings}
         text = f"played {done.sent} messages of {', '.join(done.nodes)} up to {done.time_s:.3f} s"
         print_answer(document, text, as_json=as_json)

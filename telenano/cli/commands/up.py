@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from presets.plugins import known_problems
-from proto.errors import ReportError
+from proto.errors import ConfigError, ReportError
 from recording.multi_file import open_recordings
 from services.launcher.fan_out import fan_out
 from services.launcher.page import inherited_by_page
@@ -23,9 +23,10 @@ from services.runtime.settings.config import ALLOW_CODE_VARIABLE
 from services.signals import interrupts
 from services.viz_node.figure_style import FigureOptions, figure_options
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
+from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
 from telenano.cli.output import (
     console,
     fail,
@@ -150,20 +151,21 @@ def _clock_text(plan: Plan) -> str:
 
 
 def _sweep(given: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
-    """Run this very command once for each point of a sweep, and compare the sessions."""
-    from analysis.table_files import table_formats
-    from telenano.cli.commands.compare import compare_sessions, print_comparison
+    """Run this very command once for each point of a sweep, and compare the sessions by the command of a package."""
     from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
     table_formats(tables)
-
+    compare = function_of_package("compare")
     folder = request.out or default_folder(request.scenario, datetime.now())
     points = points_of(given)
+    if len(points) < 2:
+        raise ConfigError("--sweep: gives one session, and needs two or more to compare")
     for point in points:
         # A wrong key or value is found before the first session runs.
         make_plan(point.asked_of(request, folder), folder)
     folders = run_sweep(points, without_sweep(sys.argv), folder, lambda text: typer.echo(text, err=True))
-    print_comparison(compare_sessions(folders, folder, options, tables=tables), folder, as_json=as_json)
+    formats = ",".join(options.formats)
+    compare(folders, folder, formats=formats, style=options.style, table=tables, as_json=as_json)
 
 
 def _open_view(*, live: bool, quiet: bool) -> LiveView | LineView:

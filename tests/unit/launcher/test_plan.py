@@ -267,9 +267,8 @@ def test_where_up_records_is_given_by_out_alone(
         ((), None, ""),
         (("recorder.compression=none",), 5_000_000, "takes about 28.0 MB"),
         (("recorder.quota_bytes=1000000",), 3_000_000, ""),
-        # how much these write is not known
+        # how much this writes is not known
         (("recorder.topics=[afm/*]",), 0, ""),
-        (("recorder.snapshot_s=5.0",), 0, ""),
     ],
 )
 def test_the_disk_is_compared_with_what_a_session_takes(

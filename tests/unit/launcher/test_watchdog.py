@@ -231,7 +231,7 @@ def test_a_name_with_parentheses_is_no_field(tmp_path: Path) -> None:
         ProcFiles(tmp_path).read(7)
 
 
-def test_a_recorder_may_write_a_long_snapshot_in_one_go() -> None:
+def test_a_recorder_may_end_a_long_file_in_one_go() -> None:
     clock, times, recorder = VirtualClock(start_ns=SECOND_NS), FakeTimes(), "recorder@master"
     watchdog = Watchdog(clock, times)
     watchdog.record_start(recorder, 1)

@@ -48,7 +48,7 @@ class Stage:
     ) -> None:
         self.clock = VirtualClock(0, EPOCH_NS + 10**12)
         recording = Recording(path)
-        self.plan = ReplayPlan(recording, book, selection, given.pop("remap", None))
+        self.plan = ReplayPlan(recording, book, selection)
         self.playback = Playback(recording, self.plan.plays, given.pop("span", Span()))
         publishers = {
             node: ReplayPublisher(ZmqPublisher(context, self.clock, node, book.endpoint(node), kind=zmq.XPUB))
@@ -229,7 +229,7 @@ def test_nothing_is_sent_before_somebody_listens_or_the_wait_is_over(
     assert any("no reader has subscribed to haptic/state" in event.text for event in rig.events)
 
 
-def test_pause_step_and_step_to_a_topic(stage: Callable[..., Stage], make_file: MakeFile) -> None:
+def test_pause_and_step(stage: Callable[..., Stage], make_file: MakeFile) -> None:
     rig = stage(make_file(), Selection(), paused=True, wait_s=0.0)
     rig.run_ms(100)
     assert rig.player.sent == 0
@@ -239,12 +239,6 @@ def test_pause_step_and_step_to_a_topic(stage: Callable[..., Stage], make_file: 
     rig.command(**{"player.step": 4})
     rig.run_ms(60)
     assert rig.player.sent == 5
-    rig.command(**{"player.step_topic": "haptic/state"})
-    rig.run_ms(60)
-    message = rig.playback.peek()
-    assert message is not None
-    # hand 3 was the next one on its topic: what comes now is the forward of the same ms
-    assert (message.topic, message.seq) == ("teleop/forward", 3)
     rig.command("start")
     rig.run_ms(100)
     assert rig.player.finished
@@ -323,7 +317,6 @@ def test_commands_are_answered_and_wrong_ones_refused(stage: Callable[..., Stage
         ({"player.rate": 1e-300}, r"or 1e-06 or more"),
         ({"player.rate": True}, "a float is needed"),
         ({"player.step": 0}, "must be 1 or more"),
-        ({"player.step_topic": "afm/state"}, "is not played"),
         ({"player.next_event": True}, "there is no event"),
     ):
         with pytest.raises(RefusedError, match=text):
@@ -345,14 +338,6 @@ def test_the_clock_of_the_recording_is_published(stage: Callable[..., Stage], ma
     assert len(times) == 3
     assert times == sorted(times)
     assert rig.playback.origin_ns < rig.events[-1].data["time_ns"] <= rig.playback.position_ns
-
-
-def test_topics_and_nodes_can_be_renamed(stage: Callable[..., Stage], make_file: MakeFile) -> None:
-    rig = stage(make_file(), remap={"haptic/state": "haptic/ghost", HAND: "controller@master"})
-    assert rig.plan.nodes == ["controller@master"]
-    rig.listen(["controller@master"], "haptic/ghost")
-    rig.run_ms(60)
-    assert rig.received(1)[0] == ("haptic/ghost", encode(haptic_state(0)))
 
 
 def test_a_recorded_command_is_sent_as_one_of_now(stage: Callable[..., Stage], tmp_path: Path) -> None:
@@ -396,7 +381,7 @@ def test_the_recorders_own_words_and_recorded_health_are_not_played(tmp_path: Pa
         writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample(topic, 0, src=src)))
     writer.finish()
     plan = ReplayPlan(Recording(writer.path), book, Selection())
-    assert [channel.topic for channel in plan.topics] == ["haptic/state"]
+    assert [channel.topic for channel in plan.channels] == ["haptic/state"]
 
 
 def test_a_node_that_is_not_in_the_site_file_is_named(make_file: MakeFile, tmp_path: Path) -> None:
@@ -415,19 +400,17 @@ def test_a_recording_of_two_sites_is_played_on_one_machine_without_the_launcher_
     book = load_site(DEFAULT_SITE_FILE)
     plan = ReplayPlan(Recording(writer.path), book, Selection())
     assert plan.nodes == [HAND]
-    assert [channel.topic for channel in plan.topics] == ["haptic/state"]
+    assert [channel.topic for channel in plan.channels] == ["haptic/state"]
     assert next(iter(remote_control(plan, book))).startswith("launcher@slave is not played: it is not in the site file")
     # one that is asked for by name is refused, and the refusal says what to type
-    with pytest.raises(
-        ConfigError, match=r"launcher@slave is not in the site file.*--site-file.*--remap launcher@slave="
-    ):
+    with pytest.raises(ConfigError, match=r"launcher@slave is not in the site file.*--site-file"):
         ReplayPlan(Recording(writer.path), book, Selection.of(nodes=["launcher"]))
 
 
 def test_forwarded_copies_belong_to_the_link(make_file: MakeFile, book: AddressBook) -> None:
     plan = ReplayPlan(Recording(make_file()), book, Selection.of(nodes=["delay_node"]))
     assert plan.nodes == [FAR]
-    assert {channel.channel_topic for channel in plan.topics} == {"teleop/forward@slave"}
+    assert {channel.channel_topic for channel in plan.channels} == {"teleop/forward@slave"}
     assert teleop_forward(0).src == "controller@master"
 
 
@@ -476,15 +459,16 @@ def test_messages_of_another_version_are_named_before_they_are_played(tmp_path: 
 
 
 def test_what_a_played_node_lacks_is_named(tmp_path: Path, book: AddressBook) -> None:
-    recording = commands(tmp_path)
-    assert list(absent_topics(ReplayPlan(recording, book, Selection()), book)) == []
-    moved = ReplayPlan(recording, book, Selection(), {HAND: "controller@slave"})
-    (text,) = absent_topics(moved, book)
-    assert text == (
-        "controller@slave is played without teleop/backward, afm/command, law/status, which is not in the recording"
-    )
+    assert list(absent_topics(ReplayPlan(commands(tmp_path / "hand"), book, Selection()), book)) == []
+    writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path / "law"))
+    channel = writer.channel("afm/command", "controller@slave", "slave")
+    writer.write(channel, EPOCH_NS, EPOCH_NS, 0, encode(sample("afm/command", 0, src="controller@slave")))
+    writer.finish()
+    recording = Recording(writer.path)
+    (text,) = absent_topics(ReplayPlan(recording, book, Selection()), book)
+    assert text == "controller@slave is played without teleop/backward, law/status, which is not in the recording"
     # what was not chosen is not missed
-    chosen = ReplayPlan(recording, book, Selection.of(["haptic/state"]), {HAND: "controller@slave"})
+    chosen = ReplayPlan(recording, book, Selection.of(["afm/command"]))
     assert list(absent_topics(chosen, book)) == []
 
 

@@ -45,5 +45,3 @@ def test_only_what_is_recorded_commands_or_triggers_is_subscribed_to() -> None:
     assert not RecorderConfig(topics=("haptic/*",)).subscribes("teleop/forward", "slave")
     assert RecorderConfig(topics=("teleop/forward@slave",)).subscribes("teleop/forward", "slave")
     assert not RecorderConfig(topics=("teleop/forward@slave",)).subscribes("teleop/forward", "master")
-    # a trigger has to be seen whether it is recorded or not
-    assert RecorderConfig(topics=("haptic/*",), snapshot_s=1.0).subscribes("afm/state", "slave")

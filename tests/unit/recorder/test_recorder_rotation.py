@@ -1,4 +1,4 @@
-"""Splitting, quota, snapshots and filters of a recorder whose frames come from the test."""
+"""Splitting, quota and filters of a recorder whose frames come from the test."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -19,7 +19,6 @@ from services.recorder.begin_recording import begin_recording
 from services.recorder.config import RecorderConfig
 from services.recorder.intake import Intake, Listener
 from services.recorder.node import RecorderNode
-from services.recorder.snapshot_buffer import Entry, SnapshotBuffer
 from services.runtime.bus.bus import Subscriber, ZmqBus
 from services.runtime.bus.publisher import NullPublisher
 from services.runtime.loop.log import StructuredLog
@@ -211,68 +210,6 @@ def test_a_recording_that_is_removed_goes_on_in_another_file_and_says_so(
     assert first.exists() is (what == "replaced")
 
 
-def test_a_snapshot_holds_what_came_before_its_trigger(make_rig: Callable[..., RecorderRig]) -> None:
-    rig = make_rig(snapshot_s=0.5, snapshot_after_s=0.2)
-    for turn in range(10):
-        rig.receive_states(turn * 100, 100)
-        rig.flush()
-    assert rig.files() == []
-    assert "waiting for a trigger" in rig.node.status()
-    rig.command(**{"record.snapshot": True})
-    for turn in range(10, 16):
-        rig.receive_states(turn * 100, 100)
-        rig.flush()
-    (path,) = rig.files()
-    assert Recording(path).closed
-    # half a second before the flush that wrote it, and what was received up to the first flush 0.2 s later
-    assert seqs(path) == list(range(599, 1300))
-
-
-@pytest.mark.parametrize(
-    ("cause", "topic", "messages"),
-    [
-        ("mode", "session/event", [sample("session/event", 0, src="haptic_node@master", kind="mode")]),
-        ("fault", "session/event", [sample("session/event", 0, src="haptic_node@master", kind="fault")]),
-        (
-            "contact",
-            "afm/state",
-            [sample("afm/state", seq, src="afm_node@master", in_contact=seq == 1) for seq in range(2)],
-        ),
-    ],
-)
-def test_an_event_triggers_a_snapshot(
-    make_rig: Callable[..., RecorderRig], cause: str, topic: str, messages: list[Message]
-) -> None:
-    rig = make_rig(snapshot_s=1.0, snapshot_on=(cause,))
-    rig.receive_states(0, 10)
-    rig.flush()
-    assert rig.files() == []
-    for message in messages:
-        rig.receive(topic, message)
-    rig.flush()
-    rig.intake.finish()
-    (path,) = rig.files()
-    assert seqs(path) == list(range(10))
-
-
-def test_contact_from_the_start_is_no_snap(make_rig: Callable[..., RecorderRig]) -> None:
-    rig = make_rig(snapshot_s=1.0, snapshot_on=("contact",))
-    for seq in range(3):
-        rig.receive("afm/state", sample("afm/state", seq, src="afm_node@master", in_contact=True))
-    rig.flush()
-    assert rig.files() == []
-
-
-def test_the_snapshot_buffer_drops_by_time_and_by_size() -> None:
-    buffer = SnapshotBuffer(1.0, 1000)
-    for second in range(5):
-        buffer.add(Entry(second * SECOND_NS // 2, 0, second, b"x" * 10, None, None))
-    assert [entry.seq for entry in buffer.drain()] == [2, 3, 4]
-    for number in range(20):
-        buffer.add(Entry(0, 0, number, b"x" * 100, None, None))
-    assert (len(buffer), buffer.size_bytes) == (10, 1000)
-
-
 def test_the_recorder_says_how_it_does(make_rig: Callable[..., RecorderRig]) -> None:
     rig = make_rig()
     rig.receive_states(0, 1000)
@@ -291,13 +228,6 @@ def test_orders_that_make_no_sense_are_refused(make_rig: Callable[..., RecorderR
         rig.command(**{"record.splt": True})
     with pytest.raises(RefusedError, match=r"record\.split must be true"):
         rig.command(**{"record.split": 3})
-    with pytest.raises(RecordingError, match="there is no snapshot"):
-        rig.command(**{"record.snapshot": True})
-    # The recording had gone on in another part although the command was refused.
-    before = rig.node.path
-    with pytest.raises(RefusedError, match="one after the other"):
-        rig.command(**{"record.split": True, "record.snapshot": True})
-    assert rig.node.path == before
     rig.intake.finish()
     rig.intake.fault, rig.intake.writer = "the disk is full", None
     with pytest.raises(RecordingError, match="the disk is full"):
@@ -310,7 +240,6 @@ def test_orders_that_make_no_sense_are_refused(make_rig: Callable[..., RecorderR
         ({"quota_bytes": 100_000, "quota_policy": "drop_oldest"}, "needs split_size_bytes"),
         ({"quota_bytes": 100_000, "split_size_bytes": 200_000}, "must not be above quota_bytes"),
         ({"topics": ["/[/"]}, "is not a regular expression"),
-        ({"snapshot_on": ["crash"]}, "snapshot_on"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, Any], text: str) -> None:

@@ -18,7 +18,6 @@ from proto.errors import ConfigError
 from services.relay import channel as channels
 from services.relay import server, site_end
 from services.relay.channel import Channel, Gone, dial
-from services.relay.look import look_at_relay, seen_by_relay
 from services.relay.server import Relay
 from services.relay.site_end import SiteEnd
 from services.runtime.bus.address_book import AddressBook
@@ -26,7 +25,6 @@ from services.runtime.loop.log import StructuredLog
 from services.runtime.relay.protocol import PUBLIC_BYTES, raw_key
 from services.runtime.security.access_control import AccessControl
 from services.runtime.security.sealed import RejectedError
-from telenano.doctor.relay import check_relay
 
 PATIENCE_S = 30.0
 HOST = "127.0.0.1"
@@ -584,22 +582,6 @@ def test_a_frame_is_good_once_and_in_its_place(tmp_path: Path) -> None:
     asyncio.run(run())
 
 
-def test_what_a_site_can_find_out_before_it_begins(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-            await rig.start_relay()
-            own, relay_key = rig.rings["master"].own("master"), raw_key(rig.keys["relay"])
-            said = await asyncio.to_thread(look_at_relay, HOST, rig.port, own, relay_key)
-            assert said == {"ok": True, "name": "lab_master", "present": []}
-            seen = await asyncio.to_thread(seen_by_relay, HOST, rig.port, own, relay_key)
-            assert seen is not None
-            assert seen[0] == HOST
-            # it asks for no place
-            assert rig.relay.forwarder.places == {}
-
-    asyncio.run(run())
-
-
 def test_a_site_without_the_key_of_the_relay_names_the_command(tmp_path: Path) -> None:
     rig = Bench(tmp_path)
     rig.rings["master"].revoke("relay")
@@ -619,33 +601,3 @@ def test_a_channel_refuses_what_is_too_long(tmp_path: Path) -> None:
     asyncio.run(run())
     assert channels.HELLO_S > site_end._NODE_S
     assert issubclass(RejectedError, Gone)
-
-
-def test_doctor_says_what_keeps_a_site_from_its_relay(tmp_path: Path) -> None:
-    async def run() -> None:
-        async with bench(tmp_path) as rig:
-
-            async def finding(name: str) -> Any:
-                (found,) = await asyncio.to_thread(check_relay, rig.book, name, rig.rings[name])
-                return found
-
-            found = await finding("master")
-            assert found.level == "problem"
-            assert "does not answer as the relay" in found.found
-            await rig.start_relay()
-            found = await finding("master")
-            assert found.level == "ok"
-            assert "knows this machine as lab_master; by UDP it sees it as 127.0.0.1 port" in found.found
-            rig.relay.forwarder.close()
-            found = await finding("master")
-            assert (found.level, "over TCP" in found.advice) == ("warning", True)
-            rig.rings["stranger"].allow("relay", rig.keys["relay"].decode(), ["relay"])
-            found = await finding("stranger")
-            assert (found.level, "unlisted" in found.found) == ("problem", True)
-            assert "telenano keys allow NAME KEY --role relay" in found.advice
-            rig.rings["stranger"].revoke("relay")
-            found = await finding("stranger")
-            assert (found.level, "telenano keys allow relay KEY" in found.found) == ("problem", True)
-            assert check_relay(rig.book.model_copy(update={"relay": None}), "master", rig.rings["master"]) == []
-
-    asyncio.run(run())

@@ -173,7 +173,6 @@ class NodeState(NamedTuple):
 
 class Node:
     state_kind, state_version = NodeState, 1
-    state_migrations = {}
     context = SimpleNamespace(key="n@s")
 
     def __init__(self):
@@ -227,59 +226,6 @@ def test_a_state_of_another_version_or_with_other_fields_is_refused(change: tupl
     node = renamed(source)
     with pytest.raises(RecordingError, match=FITS + f".*{sentence}"):
         restore(renamed(source.replace(*change)), pack(node))
-
-
-THIRD = "account: Account\n    law: Part\n    energy_j: float"
-# Version 2 keeps the energy beside the account, and version 3 has no history.
-MIGRATIONS = """{
-        1: lambda old: {**old, "energy_j": old["account"][0]},
-        2: lambda old: {name: value for name, value in old.items() if name != "history"},
-    }"""
-NEWER = (
-    ("account: Account\n    history: History\n    law: Part", THIRD),
-    ("state_version = NodeState, 1", "state_version = NodeState, 3"),
-    ("state_migrations = {}", f"state_migrations = {MIGRATIONS}"),
-    ("NodeState(self._account, self._history, part(self._law))", "NodeState(self._account, part(self._law), 0.25)"),
-    ("self._account, self._history, self._law = state.account, state.history,",
-     "self._account, self.energy_j, self._law = state.account, state.energy_j,"),
-)  # fmt: skip
-
-
-def newer_node(*changes: tuple[str, str]) -> Any:
-    source = SOURCE
-    for old, new in (*NEWER, *changes):
-        assert old in source
-        source = source.replace(old, new)
-    return renamed(source)
-
-
-def test_a_state_of_an_older_version_is_migrated_step_by_step() -> None:
-    node: Any = renamed(SOURCE)
-    for _ in range(3):
-        node.step()
-    newer = newer_node()
-    restore(newer, pack(node))
-    assert newer.energy_j == newer._account.joules == node._account.joules
-    assert newer._law.wave == -3.0
-    # a state of its own version is not migrated
-    restore(newer, pack(newer))
-    assert newer.energy_j == 0.25
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ((MIGRATIONS, "{2: lambda old: old}"), "it has version 1, and this code reads version 3"),
-        ((MIGRATIONS, "{1: lambda old: old}"), "it has version 1, and this code reads version 3"),
-        ((MIGRATIONS, "{1: lambda old: old, 2: lambda old: old}"), "it lacks energy_j and has in addition history"),
-        ((MIGRATIONS, '{1: lambda old: old["tip"], 2: lambda old: old}'), "'tip'"),
-        (('old["account"][0]', '"much"'), "Expected `float`, got `str`"),
-    ],
-)
-def test_a_migration_that_is_missing_or_wrong_is_refused(change: tuple[str, str], sentence: str) -> None:
-    node = newer_node(change)
-    with pytest.raises(RecordingError, match=FITS + f".*{sentence}"):
-        restore(node, pack(renamed(SOURCE)))
 
 
 class Tip(NamedTuple):

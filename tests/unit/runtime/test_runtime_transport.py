@@ -20,7 +20,6 @@ from network_bench import (
     CONTROLLER,
     LINK,
     PATIENCE_S,
-    TURN_NS,
     Machine,
     payload,
     port_of,
@@ -39,7 +38,6 @@ from services.runtime.clock import SystemClock
 from services.runtime.security import peer_connections, socket_monitor, zap_authenticator
 from services.runtime.security.keyring import Keyring
 from services.runtime.security.peer_connections import MessagePermissions
-from services.runtime.security.socket_filters import BURST, PER_S
 from services.runtime.security.socket_monitor import FAILURES, PROTOCOL_FAILED, Monitor
 from services.runtime.wiring import transport
 from services.runtime.wiring.transport import Transport
@@ -1023,72 +1021,34 @@ def test_a_bus_that_has_more_to_process_does_not_wait(tmp_path: Path) -> None:
         os.close(end_of_pipe)
 
 
-def connected(book: AddressBook, count: int, source: str) -> int:
-    """Return how many of so many connections from an address are accepted at once."""
-    attempts = [socket.socket() for _ in range(count)]
-    try:
+@contextlib.contextmanager
+def half_open(book: AddressBook, count: int) -> Iterator[list[socket.socket]]:
+    """Hold connections open at the AFM's port, as far as it accepts them, on which nothing is ever said."""
+    with contextlib.ExitStack() as stack:
+        attempts = [stack.enter_context(socket.socket()) for _ in range(count)]
         for attempt in attempts:
             attempt.setblocking(False)
-            attempt.bind((source, 0))
             attempt.connect_ex(("127.0.0.1", port_of(book, AFM)))
-        return len(select.select((), attempts, (), 0)[1])
-    finally:
-        for attempt in attempts:
-            attempt.close()
+        yield attempts
 
 
-def test_a_flood_of_connections_is_stopped_before_it_costs_anything_and_disturbs_nobody(
-    world: Callable[..., list[Machine]],
+def test_500_half_open_connections_disturb_nobody_who_is_connected_and_keep_no_listed_machine_out(
+    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(transport, "_HANDSHAKE_MS", 300)
     master, slave, laptop = world("master", "slave", "laptop")
     slave.open().bind(AFM)
     master.open().subscribe({AFM: ["afm/state"]})
     until(lambda: master.received_from(AFM), master, slave)
-    slave.clock.advance_ns(2_000_000_000)
-    # somebody whose address is in no site file
-    taken, turns_of_flood = 0, 200
-    for _ in range(turns_of_flood):
-        taken += connected(slave.book, 5, "127.0.0.77")
-        turns(1, master, slave)
-    elapsed_s = turns_of_flood * TURN_NS * 1e-9
-    # the second burst: those under way when it is closed
-    most = BURST + PER_S * elapsed_s + BURST
-    assert BURST <= taken <= most < 5 * turns_of_flood / 10
-    (warning,) = slave.texts("flooded")
-    endpoint = slave.book.network_endpoint(AFM)
-    assert warning == (
-        f"connections to {AFM} ({endpoint}) come too fast: not more than 10 a second are accepted, those of the site "
-        "file's machines before others"
-    )
-    assert slave.texts("calm") == []
-    # who was connected hears on, and a machine of the site file comes in although strangers keep asking
-    laptop.open().subscribe({AFM: ["afm/state"]})
-    until(lambda: connected(slave.book, 1, "127.0.0.77") >= 0 and laptop.received_from(AFM), master, slave, laptop)
-    until(receives_more(master, AFM), master, slave)
+    with half_open(slave.book, 500):
+        until(receives_more(master, AFM), master, slave)
+        assert master.texts("down") == []
+        laptop.open().subscribe({AFM: ["afm/state"]})
+        until(lambda: laptop.received_from(AFM), master, slave, laptop)
+        # strangers are ended with the handshake, and counted: as many as the system has accepted ahead of the node
+        until(lambda: slave.network.rejected.get("handshake", 0) >= 50, master, slave, laptop)
     assert master.texts("down") == []
-    # and when they no longer do, everybody does as before
-    slave.clock.advance_ns(10_000_000_000)
-    until(lambda: slave.texts("calm"), master, slave)
-    assert connected(slave.book, 5, "127.0.0.77") == 5
-
-
-def test_an_endpoint_that_cannot_be_limited_is_reported_and_serves_on(
-    world: Callable[..., list[Machine]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    master, slave = world()
-    slave.open().bind(AFM)
-
-    def refuse(*_: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(socket.socket, "setsockopt", refuse)
-    until(lambda: connected(slave.book, 5, "127.0.0.77") >= 0 and slave.texts("unlimited"), slave)
-    endpoint = slave.book.network_endpoint(AFM)
-    text = f"connections to {AFM} ({endpoint}) cannot be limited: Operation not permitted"
-    turns(20, slave)
-    assert (slave.texts("unlimited"), slave.texts("flooded")) == ([text], [])
-    master.open().subscribe({AFM: ["afm/state"]})
-    until(lambda: master.received_from(AFM), master, slave)
+    until(receives_more(master, AFM), master, slave)
 
 
 def test_the_newest_refusal_is_the_one_that_is_reported(world: Callable[..., list[Machine]]) -> None:

@@ -22,7 +22,7 @@ def afm(node: Any) -> Any:
 
 def player(node: Any) -> Any:
     playback, clock = node.playback, node.playback_clock
-    return clock.rate, clock.paused, playback.loop, playback.start_ns, playback.end_ns, node._steps, node._step_topic
+    return clock.rate, clock.paused, playback.loop, playback.start_ns, playback.end_ns, node._steps
 
 
 # Each node has what is compared, what it takes, and what it refuses beside it.
@@ -38,7 +38,7 @@ COMMANDS: list[tuple[str, Callable[[Any], Any], Parameters, Parameters]] = [
     ("player@master", player, {"player.rate": 2.0}, {"player.step": 0}),
     ("player@master", player, {"player.rate": 2.0}, {"player.a_s": 0.2, "player.b_s": 0.1}),
     ("player@master", player, {"player.loop": False}, {"player.rate": -1.0}),
-    ("player@master", player, {"player.pause": True}, {"player.step_topic": "x"}),
+    ("player@master", player, {"player.pause": True}, {"player.step": 0}),
     ("player@master", player, {"player.pause": True}, {"player.next_event": True}),
     ("player@master", player, {"player.a_s": 0.1}, {"player.loop": 1.0}),
     ("player@master", player, {"player.a_s": 0.1, "player.b_s": 0.2}, {"player.step": 0}),

@@ -11,7 +11,6 @@ import zmq
 from network_bench import AFM, CONTROLLER, PATIENCE_S, Machine, two_machine_book, until
 
 from services.runtime.security import zap_authenticator
-from services.runtime.security.socket_filters import AcceptLimiter
 from services.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
 from services.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
 
@@ -84,8 +83,7 @@ def endpoint_of(machine: Machine, node: str, port: int) -> tuple[BoundEndpoint, 
     socket = PlainSocket()
     quiet = SimpleNamespace(events=list, has_pending=False, socket=None)
     publisher = SimpleNamespace(socket=socket, node=node)
-    limiter = AcceptLimiter((), machine.clock.monotonic_ns())
-    bound = BoundEndpoint(publisher, quiet, f"tcp://127.0.0.1:{port}", limiter)
+    bound = BoundEndpoint(publisher, quiet, f"tcp://127.0.0.1:{port}")
     machine.network._authenticator.endpoints.append(bound)
     return bound, socket
 

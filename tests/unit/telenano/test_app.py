@@ -15,7 +15,7 @@ from presets import DEFAULT_SITE_FILE, TWO_SITES_FILE, plugins, site_file_named
 from presets.known_packages import KNOWN_PACKAGES
 from proto.errors import RigError
 from services.runtime.wiring.main import node_kind, parse_arguments, run_node
-from telenano.cli.lazy_commands import FIRST_COMMANDS, LAZY_COMMANDS
+from telenano.cli.lazy_commands import FIRST_COMMANDS, LAZY_COMMANDS, load
 from telenano.cli.lazy_commands import GROUPS as HEADINGS
 from telenano.cli.root import app
 from telenano.cli.tables import rows_table
@@ -49,7 +49,7 @@ def test_the_page_of_commands_is_that_of_their_options() -> None:
 def test_results_go_below_out_where_no_folder_is_given() -> None:
     places = {
         path: parameter.default
-        for path, command in COMMANDS.items()
+        for path, command in {**COMMANDS, "telenano compare": load("compare")}.items()
         for parameter in getattr(command, "params", [])
         if "--out" in parameter.opts and parameter.default is not None
     }

@@ -11,11 +11,11 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from proto.errors import ConfigError, ReportError
+from proto.errors import ReportError
 from recording.reader import Recording
 from telenano.cli.commands.bag import app
 from telenano.cli.commands.record import record
-from telenano.cli.commands.replay import parse_remap, replay
+from telenano.cli.commands.replay import replay
 from telenano.cli.output import EXIT_INCOMPLETE, fail_with_summary, print_summary
 from telenano.cli.tables import summary_tables
 
@@ -101,12 +101,6 @@ def test_replay_and_record_refuse_what_cannot_be(make_file: MakeFile, tmp_path: 
     assert "--quota-policy" in fails("record", "--out", tmp_path / "x.mcap", "--quota-policy", "none")
     site.write_text(f"nodes: {{haptic_node@master: 'ipc://{tmp_path}/h'}}\n")
     assert "player@master is missing" in fails("replay", path, "--site-file", site, "--nodes", "haptic_node")
-
-
-def test_renaming_is_read_and_wrong_ones_are_refused() -> None:
-    assert parse_remap(["a/b=c/d", "x@master=y@master"]) == {"a/b": "c/d", "x@master": "y@master"}
-    with pytest.raises(ConfigError, match="OLD=NEW"):
-        parse_remap(["a/b"])
 
 
 SUMMARY = {

@@ -1,6 +1,5 @@
 """What a package adds to the command line and to the doctor, and what its being there must not change."""
 
-import os
 import re
 import sys
 from importlib.metadata import version
@@ -20,7 +19,7 @@ from services.afm_node.physics.sample.surface_files import read_surface
 from services.recorder.provenance import plugin_facts
 from telenano.cli import lazy_commands
 from telenano.cli.root import app
-from telenano.doctor.report import checks_of_packages, extensions, stale
+from telenano.doctor.report import checks_of_packages, extensions
 from telenano.extend.exports import write_recording
 from telenano.extend.images import Image, write_images
 from telenano.extend.messages import example, recorded
@@ -210,23 +209,6 @@ def test_a_driver_that_cannot_be_used_is_told_though_no_section_names_it(make: A
     (finding,) = extensions()
     assert (finding.name, finding.level) == ("laws and devices", "warning")
     assert "sick of the package sick" in finding.found and "no licence" in finding.found
-
-
-def test_an_environment_older_than_the_settings_of_its_checkout_is_stale(tmp_path: Path) -> None:
-    checkout, environment = tmp_path / "checkout", tmp_path / "environment"
-    (checkout / "packages" / "telenano-x").mkdir(parents=True)
-    environment.mkdir()
-    for file in ("pyproject.toml", "requirements.lock", "packages/telenano-x/pyproject.toml"):
-        (checkout / file).touch()
-    # an environment that something else made says nothing about itself
-    assert stale(environment, checkout) == []
-    (environment / ".complete").touch()
-    assert stale(environment, checkout) == []
-    newer = (environment / ".complete").stat().st_mtime + 10.0
-
-    os.utime(checkout / "packages/telenano-x/pyproject.toml", (newer, newer))
-    (finding,) = stale(environment, checkout)
-    assert finding.found == "stale: older than packages/telenano-x/pyproject.toml" and finding.advice == "make setup"
 
 
 def test_a_format_of_a_package_exports_a_recording_and_one_that_is_missing_is_named(

@@ -38,7 +38,7 @@ for name in ("study", "bag", "report", "compare", "law", "scenario", "param", "c
 import json, pathlib, telenano
 session = telenano.open(sys.argv[1])
 tip = session.table("afm/state")
-from analysis.compare import compare, compare_figure, rows_of
+from telenano_studies.comparison import compare, compare_figure, rows_of
 from services.viz_node.figure_style import FigureOptions, drawn
 found = compare([pathlib.Path(sys.argv[1])] * 2)
 files = drawn(compare_figure(found), "compare", FigureOptions(("svg",), "paper"))

@@ -11,7 +11,6 @@ from telenano_microscopy.curve_models import ModelRow, compare_models
 from telenano_microscopy.force_curve import Curve, force_curve, marks_of
 from telenano_microscopy.scan import ScanResult, scan
 
-from analysis.page import Page, png_of, text
 from proto.errors import RigError
 from recording.whole_files import whole_file
 from services.afm_node.config import AfmConfig
@@ -23,6 +22,7 @@ from services.afm_node.physics.contact.maugis_dugdale import cohesive_stress_pa,
 from services.afm_node.physics.contact.tip_sample import branch_force
 from services.afm_node.physics.sample.made_samples import SampleConfig
 from services.afm_node.programs.scan import ScanSettings
+from telenano_studies.page import Page, png_of, text
 from telenano_studies.pages.live_figures import run_scenario, tactile_figure, tactile_path
 from telenano_studies.pages.paper_equations import cantilever_rows, contact_rows, control_rows, device_rows
 

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from analysis.page import Page, text
 from services.runtime.settings.option import Option
 from telenano_studies.loops.cells import Cell
 from telenano_studies.loops.stability import Axes, Line
 from telenano_studies.loops.transparency import STIFFEST_N_PER_M, Spectrum, Transparency, measure, spectrum
 from telenano_studies.loops.tuning import tuned
 from telenano_studies.option_values import frequencies
+from telenano_studies.page import Page, text
 from telenano_studies.pages.figures import hybrid_figure, impedance_figure
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from presets.regular_files import read_regular
 from proto.errors import ConfigError
-from services.viz_node.fig12 import SessionSeries
+from telenano.extend.readers import read_regular
+from telenano.extend.sessions import SessionSeries
 
 Series = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import typer
 from analysis.statistics import CONFIDENCE
 from proto.errors import ConfigError, ReportError
 from services.viz_node.figure_style import FigureOptions, figure_options
-from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption
+from telenano.cli.options import FormatOption, JsonOption, StyleOption, TableOption, table_formats
 from telenano.cli.output import print_json, print_rows, report_errors
 
 
@@ -38,7 +38,7 @@ def compare(
 ) -> None:
     """Draw sessions over one another, and put their figures into one table; with statistics where seeds differ."""
     with report_errors(as_json):
-        from analysis.compare import sessions_in
+        from telenano_studies.comparison import sessions_in
 
         sessions = sessions_in(sessions)
         if len(sessions) < 2 and not paper and not published:
@@ -70,14 +70,14 @@ def compare_sessions(
     Published points are drawn beneath, and stand in `published.json` with the nearest of each session.
     """
     # The import brings matplotlib, which takes a second.
-    from analysis.compare import beside, compare_figure, rows_of
-    from analysis.compare import compare as read
-    from analysis.conditions import described
-    from analysis.published import paper_points, read_published
     from analysis.report import write_files
-    from analysis.statistics import statistics_of
-    from analysis.table_files import table_files, table_formats
     from services.viz_node.figure_style import drawn
+    from telenano.extend.sessions import described
+    from telenano_studies.comparison import beside, compare_figure, rows_of
+    from telenano_studies.comparison import compare as read
+    from telenano_studies.published import paper_points, read_published
+    from telenano_studies.repetitions import statistics_of
+    from telenano_studies.table_files import table_files
 
     kinds = table_formats(tables)
     points = [*([paper_points()] if paper else []), *map(read_published, published)]

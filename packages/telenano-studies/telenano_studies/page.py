@@ -8,11 +8,11 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from analysis.table_files import table_files
 from analysis.verdict import KINDS
-from services.recorder.provenance import versions
 from services.runtime.settings.config import flatten
 from services.viz_node.figure_style import ON_SCREEN, VERDICTS, FigureOptions, drawn
+from telenano.extend.exports import versions
+from telenano_studies.table_files import table_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,6 +135,6 @@ def write_images(
 def write_tables(
     folder: Path, name: str, rows: Sequence[Mapping[str, Any]], formats: Sequence[str] = ("parquet",)
 ) -> None:
-    """Write rows as NAME.FORMAT, in formats of `analysis.table_files`; nested keys become columns with dots."""
+    """Write rows as NAME.FORMAT, in formats of `telenano_studies.table_files`; nested keys become columns with dots."""
     for file, content in table_files(name, [flatten(row) for row in rows], formats).items():
         (folder / file).write_bytes(content)

@@ -6,18 +6,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from proto.errors import ConfigError
-
 Rows = Sequence[Mapping[str, Any]]
-
-
-def table_formats(text: str) -> tuple[str, ...]:
-    """Read `csv,parquet,mat`; ConfigError names what is known."""
-    chosen = tuple(dict.fromkeys(part.strip().lower() for part in text.split(",") if part.strip()))
-    unknown = [name for name in chosen if name not in FORMATS]
-    if unknown or not chosen:
-        raise ConfigError(f"--table {text}: name one or more of {', '.join(FORMATS)}")
-    return chosen
 
 
 def table_files(name: str, rows: Rows, formats: Sequence[str] = ("csv",)) -> dict[str, bytes]:

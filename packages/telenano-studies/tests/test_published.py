@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_studies.comparison import Compared, beside, compare_figure
+from telenano_studies.published import nearest, paper_points, read_published
 
-from analysis.compare import Compared, beside, compare_figure
-from analysis.published import nearest, paper_points, read_published
 from proto.errors import ConfigError
 from services.viz_node.fig12 import SessionSeries
 

@@ -5,12 +5,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from analysis.published import PANELS, Published, nearest
 from analysis.report import Session, read_session, scenario_in, summarise
 from proto.errors import ConfigError
-from recording.multi_file import open_recordings
-from services.viz_node.fig12 import SessionSeries
 from services.viz_node.figure_style import COLUMN_IN, LINES, ON_SCREEN, REFERENCE, FigureOptions, lettered, styled
+from telenano.extend.sessions import SessionSeries, open_recordings
+from telenano_studies.published import PANELS, Published, nearest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
