@@ -1,56 +1,89 @@
-"""The holds of a recorded session: where the hand's force stands still, and what the tip's force does meanwhile.
+"""A session in episodes, and what became of the loop in each: segment first, judge afterwards.
+
+A hold is a stretch in which the hand's force stands still. It is cut into episodes by what the hand, the operator, the
+schedule, the link, the machine or the guard did, and never by what the loop did:
+
+- the approach ends when the tip first touches since the hand began to press; a tip that leaves the surface after that
+  is motion of the loop;
+- the loop is open from the *cause* of an interruption on: a tip is held, or a hand let go, one deadline after the last
+  command came, which was on its way for the transit of the loop;
+- the tip is away while a program of the instrument, an operator or the guard has it.
+
+Contact with the loop closed is what `analysis.verdict` judges. All else has a word of its own, a fact beside the kind.
+Where the instrument does not know contact, the tip touches where its force presses as hard as what is small.
 
 Where a person is the hand, its force swings with the loop, and an oscillation leaves no hold. There a swing of the
 tip's force (`analysis.swings`) is judged in the place of one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.swings import Swing, swings_of
-from analysis.verdict import GUARD_ACTED, SMALL_SHARE, Circumstances, Kind, Verdict, judge, struck
+from analysis.verdict import ERROR_SHARE, LEFT_SHARE, SMALL_SHARE, Kind, Verdict, judge
 
 Series = npt.NDArray[np.float64]
+FactKind = Literal[
+    "arrived_late",
+    "struck",
+    "off_force",
+    "parted",
+    "nothing_moved",
+    "interrupted",
+    "machine_late",
+    "link_late",
+    "contact_by_force",
+]
 
-# shorter holds end before a slow oscillation of the loop (about 5 Hz) has shown what becomes of it
+# The thresholds of the episodes and of their facts; docs/studies.md has them in one table with those of the verdicts.
+# shortest time [s] for which the hand stands still in a hold: a slow loop swings at some 5 Hz
 SHORTEST_HOLD_S = 0.5
-# the first part of a hold shows the answer to the step before it
-SETTLING_SHARE = 0.2
-_HAND_STEADY_SHARE = 0.01
-# The hand has let go below this share of the greatest force.
-_PRESSING_SHARE = 0.05
+# change of the hand's force, as a share of its greatest [1]: sensors of hands tell no less
+STEADY_SHARE = 0.01
+# greatest force at the tip, in forces of the hand [1]: an undamped spring met by a step goes to twice its force
+STRUCK_FORCES = 2.0
+# how far hand and tip may rest apart, at the hand's scale [m]: three times the way of 1 N on 20 N/m
+PARTED_M = 1e-3
+# what is late by more than this [s] is the machine's: a fifth of the deadline of both devices
+LATE_S = 0.01
+
 HAND, TIP, ANSWERS = "haptic/state", "afm/state", "haptic/command"
 # samples come every millisecond; at this distance [s] the deadline of the loop has passed
 LONGEST_STEP_S = 0.05
-# A hold of which a greater share is missing between its samples cannot be judged.
-_MISSING_SHARE = 0.1
-# A swing of which less than this share is left in its last turn dies out.
-_LEFT_SHARE = 0.5
 # The instrument gives these reasons where it withdraws for want of commands, and these where its guard acts at all.
 _STARVED = (DEADLINE, "hold_expired")
-# A hold with one of these verdicts blames the law for nothing.
-_NO_BLAME = ("stable", "settling", "released", "guarded", "no_data")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
 # It gives these where somebody wanted the tip away: a program, an operator, the end of the session.
 _ASKED = ("retract_requested", "estop")
 # an incident is the cause of what ends so long after it [s], or is reported so long after what it caused
 _CAUSED_WITHIN_S, _NOTICED_WITHIN_S = 3.0, 2.0
-# a session that swings and drifts swings: what a person meets first, and what does not end by itself
+GUARD_ACTED = "the instrument's guard acted"
+# a session that swings and has lost its contact swings: what a person meets first, and what does not end by itself
 _WORST_FIRST: tuple[Kind, ...] = (
-    *("diverged", "guarded", "limit_cycle", "contact_lost", "wrong_force", "no_data", "drifting", "cannot_say"),
-    *("struck", "settling", "released", "stable"),
+    *("diverged", "guarded", "limit_cycle", "contact_lost", "no_data", "cannot_say", "stable"),
 )
+
+
+class Fact(NamedTuple):
+    """What else is true of a hold: which, its value in the unit that its words state, and the words."""
+
+    kind: FactKind
+    value: float
+    text: str
 
 
 class Hold(NamedTuple):
     """A stretch of constant hand force, and what became of alpha_f F_s in it: see `analysis.verdict.Verdict`.
 
-    frequency_hz: None, or that of the swing that is judged in the place of a hold; hand_force_n is then the mean.
+    judged_from_s, judged_to_s: the episode that the verdict is on, None where there is none; rest_from_s: since when it
+    is at rest, if it is; hold_ratio: mean of F_m/(alpha_f F_s) in the later half of its rest, None where it does not
+    come to rest or does not press; frequency_hz: None, or that of the swing that is judged in the place of a hold;
+    hand_force_n is then the mean.
     """
 
     start_s: float
@@ -61,18 +94,30 @@ class Hold(NamedTuple):
     peak_to_peak_n: float
     noise_n: float
     reason: str
+    facts: tuple[Fact, ...] = ()
+    judged_from_s: float | None = None
+    judged_to_s: float | None = None
+    rest_from_s: float | None = None
+    hold_ratio: float | None = None
     frequency_hz: float | None = None
+
+    def has(self, *kinds: FactKind) -> bool:
+        """Return whether one of these facts is true of the hold."""
+        return any(fact.kind in kinds for fact in self.facts)
 
 
 class Instrument(NamedTuple):
     """What the instrument says at the tip's times: whether it follows commands, and whether the tip touches.
 
-    held: whether the base stands because commands are missing or ask for it, which it also counts as following.
+    held: whether the base stands because commands are missing or ask for it, which it also counts as following;
+    apart_m: how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]; knows_contact: whether contact is measured.
     """
 
     following: npt.NDArray[np.bool_]
     in_contact: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_] | None = None
+    apart_m: Series | None = None
+    knows_contact: bool = True
 
 
 class Guard(NamedTuple):
@@ -102,6 +147,14 @@ class Incident(NamedTuple):
     text: str
 
 
+class Late(NamedTuple):
+    """When a process had not done what was due, or an answer did not come [s], by how much [s], and whose it is."""
+
+    start_s: float
+    by_s: float
+    who: Literal["machine", "link"] = "machine"
+
+
 class Lack(NamedTuple):
     """What a session lacks: a topic, and from when to when [s]."""
 
@@ -121,7 +174,9 @@ class Programme(NamedTuple):
     [s], None if that is not known; guards: what the instrument said of its guard; incidents: nodes that ended and
     sites that fell silent; limits, those of the instrument's guard, if they are known; programs: from when to when [s]
     the instrument ran one of its own; by_hand: whether a person is the hand, whose force swings with the loop;
-    interruptions: when the loop was open.
+    interruptions: when the loop was open; late: when a process was late; deadline_s: after which
+    time without a command a device opens the loop [s]; transit_s: how long a command is on its way at the most [s];
+    rest_force: what the law rests at for a force of the hand [N], None if it does not say.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -132,6 +187,10 @@ class Programme(NamedTuple):
     programs: Sequence[tuple[float, float]] = ()
     by_hand: bool = False
     interruptions: Sequence[Interruption] = ()
+    late: Sequence[Late] = ()
+    deadline_s: float = LONGEST_STEP_S
+    transit_s: float = 0.0
+    rest_force: Callable[[float], float] | None = None
 
 
 NO_PROGRAMME = Programme()
@@ -175,7 +234,7 @@ def lacks_of(
     lacking = []
     for topic, times in ((HAND, hand_time_s), (TIP, tip_time_s)):
         spans = gaps_in(times, start_s, end_s)
-        if sum(last - first for first, last in spans) > _MISSING_SHARE * (end_s - start_s):
+        if sum(last - first for first, last in spans) > ERROR_SHARE * (end_s - start_s):
             lacking += [Lack(topic, first, last) for first, last in spans]
     knows_hand = not any(lack.topic == HAND for lack in lacking)
     if knows_hand and answered_s is not None and not ((answered_s >= start_s) & (answered_s <= end_s)).any():
@@ -190,14 +249,14 @@ def judge_holds(
     scaled_force_n: Series,
     tip: Instrument | None = None,
     programme: Programme = NO_PROGRAMME,
+    spans: Sequence[tuple[float, float, float]] | None = None,
 ) -> list[Hold]:
-    """Judge every hold of a session, each without its first fifth, as the studies judge theirs.
+    """Return the holds of a session, each with its verdict.
 
-    Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure; a
-    trend has to be a factor of two to be believed, because messages on a real bus come when they come. Where the hand
-    presses, the tip has to press with the same force, and to touch. A hold without samples of hand or tip, or without
-    an answer at the hand, is `no_data`, also one of the programme that the recording does not show at all. A hold ends
-    where the instrument begins a program of its own or somebody has it withdraw, which is no act of the guard.
+    Small is what is small beside the greatest force of the hand in the session, so that the holds share one measure. A
+    stretch in which the hand lies still without pressing, and the tip does not touch, is no hold. A hold without
+    samples of hand or tip, or without an answer at the hand, is `no_data`, also one of the programme that the recording
+    does not show at all. A hold ends where the instrument begins a program of its own or somebody has it withdraw.
 
     Args:
         hand_time_s: The times of the hand's samples [s], shape (n,).
@@ -206,56 +265,403 @@ def judge_holds(
         scaled_force_n: alpha_f F_s at those times [N], shape (m,).
         tip: What the instrument says at those times; None if that is not known.
         programme: What else is known of the operator's programme.
+        spans: Start [s], end [s] and force [N] of the holds, where they are known although the force of the hand, an
+            arm, does not stand still; None looks for them.
     """
     forces = [*np.abs(hand_force_n).tolist(), *(abs(force) for _, _, force in programme.planned)]
     greatest = float(max(forces, default=0.0))
     if greatest == 0.0:
         return []
-    holds = []
+    if tip is None:
+        always = np.ones(len(tip_time_s), dtype=bool)
+        tip = Instrument(always, always, knows_contact=False)
+    if not tip.knows_contact:
+        tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
+    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest)
+    if spans is not None:
+        return [found for hold in spans if (found := _judge_hold(session, hold, spans)) is not None]
     away = absences(tip_time_s, tip, programme)
-    stretches = constant_stretches(hand_time_s, hand_force_n, _HAND_STEADY_SHARE * greatest)
+    stretches = constant_stretches(hand_time_s, hand_force_n, STEADY_SHARE * greatest)
+    holds = []
     for start, end in [part for stretch in stretches for part in outside(stretch, away)]:
         force = float(np.interp(0.5 * (start + end), hand_time_s, hand_force_n))
         holds.append((start, end, force))
     # A hold that was planned and that the recording does not show at the hand has no data.
     for start, end, force in programme.planned:
         shown_s = sum(max(0.0, min(end, last) - max(start, first)) for first, last, _ in holds)
-        if shown_s < 0.5 * (end - start) and lacks_of(hand_time_s, hand_time_s, (start, end)):
+        if shown_s >= 0.5 * (end - start):
+            continue
+        pressed = hand_force_n[slice(*np.searchsorted(hand_time_s, (start, end)).tolist())]
+        is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest
+        if lacks_of(hand_time_s, hand_time_s, (start, end)):
             holds.append((start, end, force))
-    times = _Times(hand_time_s, hand_force_n, tip_time_s, scaled_force_n)
+        elif is_held and not programme.by_hand:
+            # the hand trembles about what was planned
+            parts = outside((start, end), away)
+            holds = [hold for hold in holds if not _covered(hold, [(start, end)])]
+            holds += [(first, last, force) for first, last in parts]
     swings = swings_of(tip_time_s, scaled_force_n) if programme.by_hand else []
     swings = [swing for swing in swings if not _covered(swing, [*holds, *away])]
     # between its stops a hand that swings stands still now and then
-    holds = [hold for hold in holds if not _covered(hold, swings)]
-    judged = [_judge_hold(times, tip, hold, greatest, programme) for hold in holds]
-    judged += [_judge_swing(times, tip, swing, greatest, programme) for swing in swings]
-    followed = np.ones(len(tip_time_s), dtype=bool) if tip is None else tip.following.copy()
-    for from_s, to_s in away:
-        followed &= (tip_time_s < from_s) | (tip_time_s > to_s)
-    times = times._replace(tip_s=tip_time_s[followed], scaled_force_n=scaled_force_n[followed])
-    ends = [hold.end_s for hold in judged]
-    judged = [_struck(times, hold, greatest, [end for end in ends if end <= hold.start_s]) for hold in judged]
+    holds = sorted(hold for hold in holds if not _covered(hold, swings))
+    judged = [found for hold in holds if (found := _judge_hold(session, hold, holds)) is not None]
+    judged += [_judge_swing(session, swing) for swing in swings]
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
-class _Times(NamedTuple):
+class _Session(NamedTuple):
+    """The series of a session, what is known besides, and the hand's greatest force [N]."""
+
     hand_s: Series
-    hand_force_n: Series
+    hand_n: Series
     tip_s: Series
-    scaled_force_n: Series
+    tip_n: Series
+    tip: Instrument
+    known: Programme
+    greatest_n: float
+
+    @property
+    def small_n(self) -> float:
+        return SMALL_SHARE * self.greatest_n
+
+    def rest_n(self, force_n: float) -> float | None:
+        """Return what the law rests at under a force of the hand [N]; None where it does not say."""
+        found = self.known.rest_force(force_n) if self.known.rest_force is not None else np.nan
+        return found if np.isfinite(found) else None
+
+    def late_in(self, start_s: float, end_s: float) -> list[Late]:
+        """Return when machine or link were late in a span, in the order of time."""
+        found = list(self.known.late)
+        if self.known.answered_s is not None and len(self.known.answered_s) > 1:
+            steps_s = np.diff(self.known.answered_s)
+            # over a link that is uneven anyway what is usual is not late
+            places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
+            # what did not come had been due at the tip for up to the transit before
+            since_s = self.known.answered_s[places] - self.known.transit_s
+            found += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
+        return sorted(one for one in found if start_s <= one.start_s < end_s)
+
+    def at(self, start_s: float, end_s: float) -> slice:
+        """Return the tip's samples from a start to before an end."""
+        return slice(*np.searchsorted(self.tip_s, (start_s, max(end_s, start_s))).tolist())
 
 
-def _struck(series: _Times, hold: Hold, greatest_n: float, before_s: Sequence[float]) -> Hold:
-    """Say so where the tip came to rest in a hold after a blow in it, or since the last of those that ended before.
+class Episode(NamedTuple):
+    """A part of a hold: approach, contact, loop open, or tip away, from when to when [s], and why it ended."""
 
-    It is compared with the hand's greatest force in that time, or with what is small in the session if that is more.
+    kind: Literal["approach", "contact", "open", "away"]
+    start_s: float
+    end_s: float
+    why: str = ""
+
+
+def episodes_of(session: "_Session", start_s: float, end_s: float) -> list[Episode]:
+    """Return the episodes of a hold, one after the other."""
+    found: list[Episode] = []
+    now_s = start_s
+    away_s, away_why = _withdrawn(session, start_s, end_s)
+    for first_s, last_s, why in [*_openings(session, start_s, away_s), (away_s, away_s, "")]:
+        if first_s > now_s:
+            # what counts as the first arrival begins with the press, and anew once the loop has been open
+            since_s = _press_s(session, now_s) if now_s == start_s else now_s
+            part = session.at(since_s, first_s)
+            touching = np.flatnonzero(session.tip.in_contact[part])
+            arrived_s = float(session.tip_s[part][touching[0]]) if touching.size else first_s
+            if arrived_s > now_s:
+                found.append(Episode("approach", now_s, min(arrived_s, first_s)))
+            if arrived_s < first_s:
+                found.append(Episode("contact", max(arrived_s, now_s), first_s, why))
+        if last_s > first_s:
+            found.append(Episode("open", max(first_s, now_s), last_s, why))
+        now_s = max(now_s, last_s)
+    if away_s < end_s:
+        found.append(Episode("away", away_s, end_s, away_why))
+    return found
+
+
+def _press_s(session: _Session, start_s: float) -> float:
+    """Return when the hand began to press that presses at a time [s]."""
+    idle = (session.hand_s < start_s) & (np.abs(session.hand_n) <= session.small_n)
+    return float(session.hand_s[idle].max(initial=session.hand_s[0] if session.hand_s.size else start_s))
+
+
+def _openings(session: _Session, start_s: float, end_s: float) -> list[tuple[float, float, str]]:
+    """Return from the cause to the end [s] of each time with the loop open in a span, and its words, joined."""
+    known, found = session.known, []
+    for one in known.interruptions:
+        back_s = known.deadline_s + known.transit_s if one.starved else 0.0
+        if one.kind != "process_ended":
+            found.append((one.start_s - back_s, one.end_s, in_words([one])))
+    if session.tip.held is not None:
+        edges = np.flatnonzero(np.diff(session.tip.held, prepend=False, append=False)).reshape(-1, 2)
+        ends = [(float(session.tip_s[i]), float(session.tip_s[min(j, len(session.tip_s) - 1)])) for i, j in edges]
+        found += [(first, last, f"at {first:.3f} s the tip was held as somebody asked") for first, last in ends]
+    joined: list[tuple[float, float, str]] = []
+    for first, last, why in sorted(found):
+        if last < start_s or first >= end_s:
+            continue
+        if joined and first <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(min(last, end_s), joined[-1][1]), joined[-1][2])
+        else:
+            joined.append((max(first, start_s), min(last, end_s), why))
+    return joined
+
+
+def _withdrawn(session: _Session, start_s: float, end_s: float) -> tuple[float, str]:
+    """Return when the instrument ceased to follow in a hold, or its end [s], and the reason that it gave."""
+    part = session.at(start_s, end_s)
+    lost = np.flatnonzero(~session.tip.following[part])
+    if not lost.size:
+        return end_s, ""
+    first = part.start + int(lost[0])
+    while first > 0 and not session.tip.following[first - 1]:
+        first -= 1
+    at_s, guards = float(session.tip_s[first]), session.known.guards
+    if first == 0:
+        guards = [guard for guard in guards if guard.time_s <= at_s][-1:]
+        return start_s, guards[0].reason if guards else "never"
+    near = [guard for guard in guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
+    reason = min(near, key=lambda guard: abs(guard.time_s - at_s)).reason if near else ""
+    if not reason and session.tip.held is not None and bool(session.tip.held[first - 1]):
+        reason = "hold_expired"
+    return max(at_s, start_s), reason
+
+
+def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequence[tuple[float, ...]]) -> Hold | None:
+    """Return a hold with its verdict and facts; None for a hand that does not press and a tip that does not touch."""
+    start, end, force = hold
+    episodes = episodes_of(session, start, end)
+    contacts = [one for one in episodes if one.kind == "contact"]
+    lacking = lacks_of(session.hand_s, session.tip_s, (start, end), session.known.answered_s)
+    away = next((one for one in episodes if one.kind == "away"), None)
+    touches = bool(contacts) and bool(session.tip.in_contact[session.at(0.5 * (start + end), end)].all())
+    if abs(force) <= session.small_n and not touches and not lacking and away is None:
+        return None
+    if lacking and away is None:
+        causes = _causes(session.known, lacking[0].start_s, lacking[-1].end_s)
+        return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
+    first, verdict = _judged_contact(session, contacts, episodes, force)
+    if away is not None:
+        verdict = _guarded(session, away, verdict, first)
+    elif first is not None and verdict.kind == "stable" and not session.tip.in_contact[_last(session, first)].any():
+        off = session.at(first.start_s, first.end_s)
+        left_s = float(session.tip_s[off][session.tip.in_contact[off]].max(initial=first.start_s))
+        words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
+        verdict = verdict._replace(kind="contact_lost", reason=words)
+    found = Hold(start, end, force, *verdict[:5])
+    if first is not None:
+        rests = verdict.kind == "stable" and verdict.rest_from_s is not None
+        rest_s = max(verdict.rest_from_s or 0.0, first.start_s) if rests else None
+        found = found._replace(judged_from_s=first.start_s, judged_to_s=first.end_s, rest_from_s=rest_s)
+    hand_n, tip_n = hold_forces(found, *session[:4])
+    if len(tip_n) and (tip_n > session.small_n).all():
+        found = found._replace(hold_ratio=float((hand_n / tip_n).mean()))
+    before_s = max((one[1] for one in holds if one[1] <= start), default=float(session.hand_s[0]))
+    return found._replace(facts=tuple(_facts(session, found, episodes, before_s, tip_n)))
+
+
+def hold_forces(
+    hold: Hold, hand_time_s: Series, hand_force_n: Series, tip_time_s: Series, scaled_force_n: Series
+) -> tuple[Series, Series]:
+    """Return F_m and alpha_f F_s [N] at the tip's times in the later half of a hold's rest; empty where it has none."""
+    if hold.rest_from_s is None or hold.judged_to_s is None:
+        return np.empty(0), np.empty(0)
+    ends = (0.5 * (hold.rest_from_s + hold.judged_to_s), hold.judged_to_s)
+    part = slice(*np.searchsorted(tip_time_s, ends).tolist())
+    return np.interp(tip_time_s[part], hand_time_s, hand_force_n), scaled_force_n[part]
+
+
+def _judged_contact(
+    session: _Session, contacts: Sequence[Episode], episodes: Sequence[Episode], force_n: float
+) -> tuple[Episode | None, Verdict]:
+    """Return the episode that a hold is judged by, and the verdict: the first contact, before anything interrupted it.
+
+    Where that is shorter than a hold, a later one may say that the loop came to rest again, but never that it does not:
+    what moves after an interruption is its consequence.
     """
-    start_s = max(before_s, default=-np.inf)
-    tip = (series.tip_s >= start_s) & (series.tip_s <= hold.end_s)
-    hand = (series.hand_s >= start_s) & (series.hand_s <= hold.end_s)
-    pressed_n = float(series.hand_force_n[hand].max(initial=max(hold.hand_force_n, SMALL_SHARE * greatest_n)))
-    found = struck(Verdict(*hold[3:8]), float(series.scaled_force_n[tip].max(initial=0.0)), pressed_n)
-    return hold._replace(verdict=found.kind, reason=found.reason)
+    # what is shorter than any hold says nothing, unless there is nothing else
+    of_length = [one for one in contacts if one.end_s - one.start_s >= SHORTEST_HOLD_S]
+    if contacts:
+        one = of_length[0] if of_length else max(contacts, key=lambda each: each.end_s - each.start_s)
+        verdict = _judge_span(session, one.start_s, one.end_s, force_n)
+        if one is not contacts[0] and verdict.kind != "stable":
+            why = next(each.why for each in contacts if each.why)
+            words = f"after {why}, {verdict.reason}: a hold that nothing interrupts would decide"
+            return one, verdict._replace(kind="cannot_say", reason=words)
+        if one.why and verdict.kind == "cannot_say":
+            words = f"before {one.why}, {verdict.reason}: a hold that nothing interrupts would decide"
+            verdict = verdict._replace(reason=words)
+        return one, verdict
+    opened = next((one.why for one in episodes if one.kind == "open"), "")
+    if opened:
+        return None, Verdict("cannot_say", None, 0.0, 0.0, f"{opened}: a hold that nothing interrupts would decide")
+    words = "the tip had not reached the surface by the end of the hold: a longer hold would decide"
+    return None, Verdict("cannot_say", None, 0.0, 0.0, words)
+
+
+def _judge_span(session: _Session, start_s: float, end_s: float, force_n: float) -> Verdict:
+    """Judge the motion of a span; where the machine was late and it is not at rest, that before the first time."""
+    tip_n = _without_hand(session, start_s, end_s)
+    part = session.at(start_s, end_s)
+    rest_n = session.rest_n(force_n)
+    verdict = judge(session.tip_s[part], tip_n, session.greatest_n, rest_n)
+    late = session.late_in(start_s, end_s)
+    if not late or verdict.kind == "stable":
+        return verdict
+    part = session.at(start_s, late[0].start_s)
+    before = judge(session.tip_s[part], tip_n[: part.stop - part.start], session.greatest_n, rest_n)
+    if before.kind in ("diverged", "limit_cycle"):
+        return before
+    if before.kind == "stable" and late[0].start_s - start_s > (1.0 - LEFT_SHARE) * (end_s - start_s):
+        # what follows is too short to show more than the consequence
+        return before
+    words = f"{verdict.reason}, while {_late_words(late)}: a run in which nothing is late would decide"
+    return verdict._replace(kind="cannot_say", reason=words)
+
+
+def _without_hand(session: _Session, start_s: float, end_s: float) -> Series:
+    """Return the tip's force in a span without what follows the trembling of the hand [N].
+
+    The hand's force acts on the tip late by something between nothing and the transit; it is taken off with the gain,
+    and the delay, that leave least. A law shows the tip no more than the hand does, but for a swing of its own.
+    """
+    part = session.at(start_s, end_s)
+    tip_n = session.tip_n[part]
+    hand = slice(*np.searchsorted(session.hand_s, (start_s, end_s)).tolist())
+    if not session.hand_n[hand].size or float(np.ptp(session.hand_n[hand])) <= STEADY_SHARE * session.greatest_n:
+        return tip_n
+    best, left = tip_n, float(np.ptp(tip_n)) ** 2 * len(tip_n)
+    for share in np.linspace(0.0, 1.0, 11).tolist():
+        trembling = np.interp(session.tip_s[part] - share * session.known.transit_s, session.hand_s, session.hand_n)
+        bare = trembling - float(np.cumsum(trembling)[-1]) / len(trembling)
+        centred = tip_n - float(np.cumsum(tip_n)[-1]) / len(tip_n)
+        gain = float(np.cumsum(bare * centred)[-1]) / max(float(np.cumsum(bare * bare)[-1]), 1e-300)
+        rest = centred - min(max(gain, 0.0), 1.5) * bare
+        if (own := float(np.cumsum(rest * rest)[-1])) < left:
+            best, left = tip_n - min(max(gain, 0.0), 1.5) * bare, own
+    return best
+
+
+def _late_words(late: Sequence[Late]) -> str:
+    words = []
+    for who, what in (("machine", "the machine was late by"), ("link", "no answer reached the hand for")):
+        own = [one.by_s for one in late if one.who == who]
+        words += [f"{what} {1e3 * max(own):.0f} ms" + (f", {len(own)} times" if len(own) > 1 else "")] if own else []
+    return " and ".join(words)
+
+
+def _guarded(session: _Session, away: Episode, verdict: Verdict, first: Episode | None = None) -> Verdict:
+    """Return the verdict on a hold that the instrument's withdrawal ended: diverged where the motion grew before."""
+    words, starved = (
+        ("the instrument followed no command from the beginning on", False)
+        if away.why == "never"
+        else _in_words(_guard_s(session, away), away.why, session.known)
+    )
+    if verdict.kind == "diverged" or (verdict.kind == "limit_cycle" and starved):
+        return verdict._replace(reason=f"{words}; until then {verdict.reason}")
+    if away.why == "force_limit" and first is not None:
+        halves = [first.start_s, 0.5 * (first.start_s + first.end_s), first.end_s]
+        ways = [session.tip_n[session.at(*ends)] for ends in pairwise(halves)]
+        before_n, then_n = (float(np.ptp(way)) if len(way) > 1 else 0.0 for way in ways)
+        if before_n > session.small_n and then_n > STRUCK_FORCES * before_n:
+            reason = f"{words}; until then the motion grew from {before_n:.3g} N to {then_n:.3g} N from peak to peak"
+            return verdict._replace(kind="diverged", peak_to_peak_n=then_n, reason=reason)
+    return verdict._replace(kind="guarded", reason=words)
+
+
+def _guard_s(session: _Session, away: Episode) -> float:
+    first = int(np.searchsorted(session.tip_s, away.start_s))
+    while first > 0 and not session.tip.following[first - 1]:
+        first -= 1
+    if first > 0:
+        return float(session.tip_s[first])
+    return next(
+        (guard.time_s for guard in reversed(session.known.guards) if guard.time_s <= session.tip_s[0]), away.start_s
+    )
+
+
+def _last(session: _Session, one: Episode) -> slice:
+    """Return the samples of the last eighth of an episode."""
+    return session.at(one.end_s - 0.125 * (one.end_s - one.start_s), one.end_s)
+
+
+def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s: float, rest_n: Series) -> list[Fact]:
+    """Return what else is true of a hold; before_s: the end of the one before [s]; rest_n: the tip's force at rest."""
+    start, end, force = hold[:3]
+    found, known = [], session.known
+    first = next((one for one in episodes if one.kind == "contact"), None)
+    if first is not None and episodes[0].kind == "approach" and episodes[0].end_s == first.start_s:
+        late_s = first.start_s - start
+        found.append(Fact("arrived_late", late_s, f"arrived late, {late_s:.2g} s after the hand stood still"))
+    part = session.at(before_s, end)
+    hand = slice(*np.searchsorted(session.hand_s, (before_s, end)).tolist())
+    pressed_n = float(session.hand_n[hand].max(initial=max(abs(force), session.small_n)))
+    blow_n = float(session.tip_n[part][session.tip.following[part]].max(initial=0.0))
+    if blow_n > STRUCK_FORCES * pressed_n:
+        text = f"struck with {blow_n:.3g} N, {blow_n / pressed_n:.3g} times the force of the hand"
+        found.append(Fact("struck", blow_n, text))
+    if len(rest_n):
+        found += _rest_facts(session, hold, before_s, float(np.cumsum(rest_n)[-1]) / len(rest_n))
+    for one in known.interruptions:
+        if one.start_s < end and one.end_s > start and one.kind != "process_ended":
+            away_s = one.end_s - one.start_s
+            found.append(Fact("interrupted", away_s, f"interrupted for {1e3 * away_s:.0f} ms: {in_words([one])}"))
+    whose: tuple[tuple[Literal["machine", "link"], FactKind], ...] = (
+        ("machine", "machine_late"),
+        ("link", "link_late"),
+    )
+    for who, kind in whose:
+        if late := [one for one in session.late_in(start, end) if one.who == who]:
+            found.append(Fact(kind, max(one.by_s for one in late), _late_words(late)))
+    if not session.tip.knows_contact:
+        text = f"contact is taken from the force, above {session.small_n:.2g} N"
+        found.append(Fact("contact_by_force", session.small_n, text))
+    return found
+
+
+def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -> list[Fact]:
+    """Return how a tip rests that presses with a mean force: right, with the hand, and other than before it."""
+    found, force_n = [], hold.hand_force_n
+    due_n = session.rest_n(force_n)
+    if due_n is not None and abs(mean_n - due_n) > max(ERROR_SHARE * abs(due_n), session.small_n):
+        text = f"off its force by {mean_n - due_n:.3g} N: the tip rests at {mean_n:.3g} N, the law at {due_n:.3g} N"
+        found.append(Fact("off_force", mean_n - due_n, text))
+    if session.tip.apart_m is not None:
+        last = session.at(0.5 * ((hold.rest_from_s or 0.0) + (hold.judged_to_s or 0.0)), hold.judged_to_s or 0.0)
+        apart_m = float(session.tip.apart_m[last].mean())
+        if abs(apart_m) > PARTED_M:
+            found.append(Fact("parted", apart_m, f"hand and tip parted by {1e3 * apart_m:.3g} mm"))
+    then = session.at(before_s, before_s + LONGEST_STEP_S)
+    asked_n = force_n - float(np.interp(before_s, session.hand_s, session.hand_n))
+    if then.stop > then.start and abs(asked_n) > session.small_n:
+        moved_n = mean_n - float(session.tip_n[then].mean())
+        if abs(moved_n) < ERROR_SHARE * abs(asked_n):
+            text = f"nothing moved: the hand changed by {asked_n:.3g} N and the tip by less than a tenth of that"
+            found.append(Fact("nothing_moved", moved_n, text))
+    return found
+
+
+def _judge_swing(session: _Session, swing: Swing) -> Hold:
+    """Judge a swing as a hold; one that goes on as it is, or of which there is no telling, is a limit cycle."""
+    at_s, why = _withdrawn(session, swing.start_s, swing.end_s)
+    part = session.at(swing.start_s, at_s)
+    hand = (session.hand_s >= swing.start_s) & (session.hand_s <= swing.end_s)
+    force = float(session.hand_n[hand].mean()) if hand.any() else 0.0
+    found = judge(session.tip_s[part], session.tip_n[part], session.greatest_n)
+    if why:
+        found = _guarded(session, Episode("away", at_s, swing.end_s, why), found)
+    words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
+    if found.kind not in ("diverged", "guarded"):
+        # The last turn says what becomes of a swing of a few turns that the models do not fit.
+        left_n = float(
+            np.ptp(session.tip_n[session.at(max(swing.start_s, swing.end_s - 1.0 / swing.frequency_hz), at_s)])
+        )
+        dies_out = left_n < 0.5 * swing.peak_to_peak_n
+        reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")
+        found = found._replace(
+            kind="stable" if dies_out else "limit_cycle", peak_to_peak_n=swing.peak_to_peak_n, reason=reason
+        )
+    return Hold(swing.start_s, swing.end_s, force, *found[:5], (), swing.start_s, at_s, None, None, swing.frequency_hz)
 
 
 def absences(tip_time_s: Series, tip: Instrument | None, programme: Programme) -> list[tuple[float, float]]:
@@ -285,113 +691,6 @@ def _covered(stretch: tuple[float, ...], spans: Sequence[tuple[float, ...]]) -> 
     """Return whether more than half of a stretch is in spans; each begins with its start and its end [s]."""
     start_s, end_s = stretch[:2]
     return sum(max(0.0, min(end_s, span[1]) - max(start_s, span[0])) for span in spans) > 0.5 * (end_s - start_s)
-
-
-def _judge_hold(
-    series: _Times, tip: Instrument | None, hold: tuple[float, float, float], greatest_n: float, programme: Programme
-) -> Hold:
-    start, end, force = hold
-    presses = abs(force) > _PRESSING_SHARE * greatest_n
-    known = Circumstances(noisy=True, expected_n=force if presses else None)
-    judged = (series.tip_s >= start + SETTLING_SHARE * (end - start)) & (series.tip_s < end)
-    if tip is not None:
-        lost = judged & ~tip.following
-        later = judged & (series.tip_s >= 0.5 * (start + end))
-        last = judged & (series.tip_s >= end - 0.25 * (end - start))
-        if lost.any():
-            first = int(np.argmax(lost))
-            judged = judged & (series.tip_s < series.tip_s[first])
-            known = _guarded(known, series.tip_s, tip, first, programme)
-        touching = float(tip.in_contact[later].mean()) if presses and later.any() else None
-        at_end = float(tip.in_contact[last].mean()) if presses and last.any() else None
-        known = known._replace(touching=touching, touching_at_end=at_end)
-        known = known._replace(landed_s=_landed(series, tip, hold, judged, greatest_n) if presses else None)
-    lacking = lacks_of(series.hand_s, series.tip_s, (start, end), programme.answered_s)
-    if lacking and not known.guarded:
-        causes = _causes(programme, lacking[0].start_s, lacking[-1].end_s)
-        return Hold(start, end, force, "no_data", None, 0.0, 0.0, "; ".join([*map(str, lacking), *causes]))
-    verdict = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
-    without = [one for one in programme.interruptions if one.starved and one.start_s < end and one.end_s > start]
-    if without and not known.guarded and verdict.kind not in _NO_BLAME:
-        # What an interrupted loop does after it is no motion of the law, which is judged by what it did before.
-        judged &= series.tip_s < without[0].start_s
-        before = judge(series.tip_s[judged], series.scaled_force_n[judged], greatest_n, known)
-        span_s = float(np.ptp(series.tip_s[judged])) if judged.any() else 0.0
-        if span_s < SHORTEST_HOLD_S or before.kind not in ("diverged", "limit_cycle"):
-            reason = f"{in_words(without)}: the network or a node was away, which says nothing of the law"
-            reason = "; ".join([reason, *_causes(programme, without[0].start_s, without[-1].end_s)])
-            return Hold(start, end, force, *verdict._replace(kind="guarded", reason=reason))
-        verdict = before
-    if not presses and verdict.kind == "stable":
-        verdict = verdict._replace(
-            reason=f"the hand presses with {abs(force):.2g} N, and nothing moves: this is no hold"
-        )
-    return Hold(start, end, force, *verdict)
-
-
-def _landed(
-    series: _Times,
-    tip: Instrument,
-    hold: tuple[float, float, float],
-    judged: npt.NDArray[np.bool_],
-    greatest_n: float,
-) -> float | None:
-    """Return how long before the end of a hold, as judged, the tip met the surface, if it did so in the hold [s].
-
-    It has to be the first time since the hand began to press, and to stay: a tip that is thrown off lands again.
-    """
-    if not judged.any():
-        return None
-    last = int(np.flatnonzero(judged)[-1])
-    idle = (series.hand_s < hold[0]) & (np.abs(series.hand_force_n) <= _PRESSING_SHARE * greatest_n)
-    first = int(np.searchsorted(series.tip_s, series.hand_s[idle].max(initial=series.hand_s[0])))
-    changes = np.flatnonzero(np.diff(tip.in_contact[first : last + 1]))
-    if len(changes) != 1 or not tip.in_contact[last]:
-        return None
-    landed_s = float(series.tip_s[first + changes[0] + 1])
-    return float(series.tip_s[last]) - landed_s if landed_s >= hold[0] else None
-
-
-def _judge_swing(series: _Times, tip: Instrument | None, swing: Swing, greatest_n: float, programme: Programme) -> Hold:
-    """Judge a swing as a hold; one that goes on as it is, or of which there is no telling, is a limit cycle."""
-    inside = (series.tip_s >= swing.start_s) & (series.tip_s <= swing.end_s)
-    known = Circumstances(noisy=True)
-    if tip is not None and (lost := inside & ~tip.following).any():
-        known = _guarded(known, series.tip_s, tip, int(np.argmax(lost)), programme)
-        inside &= series.tip_s < series.tip_s[int(np.argmax(lost))]
-    at = slice(*np.searchsorted(series.hand_s, (swing.start_s, swing.end_s)).tolist())
-    force = float(series.hand_force_n[at].mean()) if series.hand_force_n[at].size else 0.0
-    found = judge(series.tip_s[inside], series.scaled_force_n[inside], greatest_n, known)
-    words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"
-    if found.kind not in ("diverged", "guarded"):
-        # The last turn says what becomes of a swing of a few turns that the models do not fit.
-        left_n = float(np.ptp(series.scaled_force_n[inside & (series.tip_s > swing.end_s - 1.0 / swing.frequency_hz)]))
-        dies_out = left_n < _LEFT_SHARE * swing.peak_to_peak_n
-        reason = f"a swing of {words} " + (f"dies out: {left_n:.2g} N are left" if dies_out else "goes on")
-        kind: Kind = "stable" if dies_out else "limit_cycle"
-        found = Verdict(kind, found.growth_per_s, swing.peak_to_peak_n, found.noise_n, reason)
-    return Hold(swing.start_s, swing.end_s, force, *found, swing.frequency_hz)
-
-
-def _guarded(
-    known: Circumstances, tip_time_s: Series, tip: Instrument, lost: int, programme: Programme
-) -> Circumstances:
-    """Add when and why the instrument withdrew, from its first sample in a hold in which it had."""
-    while lost > 0 and not tip.following[lost - 1]:
-        lost -= 1
-    if lost == 0:
-        before = [guard for guard in programme.guards if guard.time_s <= float(tip_time_s[0])]
-        if not before:
-            return known._replace(guarded=True, guard="the instrument followed no command from the beginning on")
-        words, starved = _in_words(before[-1].time_s, before[-1].reason, programme)
-        return known._replace(guarded=True, guard=words, starved=starved)
-    at_s = float(tip_time_s[lost])
-    near = [guard for guard in programme.guards if abs(guard.time_s - at_s) <= REPORTED_WITHIN_S]
-    reason = min(near, key=lambda guard: abs(guard.time_s - at_s)).reason if near else ""
-    if not reason and tip.held is not None and bool(tip.held[lost - 1]):
-        reason = "hold_expired"
-    words, starved = _in_words(at_s, reason, programme)
-    return known._replace(guarded=True, guard=words, starved=starved)
 
 
 def _in_words(at_s: float, reason: str, programme: Programme) -> tuple[str, bool]:
@@ -449,11 +748,17 @@ def verdict_of(
 
 def _worst_of(holds: list[Hold], greatest_n: float | None) -> tuple[Kind, str]:
     if not holds and greatest_n == 0.0:
-        return "cannot_say", "the hand pressed with no force, so there is no hold to judge"
+        return (
+            "cannot_say",
+            "the hand pressed with no force, so there is no hold to judge: one that presses would decide",
+        )
     if not holds:
-        return "cannot_say", "the hand never stood still for long enough"
+        return "cannot_say", "the hand never stood still for long enough: a hold of 0.5 s or more would decide"
+    pressing_n = SMALL_SHARE * (greatest_n or 0.0)
+    pressing = [hold for hold in holds if abs(hold.hand_force_n) > pressing_n] or holds
     # Among several holds that are equally bad, the first one decides.
     decisive = min(holds, key=lambda hold: _WORST_FIRST.index(hold.verdict))
-    if decisive.verdict == "stable":
-        decisive = max(reversed(holds), key=lambda hold: abs(hold.hand_force_n) > _PRESSING_SHARE * (greatest_n or 0.0))
+    if decisive.verdict in ("cannot_say", "stable"):
+        # a hold of which nothing can be said is no verdict on the law where another one is
+        decisive = next((hold for hold in reversed(pressing) if hold.verdict == "stable"), pressing[0])
     return decisive.verdict, decisive.reason

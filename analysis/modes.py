@@ -1,20 +1,19 @@
-"""The modes of a hold: sums of exponentials fitted by a matrix pencil, each with its growth rate and how sure it is.
+"""The modes of a stretch of a force: sums of exponentials by least squares, each with its growth and how sure it is.
 
-While a loop is linear its motion is a sum of c e^((g + 2 pi i f) t). The hold is looked at through narrow bands: one
-around zero frequency and one around each of the strongest lines of its spectrum. A band is shifted to zero, filtered
-and thinned to about BLOCKS complex samples, which are again a sum of a few exponentials. Their poles follow from the
-rotational invariance of the signal subspace of the Hankel matrix (Hua and Sarkar, IEEE Trans. Acoustics, Speech, and
-Signal Processing 38, 1990; R. Roy and T. Kailath, the same 37, 1989). So two lines that beat are two poles, and a
-swing that is longer than the hold is a pole like any other.
+While a loop is linear its motion is a constant, a drift, and a sum of e^(g t) (a cos w t + b sin w t). Modes are added
+one after the other: each new one begins where a search over growths and frequencies finds the most of what is left, and
+then all of them are fitted at once (Gauss and Newton with the linear part eliminated; G. Golub, V. Pereyra, SIAM J.
+Numer. Anal. 10, 1973). One is taken where it explains more than the largest line that white noise would show. So two
+lines that beat are two modes, and a swing that is longer than the stretch is a mode like any other.
 
-White noise of the read-out is estimated from the data. The order of a fit is the lowest that leaves no more than noise,
-and the standard error of a growth rate is that of the Cramer-Rao bound for what the fit leaves.
+The standard error of a growth is the larger of two: that of white residuals, and that of residuals which are alike
+within a BLOCKS-th of the stretch (the sandwich of H. White, Econometrica 48, 1980, by blocks): noise that is not white,
+and a motion that is no sum of exponentials, make a growth less sure.
 
-The linear algebra is written out (Jacobi rotations, Gauss elimination, sums in the order of time): no result depends on
-which kernel a library chooses for a processor.
+Long series are averaged over neighbours first, which leaves each exponential one. The linear algebra is written out and
+sums go in the order of time: no result depends on which kernel a library chooses for a processor.
 """
 
-import cmath
 import math
 from typing import NamedTuple
 
@@ -22,55 +21,64 @@ import numpy as np
 import numpy.typing as npt
 
 Series = npt.NDArray[np.float64]
-Complex = npt.NDArray[np.complex128]
 
-# A band is thinned to so many samples, and the Hankel matrix has so many columns.
-BLOCKS = 32
-_COLUMNS = 10
-LEAST_SAMPLES = 2 * (BLOCKS + 5)
-_MOST_POLES = 4
-_MOST_LINES = 4
-# a bin of the spectrum of white noise exceeds 20 times its mean once in 5e8
-_LINE_OVER_NOISE = 20.0
-# poles in the outer half of a band are those of a neighbour, or of noise
-_BAND = 0.25
-# Three moving averages leave noise that is alike in neighbouring samples, so that averaging reduces it less.
-_CORRELATION = 1.8
-# A fit explains a motion of which it leaves no more than this share.
-_LEFT_SHARE = 0.1
-# A band lets through this share of a line outside of it.
-_LEAK = 1e-2
-# least distance of two lines, and of a line from zero, whose band reaches to BAND * BLOCKS [1/length of the hold]
-_LINE_CYCLES = 6.0
+# a series is averaged to so many samples or up to twice as many [1], to the first of these that leaves its motion
+_MOST_SAMPLES = (384, 1536)
+# fewer samples [1] than this tell no mode from the constant and the drift, each of which takes one unknown
+LEAST_SAMPLES = 24
+_MOST_MODES = 4
+_BLOCKS = 24
+# growths at which a mode is looked for [1/length of the series]
+_GROWTHS = (0.0, -1.0, 1.0, -3.0, 3.0, -8.0, 8.0, -20.0, 20.0, -50.0, 50.0)
+# power of a line over that of noise [1]: white noise has one of 20 times its mean once in 5e8
+LINE_OVER_NOISE = 20.0
+_STEPS = 14
+# share [1] of a motion of which a fit that is not quite at its end makes modes of its own
+_RESIDUE = 1e-3
+# a swing that turns by less in its stretch [rad] may be an exponential; a growth is no greater [1/length]
+_REAL_TURN = math.pi
+# lines that are less apart than three turns [rad] are one in a third of the stretch
+_TOLD_APART = 6.0 * math.pi
+# the octave below this bin has too few bins for a median
+_LEAST_BIN = 4.0
+_MOST_GROWTH = 400.0
 
 
 class Mode(NamedTuple):
-    """One exponential of the motion: frequency [Hz], growth [1/s] and its standard error, size when the hold ends [N].
+    """One exponential of the motion: frequency [Hz], growth [1/s] and its standard error [1/s], size [N].
 
-    end_n is half of what the motion is from peak to peak; of one without frequency, how far it has still to go, or
-    has gone in the hold if that is less. explained: whether the fit that it belongs to leaves little but noise;
-    explained_late: whether it does so in the later half of the hold as well, where a motion that grows is largest.
+    thirds_n: the amplitude at its frequency in each third of the stretch, without other lines. begin_n and end_n: what
+    it moves from peak to peak at either end of the stretch; of one that makes less than half a turn in the stretch how
+    far it goes in either half.
     """
 
     frequency_hz: float
     growth_per_s: float
     error_per_s: float
+    begin_n: float
     end_n: float
-    explained: bool
-    explained_late: bool
+    thirds_n: tuple[float, ...]
 
 
-class _Fit(NamedTuple):
-    poles: list[complex]
-    weights: list[complex]
-    left: float
-    size: float
-    late_share: float
+class Fit(NamedTuple):
+    """The modes of a stretch; rest_n: where its motion would end [N]; drift_n: how far its straight line goes [N].
+
+    left: what the fit leaves, at times averaged as the motion is, shape (m,); motion: what moves, less the straight
+    line; noise_n: the standard deviation of white noise in both [N]; whole: whether no line
+    is left that stands out of noise.
+    """
+
+    modes: list[Mode]
+    rest_n: float
+    left: Series
+    motion: Series
+    noise_n: float
+    whole: bool
 
 
-def _total(values: npt.NDArray[np.number]) -> complex:
-    """Return the sum in the order of the samples, whatever the processor."""
-    return complex(np.cumsum(values)[-1]) if len(values) else 0.0j
+def rms(values: Series) -> float:
+    """Return the root of the mean square, summed in the order of the samples."""
+    return math.sqrt(_total(values * values) / max(1, len(values)))
 
 
 def noise_floor(values: Series) -> float:
@@ -83,264 +91,281 @@ def noise_floor(values: Series) -> float:
     in_time = float(np.median(third)) / 0.6745 / math.sqrt(20.0)
     if in_time == 0.0:
         return 0.0
-    power = spectrum(values)
-    in_frequency = math.sqrt(float(np.median(power[len(power) // 2 :])) / math.log(2.0))
-    return min(in_time, in_frequency)
+    count = len(values)
+    bare = values - np.interp(np.arange(count), [0, count - 1], [values[0], values[-1]])
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(count) + 0.5) / count)
+    power = np.abs(np.fft.rfft(bare * window)) ** 2 / _total(window * window)
+    return min(in_time, math.sqrt(float(np.median(power[len(power) // 2 :])) / math.log(2.0)))
 
 
-def spectrum(values: Series) -> Series:
-    """Return the periodogram of a series less its straight line, scaled so that white noise has its variance."""
-    times = np.arange(len(values)) - 0.5 * (len(values) - 1)
-    slope = (_total(times * values) / _total(times * times)).real
-    bare = values - slope * times
-    bare = bare - _total(bare).real / len(values)
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(len(values)) + 0.5) / len(values))
-    power = np.abs(np.fft.rfft(bare * window)) ** 2
-    return np.asarray(power / float(_total(window * window).real), dtype=np.float64)
+def averaged(values: Series) -> tuple[Series, int]:
+    """Return a series averaged over blocks of neighbours, and the samples of a block; the last block ends it.
+
+    Where what the averages leave out moves by more than noise, the series stays as it is.
+    """
+    noise = noise_floor(values)
+    for most in _MOST_SAMPLES:
+        block = len(values) // most
+        if block < 2:
+            continue
+        whole = values[len(values) % block :].reshape(-1, block)
+        means = whole[:, 0].copy()
+        for column in whole.T[1:]:
+            means = means + column
+        means = means / block
+        slow = np.interp(np.arange(whole.size), np.arange(len(means)) * block + 0.5 * (block - 1), means)
+        if rms(whole.ravel() - slow) <= 1.5 * noise + 0.03 * rms(means - means[0]):
+            return means, block
+    return values, 1
 
 
-def lines(values: Series, noise_n: float, floor_n: float) -> list[int]:
-    """Return the bins of the strongest lines that stand out of noise, outside of the band about zero."""
-    power = spectrum(values)
-    least = max(_LINE_OVER_NOISE * noise_n * noise_n, 0.25 * len(values) * floor_n * floor_n)
-    top = (power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:]) & (power[1:-1] > least)
-    bins = 1 + np.flatnonzero(top)
-    found: list[int] = []
-    for index in bins[np.argsort(-power[bins], kind="stable")]:
-        if index >= _LINE_CYCLES and all(abs(index - other) >= _LINE_CYCLES for other in found):
-            found.append(int(index))
-        if len(found) == _MOST_LINES:
+def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
+    """Fit the modes of a series that is sampled every period_s [s].
+
+    Args:
+        values: The samples [N], shape (n,), n >= LEAST_SAMPLES.
+        period_s: The time between two samples [s].
+        floor_n: The amplitude below which nothing is a motion [N].
+    """
+    means, block = averaged(values)
+    noise = noise_floor(means)
+    times = np.arange(len(means)) / (len(means) - 1.0)
+    length_s = period_s * block * (len(means) - 1)
+    bare = means - means[-1]
+    scale = float(np.abs(bare).max())
+    if scale <= floor_n:
+        return Fit([], float(means[-1]), bare, bare, noise, True)
+    bare = bare / scale
+    state = _solve(times, bare, [])
+    motion = scale * state.left
+    floor = max(floor_n, _RESIDUE * rms(motion)) / scale
+    whole = False
+    while len(state.poles) < _MOST_MODES:
+        found = _strongest(times, state.left)
+        # a slow swing is looked for from both sides of the grid
+        growth, turn = found
+        starts = [found] if turn > 2.0 * math.pi else [found, (0.0, 1.5), (0.0, 4.5), (growth, turn + 1.5)]
+        start = min(starts, key=lambda one: _solve(times, bare, [*state.poles, one]).power)
+        more = _refined(times, bare, [*state.poles, start])
+        for place, (growth, turn) in enumerate(more.poles):
+            if 0.0 < turn < _REAL_TURN:
+                # less than half a swing is mostly an exponential, which takes two unknowns less
+                real = _refined(times, bare, [*more.poles[:place], (growth, 0.0), *more.poles[place + 1 :]])
+                level = max(_level(more.left, turn), floor**2, more.mean)
+                more = real if real.power - more.power < 2.0 * LINE_OVER_NOISE * level else more
+        level = max(_level(more.left, more.poles[-1][1]), floor**2)
+        if state.power - more.power < 2.0 * LINE_OVER_NOISE * level or state.rms <= floor:
+            whole = True
             break
+        state = more
+    rest_n = scale * state.weights[0] + float(means[-1])
+    return Fit(_modes(times, bare, state, length_s, scale), rest_n, scale * state.left, motion, noise, whole)
+
+
+def _level(left: Series, turn: float) -> float:
+    """Return the power that a line of noise has at a turn [rad in the stretch]: of white noise its variance.
+
+    It is the median of the octave about it, which lines do not raise, and goes on as 1/f below the fourth bin
+    where it rises towards it.
+    """
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(len(left)) + 0.5) / len(left))
+    power = np.abs(np.fft.rfft(left * window)) ** 2 / _total(window * window)
+    cycles = max(turn / (2.0 * math.pi), 0.5)
+    middle = min(max(cycles, _LEAST_BIN), len(power) / 1.5)
+    octave = power[int(middle / math.sqrt(2.0)) : int(middle * math.sqrt(2.0)) + 2]
+    level, white = float(np.median(octave)), float(np.median(power))
+    return level / math.log(2.0) * max(1.0, min(middle / cycles, level / max(white, 1e-300)))
+
+
+class _State(NamedTuple):
+    """Growth and turn [rad] of each pole in the stretch, the weights of the columns, and what they leave."""
+
+    poles: list[tuple[float, float]]
+    weights: list[float]
+    left: Series
+
+    @property
+    def power(self) -> float:
+        return _total(self.left * self.left)
+
+    @property
+    def mean(self) -> float:
+        return self.power / len(self.left)
+
+    @property
+    def rms(self) -> float:
+        return math.sqrt(self.mean)
+
+
+def _total(values: Series) -> float:
+    """Return the sum in the order of the samples, whatever the processor."""
+    return float(np.cumsum(values)[-1]) if len(values) else 0.0
+
+
+def _pair(times: Series, growth: float, turn: float) -> tuple[Series, Series, Series]:
+    """Return e^(g t) cos w t, e^(g t) sin w t / min(w, 1), and the time t, which counts from the end where g > 0."""
+    since = times - 1.0 if growth > 0.0 else times
+    swell = np.exp(np.maximum(growth * since, -700.0))
+    return swell * np.cos(turn * since), swell * np.sin(turn * since) / max(min(turn, 1.0), 1e-9), since
+
+
+def _columns(times: Series, poles: list[tuple[float, float]]) -> list[Series]:
+    """Return the constant, and of each pole its columns: two, or one of a turn of 0."""
+    found = [np.ones_like(times)]
+    for growth, turn in poles:
+        found += _pair(times, growth, turn)[: 2 if turn else 1]
     return found
 
 
-def modes_of(values: Series, period_s: float, noise_n: float, floor_n: float) -> list[Mode]:
-    """Return the modes of a hold sampled every period_s [s] that stand out of noise [N] and floor [N].
-
-    Args:
-        values: The samples of the hold [N], shape (n,), n >= LEAST_SAMPLES.
-        period_s: The time between two samples [s].
-        noise_n: The standard deviation of white noise [N].
-        floor_n: The amplitude below which a mode does not count [N].
-    """
-    length_s = len(values) * period_s
-    found = _slow_modes(values, period_s, noise_n, floor_n)
-    bare = values - _total(values).real / len(values)
-    for index in lines(values, noise_n, floor_n):
-        found += _line_modes(bare, index / length_s, period_s, noise_n, floor_n)
-    most = max((mode.end_n for mode in found), default=0.0)
-    return [mode for mode in found if mode.end_n > _LEAK * most]
-
-
-def _thinned(values: npt.NDArray[np.number], block: int) -> Complex:
-    """Return a series after three moving averages, one sample a block, the last of them at its end."""
-    for _ in range(3):
-        sums = np.cumsum(values)
-        values = np.concatenate([sums[block - 1 : block], sums[block:] - sums[:-block]]) / block
-    return np.asarray(values[(len(values) - 1) % block :: block], dtype=np.complex128)
-
-
-def _slow_modes(values: Series, period_s: float, noise_n: float, floor_n: float) -> list[Mode]:
-    """Fit the steps between the samples of the band about zero: what stands still has none."""
-    block = len(values) // (BLOCKS + 5)
-    steps = np.diff(_thinned(values, block))
-    noise = noise_n * _noise_passed(block) * math.sqrt(2.0)
-    if float(np.abs(steps).max()) <= max(4.0 * noise, floor_n):
-        return []
-    fit = _fitted(steps, noise)
-    found = []
-    for pole, weight in zip(fit.poles, fit.weights, strict=True):
-        if pole == 0.0 or pole.imag < 0.0 or abs(cmath.phase(pole)) > 2.0 * math.pi * _BAND:
+def _tangents(times: Series, state: _State) -> list[Series]:
+    """Return how the fit changes with the growth of each pole, and with its turn unless that is 0."""
+    found: list[Series] = []
+    place = 1
+    for growth, turn in state.poles:
+        cosine, sine, since = _pair(times, growth, turn)
+        a = state.weights[place]
+        if not turn:
+            found.append(a * since * cosine)
+            place += 1
             continue
-        # Each step is (z - 1) times the motion itself.
-        gain = min(1.0 / max(abs(pole - 1.0), 1e-12), BLOCKS)
-        size = abs(weight) * (2.0 if pole.imag > 0.0 else 1.0)
-        mode = _mode(fit, pole, size, 0.0, block * period_s, gain)
-        # a swing of which the hold has less than two cycles is hard to tell from a drift that bends
-        cycles = mode.frequency_hz * len(values) * period_s
-        unsure = max(1.0, 2.0 / cycles) ** 2 if cycles > 0.0 else 1.0
-        found.append(mode._replace(error_per_s=min(unsure, 100.0) * mode.error_per_s))
-    least = max(2.0 * noise, floor_n)
-    return [mode for mode in found if mode.end_n > least]
+        b, slow = state.weights[place + 1], min(turn, 1.0)
+        turned = since * cosine if turn >= 1.0 else (since * cosine - sine) / turn
+        found += [since * (a * cosine + b * sine), b * turned - a * slow * since * sine]
+        place += 2
+    return found
 
 
-def _noise_passed(block: int) -> float:
-    """Return the share of the standard deviation of white noise that three moving averages pass."""
-    # the third power of a box of n: variance 11/20n for large n
-    return 1.0 if block == 1 else math.sqrt(0.55 / block)
+def _normal(columns: list[Series]) -> list[list[float]]:
+    matrix = [[0.0] * len(columns) for _ in columns]
+    for i, first in enumerate(columns):
+        for j in range(i, len(columns)):
+            matrix[i][j] = matrix[j][i] = _total(first * columns[j])
+    return matrix
 
 
-def _line_modes(values: Series, frequency_hz: float, period_s: float, noise_n: float, floor_n: float) -> list[Mode]:
-    """Fit the complex envelope of a line: shifted to zero, filtered, thinned."""
-    block = max(1, len(values) // (BLOCKS + 4))
-    turns = frequency_hz * period_s * np.arange(len(values))
-    envelope = _thinned(values * np.exp(-2j * np.pi * turns), block)
-    noise = noise_n * _noise_passed(block)
-    if float(np.abs(envelope).max()) <= max(3.0 * noise, floor_n):
-        return []
-    fit = _fitted(envelope, noise)
-    step_s = block * period_s
-    found = []
-    for pole, weight in zip(fit.poles, fit.weights, strict=True):
-        turned = cmath.phase(pole) / (2.0 * math.pi) if pole != 0.0 else 1.0
-        if abs(turned) > _BAND or frequency_hz + turned / step_s <= 0.0:
-            continue
-        found.append(_mode(fit, pole, 2.0 * abs(weight), frequency_hz, step_s, 1.0))
-    least = max(3.0 * noise, floor_n)
-    return [mode for mode in found if mode.end_n > least]
+def _solve(times: Series, values: Series, poles: list[tuple[float, float]]) -> _State:
+    """Return the best weights of given poles, and what they leave."""
+    columns = _columns(times, poles)
+    found = solved(_normal(columns), [[_total(column * values)] for column in columns])
+    left = values
+    for (weight,), column in zip(found, columns, strict=True):
+        left = left - weight * column
+    return _State(poles, [row[0] for row in found], left)
 
 
-def _mode(fit: _Fit, pole: complex, size: float, frequency_hz: float, step_s: float, gain: float) -> Mode:
-    growth, turned = math.log(abs(pole)) / step_s, cmath.phase(pole) / (2.0 * math.pi)
-    steps = BLOCKS - 1
-    # the averages pass less at the edges of the band, and their middle is a block and a half before the end
-    end = gain * size / float(np.sinc(turned)) ** 3 * _power(abs(pole), steps + 1.5)
-    rms = size * math.sqrt(sum(_power(abs(pole), 2.0 * k) for k in range(BLOCKS)) / BLOCKS)
-    error = _CORRELATION * math.sqrt(6.0 / BLOCKS) * fit.left / (max(rms, 1e-300) * BLOCKS * step_s)
-    explained, late = fit.left <= _LEFT_SHARE * fit.size, fit.late_share <= _LEFT_SHARE
-    return Mode(abs(frequency_hz + turned / step_s), growth, error, end, explained, late)
-
-
-def _power(base: float, exponent: float) -> float:
-    return math.exp(min(max(exponent * math.log(base), -700.0), 700.0))
-
-
-def _fitted(samples: Complex, noise: float) -> _Fit:
-    """Fit the lowest number of exponentials that leaves no more than noise, BLOCKS samples from the end backwards."""
-    samples = samples[-BLOCKS:]
-    size = _rms(samples)
-    vectors = _signal_vectors(samples)
-    best = _Fit([], [], size, size, 1.0)
-    for order in range(1, _MOST_POLES + 1):
-        poles = _poles(vectors[:order])
-        weights = _weights(samples, poles)
-        if weights is None:
-            break
-        times = np.arange(len(samples))
-        rest = samples.copy()
-        for weight, pole in zip(weights, poles, strict=True):
-            rest -= weight * pole**times
-        left = _rms(rest)
-        if left < 0.7 * best.left:
-            late = slice(len(samples) // 2, None)
-            best = _Fit(poles, weights, left, size, _rms(rest[late]) / max(_rms(samples[late]), 1e-300))
-        if left <= 1.5 * noise + 1e-4 * size:
-            break
-    return best
-
-
-def _rms(samples: Complex) -> float:
-    return math.sqrt(_total((samples * samples.conj()).real).real / len(samples))
-
-
-def _signal_vectors(samples: Complex) -> list[list[complex]]:
-    """Return the eigenvectors of the Hankel matrix's Gram matrix, that of the largest eigenvalue first."""
-    n, rows = _COLUMNS, len(samples) - _COLUMNS + 1
-    gram = [[0.0j] * n for _ in range(n)]
-    for i in range(n):
-        for j in range(i, n):
-            gram[i][j] = _total(samples[i : i + rows] * samples[j : j + rows].conj())
-            gram[j][i] = gram[i][j].conjugate()
-    values, vectors = _jacobi(gram)
-    order = sorted(range(n), key=lambda k: -values[k])
-    return [[vectors[i][k] for i in range(n)] for k in order]
-
-
-def _jacobi(matrix: list[list[complex]]) -> tuple[list[float], list[list[complex]]]:
-    """Return eigenvalues and eigenvectors (columns) of a Hermitian matrix by cyclic Jacobi rotations."""
-    n = len(matrix)
-    vectors = [[1.0 + 0.0j if i == j else 0.0j for j in range(n)] for i in range(n)]
-    scale = max(abs(matrix[i][i]) for i in range(n)) or 1.0
-    for _ in range(12):
-        off = 0.0
-        for p in range(n - 1):
-            for q in range(p + 1, n):
-                a = abs(matrix[p][q])
-                off = max(off, a)
-                if a <= 1e-17 * scale:
-                    continue
-                turn = matrix[p][q] / a
-                theta = (matrix[q][q].real - matrix[p][p].real) / (2.0 * a)
-                t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                back = turn.conjugate()
-                for k in range(n):
-                    x, y = matrix[k][p], matrix[k][q]
-                    matrix[k][p], matrix[k][q] = c * x - s * back * y, s * turn * x + c * y
-                    x, y = vectors[k][p], vectors[k][q]
-                    vectors[k][p], vectors[k][q] = c * x - s * back * y, s * turn * x + c * y
-                for k in range(n):
-                    x, y = matrix[p][k], matrix[q][k]
-                    matrix[p][k], matrix[q][k] = c * x - s * turn * y, s * back * x + c * y
-        if off <= 1e-15 * scale:
-            break
-    return [matrix[i][i].real for i in range(n)], vectors
-
-
-def _solved(matrix: list[list[complex]], right: list[list[complex]]) -> list[list[complex]] | None:
-    """Return the solution of a small linear system by elimination with pivots; None where it has none."""
+def solved(matrix: list[list[float]], right: list[list[float]]) -> list[list[float]]:
+    """Return the solution of a small symmetric system by elimination with pivots, a trace added to its diagonal."""
     n = len(matrix)
     rows = [[*matrix[i], *right[i]] for i in range(n)]
     for i in range(n):
+        rows[i][i] += 1e-12 * matrix[i][i] + 1e-280
+    for i in range(n):
         pivot = max(range(i, n), key=lambda k: abs(rows[k][i]))
-        if abs(rows[pivot][i]) < 1e-300:
-            return None
         rows[i], rows[pivot] = rows[pivot], rows[i]
         for k in range(n):
-            if k != i:
+            if k != i and rows[k][i] != 0.0:
                 share = rows[k][i] / rows[i][i]
                 rows[k] = [a - share * b for a, b in zip(rows[k], rows[i], strict=True)]
     return [[value / rows[i][i] for value in rows[i][n:]] for i in range(n)]
 
 
-def _poles(vectors: list[list[complex]]) -> list[complex]:
-    """Return the eigenvalues of the matrix that turns the upper rows of the signal subspace into the lower ones."""
-    order, last = len(vectors), _COLUMNS - 1
+def _strongest(times: Series, left: Series) -> tuple[float, float]:
+    """Return growth and turn of the mode that explains most of what is left, on a grid of half a cycle."""
+    best, found = -1.0, (0.0, 0.0)
+    count = len(left)
+    for growth in _GROWTHS:
+        since = times - 1.0 if growth > 0.0 else times
+        swell = np.exp(np.maximum(growth * since, -700.0))
+        power = np.abs(np.fft.rfft(left * swell, 2 * count)) ** 2 / _total(swell * swell)
+        index = int(np.argmax(power[:count]))
+        if power[index] > best:
+            best, found = float(power[index]), (growth, math.pi * index * (count - 1.0) / count)
+    return found
 
-    def product(shift: int) -> list[list[complex]]:
-        return [[sum((a[k].conjugate() * b[k + shift] for k in range(last)), 0.0j) for b in vectors] for a in vectors]
 
-    turn = _solved(product(0), product(1))
-    return _eigenvalues(turn) if turn is not None else [0.0j] * order
+def _refined(times: Series, values: Series, poles: list[tuple[float, float]], held: int = -1) -> _State:
+    """Return the fit with all poles moved to where they leave least (Levenberg and Marquardt).
 
-
-def _eigenvalues(matrix: list[list[complex]]) -> list[complex]:
-    """Return the eigenvalues of a small matrix: Faddeev and LeVerrier's polynomial, Durand and Kerner's roots."""
-    n = len(matrix)
-    coefficients, current = [1.0 + 0.0j], [[0.0j] * n for _ in range(n)]
-    for k in range(1, n + 1):
-        for i in range(n):
-            current[i][i] += coefficients[-1]
-        current = [[sum((matrix[i][m] * current[m][j] for m in range(n)), 0.0j) for j in range(n)] for i in range(n)]
-        coefficients.append(-sum((current[i][i] for i in range(n)), 0.0j) / k)
-    radius = 1.0 + max(abs(c) for c in coefficients[1:])
-    roots = [radius * cmath.exp(2j * math.pi * (k + 0.3) / n) for k in range(n)]
-    for _ in range(200):
-        change = 0.0
-        for i in range(n):
-            value, below = 1.0 + 0.0j, 1.0 + 0.0j
-            for c in coefficients[1:]:
-                value = value * roots[i] + c
-            for j in range(n):
-                below *= roots[i] - roots[j] if j != i else 1.0
-            step = value / below if below != 0.0 else 0.0j
-            roots[i] -= step
-            change = max(change, abs(step))
-        if change < 1e-15 * radius:
+    The growth of the pole at place `held` stays what it is.
+    """
+    state, damping = _solve(times, values, poles), 1e-4
+    for _ in range(_STEPS):
+        columns = _columns(times, state.poles)
+        first = len(columns)
+        columns += _tangents(times, state)
+        matrix = _normal(columns)
+        for i in range(len(columns)):
+            matrix[i][i] *= 1.0 + damping
+        step = iter(solved(matrix, [[_total(column * state.left)] for column in columns])[first:])
+        tried = []
+        for place, (growth, turn) in enumerate(state.poles):
+            move = next(step)[0]
+            if place != held:
+                growth = min(max(growth + min(max(move, -5.0), 5.0), -_MOST_GROWTH), _MOST_GROWTH)
+            tried.append((growth, abs(turn + min(max(next(step)[0], -3.0), 3.0)) + 1e-9 if turn else 0.0))
+        after = _solve(times, values, tried)
+        if not after.power < state.power:
+            damping *= 30.0
+            if damping > 1e3:
+                break
+            continue
+        gained = state.power - after.power
+        state, damping = after, max(0.1 * damping, 1e-7)
+        if gained <= 1e-5 * state.power:
             break
-    return roots
+    return state
 
 
-def _weights(samples: Complex, poles: list[complex]) -> list[complex] | None:
-    """Return the least-squares weights of exponentials; None where two of them are one."""
-    if any(not 1e-6 < abs(pole) < 1e6 for pole in poles):
-        return None
-    times = np.arange(len(samples))
-    # scaled to 1 at their greatest, so that fast growth does not drown the rest
-    scales = [max(1.0, abs(pole) ** (len(samples) - 1)) for pole in poles]
-    columns = [pole**times / scale for pole, scale in zip(poles, scales, strict=True)]
-    gram = [[_total(a.conj() * b) for b in columns] for a in columns]
-    right = [[_total(a.conj() * samples)] for a in columns]
-    found = _solved(gram, right)
-    return [row[0] / scale for row, scale in zip(found, scales, strict=True)] if found is not None else None
+def _modes(times: Series, values: Series, state: _State, length_s: float, scale: float) -> list[Mode]:
+    """Return the poles as modes in units, each with the standard error of its growth."""
+    columns = _columns(times, state.poles)
+    place, of_growth = 1, len(columns)
+    columns += _tangents(times, state)
+    n = len(columns)
+    inverse = solved(_normal(columns), [[float(i == j) for j in range(n)] for i in range(n)])
+    power = state.power / max(1, len(times) - n)
+    # what each block of what is left pulls at the unknowns with
+    edges = np.linspace(0, len(times), _BLOCKS + 1).astype(int)
+    sums = [np.concatenate([[0.0], np.cumsum(column * state.left)])[edges].tolist() for column in columns]
+    found = []
+    for number, (growth, turn) in enumerate(state.poles):
+        row = inverse[of_growth]
+        pulls = [sum(w * (own[b + 1] - own[b]) for w, own in zip(row, sums, strict=True)) for b in range(_BLOCKS)]
+        alike = math.sqrt(sum(pull * pull for pull in pulls) * _BLOCKS / (_BLOCKS - 1.0))
+        white = math.sqrt(max(row[of_growth], 1e-300) * power)
+        error = max(alike, math.sqrt(max(row[of_growth], 0.0) * max(power, _level(state.left, turn))))
+        if 2.0 * error < abs(growth) < 8.0 * error or growth < -1.0 < 0.0 < growth + 8.0 * error:
+            # a growth that is far from none is surer than its standard error has it: how much more none would leave
+            without = _refined(
+                times, values, [(0.0, t) if k == number else (g, t) for k, (g, t) in enumerate(state.poles)], number
+            )
+            surely = math.sqrt(max(without.power - state.power, 0.0) / max(power, 1e-300)) * white / error
+            error = min(error, abs(growth) / max(surely, 1e-9))
+        size = abs(state.weights[place])
+        if turn:
+            size = 2.0 * math.hypot(size, state.weights[place + 1] / min(turn, 1.0))
+        shrunk = size * math.exp(-abs(growth))
+        begin, end = (shrunk, size) if growth > 0.0 else (size, shrunk)
+        if turn < _REAL_TURN:
+            # how far it goes in either half of the stretch, or is away from its own rest there if that is less
+            cosine, sine, _ = _pair(np.linspace(0.0, 1.0, 33), growth, turn)
+            course = state.weights[place] * cosine + (state.weights[place + 1] * sine if turn else 0.0)
+            way = float(np.ptp(course))
+            begin = max(float(np.ptp(course[:17])), min(abs(float(course[0])), way))
+            end = max(float(np.ptp(course[16:])), min(abs(float(course[-1])), way))
+            if not turn and growth < 0.0:
+                end = min(abs(float(course[-1])), way)
+        frequency_hz = turn / (2.0 * math.pi * length_s)
+        # what a third of the stretch cannot tell from the mode belongs to it
+        own, column = state.left, 1
+        for _, other in state.poles:
+            for _ in range(2 if other else 1):
+                near = abs(other - turn) < _TOLD_APART
+                own = own + state.weights[column] * columns[column] if near else own
+                column += 1
+        wave = np.concatenate([[0.0], np.cumsum(own * np.exp(-1j * turn * times))])
+        parts = np.diff(wave[np.linspace(0, len(times), 4).astype(int)])
+        thirds = tuple(scale * 6.0 / len(times) * abs(complex(part)) for part in parts)
+        found.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end, thirds))
+        place, of_growth = place + (2 if turn else 1), of_growth + (2 if turn else 1)
+    return found

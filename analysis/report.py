@@ -4,7 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +16,8 @@ from analysis.conditions import conditions, described, title
 from analysis.holds import (
     ANSWERS,
     HAND,
+    LATE_S,
+    LONGEST_STEP_S,
     NO_PROGRAMME,
     SHORTEST_HOLD_S,
     TIP,
@@ -23,18 +25,20 @@ from analysis.holds import (
     Hold,
     Incident,
     Instrument,
+    Late,
     Limits,
     Programme,
     gaps_in,
     guard_of,
+    hold_forces,
     judge_holds,
     lacks_of,
     verdict_of,
 )
 from analysis.interruptions import Interruption, Told, in_words, interruptions_of
-from analysis.intervals import with_error
+from analysis.intervals import half_width, with_error
+from analysis.mean_interval import mean_half_width
 from analysis.missing import Spans, cut_off, gaps, recording_facts
-from analysis.statistics import correlated_half_width
 from analysis.summary import Summary
 from proto import TOPICS, extras
 from proto.errors import RecordingError, ReportError
@@ -48,7 +52,8 @@ from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
 from services.afm_node.section_config import SafetyConfig
-from services.haptic_node.config import recorded_hand
+from services.controller.config import LAWS, ControllerConfig
+from services.haptic_node.config import LimitsConfig, recorded_hand
 from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
 from services.runtime.loop import loop_age
 from services.runtime.settings.config import parse_yaml, validate
@@ -58,7 +63,6 @@ from services.viz_node.figure_style import ON_SCREEN, FigureOptions
 
 Series = npt.NDArray[Any]
 
-HOLD_WINDOW_S = (2.2, 2.5)
 RELEASE_WINDOW_S = 1.0
 # A difference of two clocks that is below one period of the loop shows in no figure.
 _LOOP_PERIOD_S = 1e-3
@@ -79,7 +83,8 @@ _HAND_FIELDS = ("seq", "session_s", "mode", "operator_force_n.2", "position_m.2"
 _ANSWER_FIELDS = ("answered_seq", "answered_t_ns", "answered_at_ns")
 _COMMAND_FIELDS = ("position_m.2", "force_n.2")
 _TIP_FIELDS = (
-    "tip_force_n.2", "separation_m", "separation_valid", "in_contact", "meniscus", "limited", "mode"
+    "seq", "tip_force_n.2", "base_position_m.2", "separation_m", "separation_valid", "in_contact", "meniscus",
+    "limited", "mode", "placed",
 )  # fmt: skip
 
 
@@ -104,6 +109,7 @@ class Session:
     missing: tuple[str, ...] = ()
     programme: Programme = NO_PROGRAMME
     otherwise: "Session | None" = None
+    knows_contact: bool = True
 
     @property
     def duration_s(self) -> float:
@@ -253,8 +259,53 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
             _programs(recording, timeline, start_ns, end_ns),
             is_by_hand(document),
             _interruptions(hand, tip, reported, start_ns, end_ns),
+            sorted([*_late(hand, start_ns), *_late(tip, start_ns)]),
+            _deadline_s(document),
+            _transit_s(hand),
+            _rest_force(document, found, f"{recording.path}: scenario.yaml"),
         ),
+        knows_contact=_knows_contact(document, tip["separation_m"]),
     )
+
+
+def _late(series: Mapping[str, Series], start_ns: int) -> list[Late]:
+    """Return when in the session a process was late with a sample, and by how much; a lost sample is not late."""
+    steps_s = 1e-9 * np.diff(series["t_ns"])
+    if not steps_s.size:
+        return []
+    late_s = steps_s - float(np.median(steps_s))
+    found = 1 + np.flatnonzero((late_s > LATE_S) & (np.diff(series["seq"]) == 1))
+    return [Late((int(series["t_ns"][i - 1]) - start_ns) * 1e-9, float(late_s[i - 1])) for i in found.tolist()]
+
+
+def _deadline_s(document: Scenario) -> float:
+    """Return the longer of the times without a command after which the devices open the loop [s]."""
+    hand = validate(LimitsConfig, document.haptic_node.get("limits", {}), "scenario.yaml", "haptic_node.limits")
+    safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
+    return max(hand.command_deadline_s, safety.command_deadline_s)
+
+
+def _transit_s(hand: Mapping[str, Series]) -> float:
+    """Return how long a command is on its way at the most, there and back [s]: 99 times in 100."""
+    ages_ns = (hand["answered_at_ns"] - hand["answered_t_ns"])[hand["answered_t_ns"] > 0]
+    return 1e-9 * float(np.percentile(ages_ns, 99.0)) if ages_ns.size else LONGEST_STEP_S
+
+
+def _rest_force(document: Scenario, found: Mapping[str, Any], origin: str) -> Callable[[float], float] | None:
+    """Return what the law rests at; None where it does not say, or was changed while the session ran."""
+    if len(found["law"]) != 1 or any("controller" in change for change in found["changed"]):
+        return None
+    rest_force = LAWS[found["law"][0]].rest_force
+    section = {**document.controller_in_force, "law": found["law"][0]}
+    params = validate(ControllerConfig, section, origin, "controller").params()
+    return None if rest_force is None else partial(rest_force, params)
+
+
+def _knows_contact(document: Scenario, separation_m: Series) -> bool:
+    """Return whether the instrument measures contact: a spring, a recorded map, and a controller without h do not."""
+    section = document.afm_node
+    of_map = section.get("environment") == "spring" or bool((section.get("sample") or {}).get("map"))
+    return not of_map and bool(np.isfinite(separation_m).any())
 
 
 def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
@@ -389,7 +440,7 @@ def summarise(
     missing = [*session.missing, *_lacking(session, series, holds), *missing, *unread]
     last_s = session.duration_s - RELEASE_WINDOW_S
     samples = {
-        "hold_ratio": _hold_ratios(series),
+        "hold_ratio": _hold_ratios(session, holds),
         "contact_x_cm": 100.0 * series.reference_m[series.reference_time_s >= last_s],
         "release_force_nn": 1e9 * series.tip_force_n[series.tip_time_s >= last_s],
     }
@@ -414,11 +465,24 @@ def summarise(
         "rate_hz": {name: round(count / session.duration_s, 3) for name, count in sent.items()},
         "completeness": _completeness(sent, session.duration_s, 1.0 / scenario_in(recording).period_s),
         "seq_gaps": _gaps(info),
-        "holds": [hold._asdict() for hold in holds],
+        "contact_known": session.knows_contact,
+        "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
         "clocks": _clocks(session),
         "recording": recording_facts(info, session.start_ns, missing),
     }
     return Summary.model_validate(found).model_dump(exclude_unset=True)
+
+
+def was_placed(placed: Series) -> npt.NDArray[np.bool_]:
+    """Return whether the tip had been placed by then: what it meets on its way there is no contact of the hand.
+
+    Args:
+        placed: What the instrument says of it, shape (n,), NaN where it does not say it, as in older recordings.
+    """
+    said = np.asarray(placed, dtype=np.float64)
+    if np.isnan(said).all():
+        return np.ones(said.shape, dtype=np.bool_)
+    return np.asarray(np.maximum.accumulate(np.nan_to_num(said) > 0.0), dtype=np.bool_)
 
 
 def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]]:
@@ -426,15 +490,21 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     series = session.series()
     scaled = session.force_scale * series.tip_force_n
     mode = session.tip["mode"]
+    hand_m = np.interp(series.tip_time_s, series.hand_time_s, series.hand_position_m)
     tip = Instrument(
-        np.isin(mode, ("follow", "hold")), session.tip["in_contact"].astype(bool), np.isin(mode, ("hold",))
+        np.isin(mode, ("follow", "hold")),
+        session.tip["in_contact"].astype(bool) & was_placed(session.tip["placed"]),
+        np.isin(mode, ("hold",)),
+        hand_m + session.tip["base_position_m.2"] / session.conditions["parameters"]["position_scale"],
+        session.knows_contact,
     )
     holds = judge_holds(series.hand_time_s, series.hand_force_n, series.tip_time_s, scaled, tip, session.programme)
     guard = guard_of(series.tip_time_s, tip, session.programme)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
     verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.programme.interruptions))
-    ratio = _mean(_hold_ratios(series))
-    found = {"stable": verdict == "stable", "verdict": verdict, "reason": reason, "hold_ratio": ratio}
+    # of a hold whose fate is not known nobody can say that it was not stable
+    stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
+    found = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
     return series, holds, found
 
 
@@ -618,14 +688,16 @@ def _first(keys: Series, values: Series) -> tuple[Series, Series]:
     return found, values[place]
 
 
-def _hold_ratios(series: SessionSeries) -> Series:
-    """Return F_m/(alpha_f F_s) of each sample of the window; none where the tip is not pressed throughout."""
-    first_s, last_s = HOLD_WINDOW_S
-    window = (series.hand_time_s >= first_s) & (series.hand_time_s <= last_s)
-    if not window.any() or series.hand_time_s[-1] < last_s or gaps_in(series.tip_time_s, first_s, last_s):
+def _hold_ratios(session: Session, holds: Sequence[Hold]) -> Series:
+    """Return F_m/(alpha_f F_s) of each sample at rest in the last hold that has such a ratio; none where none has."""
+    own = next((hold for hold in reversed(holds) if hold.hold_ratio is not None), None)
+    if own is None:
         return np.empty(0)
-    force = series.force_scale * np.interp(series.hand_time_s[window], series.tip_time_s, series.tip_force_n)
-    return series.hand_force_n[window] / force if (force > 0.0).all() else np.empty(0)
+    series = session.series()
+    hand_n, tip_n = hold_forces(
+        own, series.hand_time_s, series.hand_force_n, series.tip_time_s, session.force_scale * series.tip_force_n
+    )
+    return hand_n / tip_n
 
 
 def _loop_ages_ms(session: Session) -> Series:
@@ -652,14 +724,17 @@ def _loop_age_parts(split_s: Mapping[str, Series]) -> dict[str, Any]:
 
 
 def _intervals(samples: Mapping[str, Series], ages_ms: Series) -> dict[str, list[float]]:
-    """Return the interval of each mean, and of the percentiles of the loop's age by those of parts of the session."""
-    halves = {name: correlated_half_width(values) for name, values in samples.items()}
+    """Return the interval of each mean, and of the percentiles of the loop's age by those of parts of the session.
+
+    A mean whose record does not say how well it is known has none.
+    """
+    halves = {name: mean_half_width(values) for name, values in samples.items()}
     found = {name: (float(samples[name].mean()), half) for name, half in halves.items() if half is not None}
     if ages_ms.size >= _AGE_PARTS * _LEAST_AGES:
         parts = np.array([np.percentile(part, [50.0, 99.0]) for part in np.array_split(ages_ms, _AGE_PARTS)])
         for name, of_parts in zip(("p50", "p99"), parts.T, strict=True):
-            half = correlated_half_width(of_parts)
-            found[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half or 0.0)
+            half = half_width(float(np.std(of_parts, ddof=1)), _AGE_PARTS)
+            found[f"loop_age_{name}_ms"] = (float(np.percentile(ages_ms, float(name[1:]))), half)
     return {name: [round(mean - half, 9) + 0.0, round(mean + half, 9) + 0.0] for name, (mean, half) in found.items()}
 
 

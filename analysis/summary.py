@@ -12,6 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from analysis.holds import FactKind
 from analysis.interruptions import InterruptionKind
 from analysis.verdict import Kind
 
@@ -53,6 +54,14 @@ class Package(_Part):
     digest: str = Field(description="SHA-256 of the files of the package")
 
 
+class FactSummary(_Part):
+    """What is true of a hold beside its verdict."""
+
+    kind: FactKind = Field(description="Which fact it is")
+    value: float = Field(description="Its value, in the SI unit of what it is about")
+    text: str = Field(description="The fact in words")
+
+
 class HoldSummary(_Part):
     """A hold: a stretch in which the hand's force stands still, and what becomes of α_f F_s in it.
 
@@ -69,6 +78,20 @@ class HoldSummary(_Part):
     peak_to_peak_n: float = Field(description="Peak-to-peak of the motion at the end of the hold, without noise [N]")
     noise_n: float = Field(description="Standard deviation of the noise of the read-out [N]")
     reason: str = Field(description="The verdict in words")
+    facts: list[FactSummary] = Field(
+        description="What else is true of it: arrived late, struck, off the force that the law states, hand and tip "
+        "parted, nothing moved, interrupted, machine late, contact taken from the force"
+    )
+    judged_from_s: float | None = Field(
+        description="Start of the episode that is judged: contact with the loop closed [s]; null where there is none"
+    )
+    judged_to_s: float | None = Field(
+        description="End of that episode: of the hold, or the cause of what interrupted it [s]; null where none is"
+    )
+    rest_from_s: float | None = Field(description="Since when the force is at rest in it [s]; null where it is not")
+    hold_ratio: float | None = Field(
+        description="Mean of F_m/(α_f F_s) in the later half of its rest; null where the tip does not press then"
+    )
     frequency_hz: float | None = Field(
         default=None,
         description="Frequency of a swing in the place of a hold, where a person is the hand [1/s]; null in a hold",
@@ -93,7 +116,7 @@ class InterruptionSummary(_Part):
 class OtherReading(_Part):
     """The figures of the other reading of the clocks."""
 
-    stable: bool = Field(description=f"`stable` of the session, {_TAKEN_OFF}")
+    stable: bool | None = Field(description=f"`stable` of the session, {_TAKEN_OFF}")
     verdict: Kind = Field(description=f"`verdict` of the session, {_TAKEN_OFF}")
     reason: str = Field(description=f"`reason` of the session, {_TAKEN_OFF}")
     hold_ratio: float | None = Field(description=f"`hold_ratio` of the session, {_TAKEN_OFF}")
@@ -194,13 +217,12 @@ class Summary(_Part):
     version: str = Field(description="Version of telenano that recorded the session; unknown if not recorded")
     commit: str = Field(description="Commit of telenano that recorded the session; unknown if not recorded")
     duration_s: float = Field(description="Duration of the operator's programme as recorded [s]")
-    stable: bool = Field(description="Whether the verdict is `stable`")
+    stable: bool | None = Field(
+        description="Whether the verdict is `stable`; null where it is `cannot_say` or `no_data`"
+    )
     verdict: Kind = Field(description="Verdict on the session: that of its worst hold")
     reason: str = Field(description="The verdict in words")
-    hold_ratio: float | None = Field(
-        description="Mean of F_m/(α_f F_s) from 2.2 s to 2.5 s of the session; null where the tip does not press "
-        "throughout or has no samples"
-    )
+    hold_ratio: float | None = Field(description="`hold_ratio` of the last hold that has one; null where none has")
     contact_x_cm: float | None = Field(
         description="Mean position reference of the hand in the last second of the session [cm]; null without "
         "`haptic/command`"
@@ -233,7 +255,8 @@ class Summary(_Part):
     loop_age_largest: str = Field(default="", description="The largest part in words; absent where those are")
     intervals: IntervalsSummary = Field(
         description="The ends of the interval of 95 % of each figure that is estimated, from the scatter of its own "
-        "samples, which may be correlated for a sixtieth of its window; without the errors of calibrations"
+        "samples; null where these do not say how well their mean is known, because a longer record would have slow "
+        "parts that this one does not show (`analysis/mean_interval.py`); without the errors of calibrations"
     )
     overruns: int = Field(description="Deadlines that nodes missed while the session ran")
     rate_hz: dict[str, float] = Field(description="By channel: messages sent in a second of the session [1/s]")
@@ -241,6 +264,10 @@ class Summary(_Part):
         description="By channel with one source and a declared rate: recorded share of the declared number of messages"
     )
     seq_gaps: dict[str, int] = Field(description="By channel: gaps in the numbers of the messages, in all files")
+    contact_known: bool = Field(
+        description="Whether the instrument measures when the tip touches; where it does not, as of a spring, a "
+        "recorded map and a controller without h, the episodes are taken from the force"
+    )
     holds: list[HoldSummary] = Field(description="The holds of the session, in order of time")
     clocks: ClocksSummary | None = Field(
         description="What the clocks of the sites differ by; null where the link measured nothing"

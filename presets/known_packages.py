@@ -36,6 +36,7 @@ KNOWN_PACKAGES = {
     "export nexus": "telenano-nexus",
     "export protobuf": "telenano-protobuf",
     "export ros2": "telenano-ros2",
+    "inspect": "telenano-afm-files",
     "link fit": "telenano-networks",
     "link probe": "telenano-networks",
     "particles": "telenano-assembly",

@@ -231,7 +231,7 @@ class AfmNode(DeviceNode):
     def _request(self, request: InstrumentRequest, mode: int) -> str:
         # Pause and abort are for the program that runs, whatever it is.
         program = "" if request.program in CHANGES else request.program or ""
-        if text := refusal(self._config.driver, "", program):
+        if text := refusal(self._config.driver, program):
             raise RefusedError(f"program: {text}")
         return self._programs.request(request, mode, self._memory.place, device_lost=self.is_lost)
 

@@ -19,6 +19,7 @@ from services.controller.law import (
     Law,
     PortSignal,
     SlaveReference,
+    changed_in_contact,
     port_signal,
 )
 from services.numerics.frames import to_paper_axis, to_site_frame
@@ -156,6 +157,9 @@ class ControllerHalf(Node):
         if changed.lateral.mode == "direct" and self.config.lateral.mode != "direct":
             raise RefusedError("lateral.mode=direct cannot be returned to: the tip would jump to the place of the hand")
         switched = changed.law != self.config.law
+        before = self.config.law_config()
+        if not switched and self.touches and (text := changed_in_contact(self.law, before, changed.law_config())):
+            raise RefusedError(text)
         if not switched and self.law_state is not None:
             self.law_state = self.retuned(self.params, changed.params())
         self._adopt(changed)
@@ -176,9 +180,14 @@ class ControllerHalf(Node):
         # before the first tick there is nothing to take over
         self.switching = self.law_state is not None
 
+    @property
+    @abstractmethod
+    def touches(self) -> bool:
+        """Whether the tip is in contact, by what this half has heard last."""
+
+    @abstractmethod
     def retuned(self, old: Any, new: Any) -> Any:
-        """Carry the state of this half over a change of parameters."""
-        return self.law_state
+        """Carry the state of this half over a change of parameters without a jump at its device."""
 
     @abstractmethod
     def started(self) -> Any:
@@ -336,6 +345,7 @@ def _call_every_step(law: Law, params: Any, config: ControllerConfig) -> None:
     slave, _ = law.slave_send(params, slave, tip, period_s)
     energy.is_passive(0.0, False, law.slave_energy_account(params, slave))
     law.retune(params, params, state)
+    law.slave_retune(params, params, slave)
     deadband(config.deadband.to_params(), initial_deadband_state(signal), signal, period_s)
     clamped(config.clamp_params(), SlaveReference(0.0, True), signal, tip)
     port = energy.moved_to(energy.opened(0.0, 0.0), 0.0, 0.0)

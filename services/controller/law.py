@@ -163,6 +163,17 @@ def no_energy_account(params: Any, state: Any) -> EnergyAccount:
     return EnergyAccount(0.0, 0.0, 0.0)
 
 
+@compiled
+def kept(old: Any, new: Any, state: Any) -> Any:
+    """Return a slave state as it is: what it holds is in metres and newtons of the tip, or nothing."""
+    return state
+
+
+def the_hands_force(params: Any, force_n: float) -> float:
+    """Return the force of the hand [N]: what a law rests at that loses none of it."""
+    return force_n
+
+
 @dataclass(frozen=True)
 class Law:
     """A law of the table: its configuration and its compiled steps.
@@ -174,9 +185,12 @@ class Law:
     - `master_receive(params, state, hand, signal, dt) -> (state, MasterReference)`
     - `slave_receive(params, state, signal, tip, dt) -> (state, SlaveReference)`
     - `slave_send(params, state, tip, dt) -> (state, PortSignal)`
-    - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump
+    - `retune(old, new, state) -> state`: carries a master state over a change of parameters without a jump, and
+      `slave_retune` a slave state; a law without one has a slave state that holds nothing of its parameters
 
     - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
+    - `rest_force(params, force) -> float`: alpha_f F_s [N] at which the law rests in contact under a constant force F_m
+      of the hand [N]; a law that leaves it out is not judged by it
 
     The slave half steps on each signal, and, where `local_loop` is set, also each time that the instrument has stepped
     by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
@@ -187,6 +201,17 @@ class Law:
     comes before the instrument has answered the one before, that one is answered with dt = 0 and the state dropped.
 
     `uses_waves` and `uses_energy`: which optional parts of the wire message the law fills.
+
+    `link_loop`: whether a force or motion of the tip acts on the hand as it comes back, so that the loop through line
+    and instrument has a gain, and a slow instrument makes it swing. A law whose hand meets a model of the contact, or
+    whose hand moves no tip, has none; a loop at the instrument alone is `local_loop`, and its settings state the
+    stiffness that it bears. `passive`: whether the law states that its two ports together give out no more than its
+    accounts say that it was granted, over any line. `must_know`: the settings of its section that have to be those of
+    the instrument or the sample, because the law computes with them and cannot measure them.
+
+    `fixed_in_contact`: the settings, besides both scales, that a rig refuses to change while the tip touches, because
+    the force or the energy in store is stated in them and would jump. All others change live, without a step of the
+    force of more than 5 % (`telenano law check`).
     """
 
     name: str
@@ -201,24 +226,32 @@ class Law:
     retune: Steps
     master_energy_account: Steps = no_energy_account
     slave_energy_account: Steps = no_energy_account
+    rest_force: Steps | None = None
     uses_waves: bool = False
     uses_energy: bool = False
     local_loop: bool = False
+    link_loop: bool = True
+    passive: bool = False
+    must_know: tuple[str, ...] = ()
+    fixed_in_contact: tuple[str, ...] = ()
+    slave_retune: Steps = kept
 
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
 _SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
-_ACCOUNTS = ("master_energy_account", "slave_energy_account")
+_OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force")
+_SCALES = ("position_scale", "force_scale")
 
 
-def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **flags: bool) -> Law:
+def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = None, **given: Any) -> Law:
     """Return the law that a module has written down: it has the module's name, and its steps are those of `Law`.
 
     Args:
         module: The `__name__` of the module, which calls this below its last step.
         config: The model of the law's section.
         slave: The module with the steps of the slave half, if that is another one.
-        flags: The flags of `Law`.
+        given: What the law says of itself by the fields of `Law` that have defaults, and steps that the module does not
+            write down itself.
 
     Raises:
         AttributeError: A step is missing; the message names it.
@@ -226,7 +259,10 @@ def law_of(module: str, config: type[BaseModel], *, slave: ModuleType | None = N
     own = sys.modules[module]
     values: dict[str, Any] = {step: getattr(own, step) for step in _MASTER_STEPS}
     values |= {step: getattr(slave or own, step) for step in _SLAVE_STEPS}
-    values |= {step: getattr(own, step) for step in _ACCOUNTS if hasattr(own, step)} | flags
+    values |= {step: getattr(own, step) for step in _OPTIONAL if hasattr(own, step)}
+    if hasattr(slave or own, "slave_retune"):
+        values["slave_retune"] = (slave or own).slave_retune
+    values |= given
     return Law(name=module.rpartition(".")[2], config=config, **values)
 
 
@@ -239,6 +275,9 @@ def checked_law(name: str, value: Any) -> Law:
     missing = [field for field in _SHARED_FIELDS if field not in value.config.model_fields]
     if missing:
         raise ValueError(f"its settings lack {', '.join(missing)}")
+    for field in ("must_know", "fixed_in_contact"):
+        if unknown := [key for key in getattr(value, field) if key not in value.config.model_fields]:
+            raise ValueError(f"its settings have no {', '.join(unknown)}, which {field} names")
     if not hasattr(value.config, "to_params"):
         raise ValueError("its settings have no to_params(period_s)")
     return value
@@ -246,6 +285,23 @@ def checked_law(name: str, value: Any) -> Law:
 
 # Every section of a law has these fields, so code that does not know the law may use them.
 _SHARED_FIELDS = ("position_scale", "force_scale", "silence_limit_s")
+
+
+def fixed_in_contact(law: Law) -> tuple[str, ...]:
+    """Return the settings of a law that stay while the tip touches: both scales, and what the law names."""
+    return (*_SCALES, *law.fixed_in_contact)
+
+
+def changed_in_contact(law: Law, before: BaseModel, after: BaseModel) -> str:
+    """Return why a change of a law's settings has to wait until the tip is off the sample; empty where it has not."""
+    keys = [key for key in fixed_in_contact(law) if getattr(before, key) != getattr(after, key)]
+    if not keys:
+        return ""
+    return (
+        f"{law.name}.{' and '.join(keys)} cannot be changed while the tip touches: force and stored energy at the hand"
+        " are stated in it and would jump; take the tip off the sample first"
+    )
+
 
 # the most periods of one step of the slave half: its force is that of the beginning
 MOST_PERIODS_A_STEP = 3

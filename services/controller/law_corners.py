@@ -156,8 +156,9 @@ class _Halves:
     def retune(self, config: ControllerConfig) -> None:
         params = config.params()
         self.master = self.law.retune(self.params, params, self.master)
+        self.slave = self.law.slave_retune(self.params, params, self.slave)
         self.params, self.clamp = params, config.clamp_params()
-        check("retune", self.master)
+        check("retune", (self.master, self.slave))
 
 
 def _run_apart(halves: _Halves) -> None:

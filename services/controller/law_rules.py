@@ -4,6 +4,7 @@ They are what the rig relies on whatever the law: no jump where it takes over, a
 corners of every range. Passivity and the delay that a law bears are no rules: `telenano study` measures them.
 """
 
+import copy
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 from proto.errors import ConfigError, known_names
 from services.controller.config import LAWS, PACKAGE_LAWS, ControllerConfig
-from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement
+from services.controller.law import NO_SIGNAL, NO_TIP, HandSample, Law, TipMeasurement, fixed_in_contact
 from services.controller.law_corners import failures
 from services.numerics.compiled import compiled_form, is_step
 
@@ -36,6 +37,9 @@ _HOLD_S, _SPRING_N_PER_M, _HOLD_SHARE = 4.0, 20.0, 0.06
 _CORNER_SEED, _CORNER_CASES = 1, 8
 _WALL_M, _NEAR_LIMIT = 3e-9, 0.9
 _SESSION_TICKS, _HOLD_TICKS = 3000, 500
+# By what a setting is multiplied in a held contact, for how long that is watched [periods], and the most that may come
+# of it: a share of the force, and a way of the hand [m].
+_RETUNED_BY, _RETUNED_TICKS, _FORCE_STEP, _HAND_STEP_M = (0.8, 1.25), 300, 0.05, 1e-4
 # How late an instrument behind a serial line or a network answers, that a law is tried with as well [periods].
 LATE_PERIODS = 4
 
@@ -68,8 +72,8 @@ def broken_rules(name: str) -> dict[str, list[str]]:
     return found
 
 
-def _params(name: str, period_s: float = _PERIOD_S) -> Any:
-    return ControllerConfig.model_validate({"law": name, "period_s": period_s}).params()
+def _params(name: str, period_s: float = _PERIOD_S, **settings: float) -> Any:
+    return ControllerConfig.model_validate({"law": name, "period_s": period_s, name: settings}).params()
 
 
 def _settings(name: str) -> Iterator[str]:
@@ -183,6 +187,15 @@ class _Bench:
         self.measured, self.lates = [NO_TIP] * (max(lates) + 1), itertools.cycle(lates)
         self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
         self.slave = self.law.slave_start(self.params, self.tip)
+        self.shown_n: list[float] = []
+
+    def retuned(self, **settings: float) -> "_Bench":
+        """Return a bench that goes on from here with other settings of the law at both halves."""
+        other, params = copy.copy(self), _params(self.law.name, self.period_s, **settings)
+        other.master = self.law.retune(self.params, params, self.master)
+        other.slave = self.law.slave_retune(self.params, params, self.slave)
+        other.params, other.shown_n = params, []
+        return other
 
     def run(
         self, ticks: int, force_n: float, *, off: bool = False, retracted: bool = False
@@ -208,7 +221,30 @@ class _Bench:
             self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, self.period_s)
             self.x = self.x if off else reference.position_m
             rows.append((self.x, newest.force_n))
+            self.shown_n.append(reference.force_n)
         return rows
+
+
+def _retunes(name: str) -> Iterator[str]:
+    bench = _Bench(name)
+    (hand_m, tip_n), shown_n = bench.run(_SESSION_TICKS, 1.0)[-1], bench.shown_n[-1]
+    settings = bench.law.config.model_validate({})
+    for key, schema in bench.law.config.model_json_schema()["properties"].items():
+        value = getattr(settings, key)
+        if key in fixed_in_contact(bench.law) or schema.get("type") not in ("number", "integer") or not value:
+            continue
+        for factor in _RETUNED_BY:
+            other = bench.retuned(**{key: min(max(factor * value, schema["minimum"]), schema["maximum"])})
+            rows = other.run(_RETUNED_TICKS, 1.0)
+            way = max(abs(at_m - hand_m) for at_m, _ in rows)
+            step = 1e8 * max(abs(force_n - tip_n) for _, force_n in rows)
+            shown = max(abs(force_n - shown_n) for force_n in other.shown_n)
+            if not (way <= _HAND_STEP_M and step <= _FORCE_STEP and shown <= _FORCE_STEP):
+                yield (
+                    f"{key} times {factor:g} while a hand of 1 N holds a spring: the force shown changes by"
+                    f" {shown:.3g} N, that of the tip by {step:.3g} N, and the hand goes {1e3 * way:.3g} mm; at most"
+                    f" {_FORCE_STEP:g} N and {1e3 * _HAND_STEP_M:g} mm are asked for, or name it in fixed_in_contact"
+                )
 
 
 def _arms_anew(name: str) -> Iterator[str]:
@@ -266,6 +302,7 @@ RULES = (
         f" one that answers {LATE_PERIODS} ms late, and over a line that loses every second signal",
         _touches,
     ),
+    Rule("changes a setting in a held contact without a step of force or hand", _retunes),
     Rule("a session after a new arming is as the first", _arms_anew),
     Rule("gives numbers at the corners of every range", _finite),
 )

@@ -135,8 +135,11 @@ class MasterController(ControllerHalf):
         super().forget()
         self.timing = integration.master_stalled(self.timing)
 
+    @property
+    def touches(self) -> bool:
+        return self.signal.active and self.signal.in_contact
+
     def retuned(self, old: Any, new: Any) -> Any:
-        """Carry the state over without a jump at the tip."""
         return self.law.retune(old, new, self.law_state)
 
     def energy_account(self) -> EnergyAccount:

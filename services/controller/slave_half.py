@@ -135,6 +135,13 @@ class SlaveController(ControllerHalf):
     def energy_account(self) -> EnergyAccount:
         return cast(EnergyAccount, self.law.slave_energy_account(self.params, self.law_state))
 
+    @property
+    def touches(self) -> bool:
+        return self.tip.following and self.tip.in_contact
+
+    def retuned(self, old: Any, new: Any) -> Any:
+        return self.law.slave_retune(old, new, self.law_state)
+
     def _adopt(self, config: ControllerConfig) -> None:
         super()._adopt(config)
         self._clamp = config.clamp_params()

@@ -2,12 +2,15 @@
 
 A network is a file of `presets/networks`, and its name is that of the file. What is in one is `Profile`: `source` says
 which figures were published where, `assumed` what the source leaves open, and `statistics` what the messages of a
-direction have, which `tests/unit/delay_node/test_network_presets.py` measures. Forward is the operator's uplink: the
-operator sits at the end of an access line, the instrument near the core of the network.
+direction have, which `tests/unit/delay_node/test_network_presets.py` measures. The environment variable
+TELENANO_NETWORKS names a folder of further ones, such as what `telenano link fit` writes. Forward is the operator's
+uplink: the operator sits at the end of an access line, the instrument near the core of the network.
 """
 
+import os
 from collections.abc import Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -76,13 +79,19 @@ class _Profiles(Mapping[str, Profile]):
 
 @cache
 def _names() -> tuple[str, ...]:
-    names = sorted(path.stem for path in NETWORK_DIRECTORY.glob("*.yaml"))
-    return ("clean", *(name for name in names if name != "clean"))
+    names = sorted(path.stem for folder in _folders() for path in folder.glob("*.yaml"))
+    return tuple(dict.fromkeys(("clean", *names)))
+
+
+def _folders() -> list[Path]:
+    """Return the folder of the package, whose names come first, and that of the environment."""
+    own = os.environ.get("TELENANO_NETWORKS")
+    return [NETWORK_DIRECTORY, *([Path(own)] if own else [])]
 
 
 @cache
 def _read(name: str) -> Profile:
-    path = NETWORK_DIRECTORY / f"{name}.yaml"
+    path = next(path for folder in _folders() if (path := folder / f"{name}.yaml").is_file())
     return validate(Profile, read_yaml(path), str(path))
 
 

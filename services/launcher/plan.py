@@ -24,7 +24,7 @@ from proto.nodes import (
 )
 from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
-from services.afm_node.devices.capabilities import refusal
+from services.afm_node.devices.capabilities import loop_refusal, refusal
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import EVEN, LinkSettings, changes_text, network_name
 from services.delay_node.pipeline import read_files
@@ -334,7 +334,9 @@ def effective_scenario(path: Path, request: UpRequest, out: Path) -> LoadedScena
 
 def refused_laws(driver: str) -> dict[str, str]:
     """Return the laws that a driver of the instrument cannot be used with, and why."""
-    return {law: text for law in KNOWN_LAWS if (text := refusal(driver, law))}
+    instead = [name for name, law in KNOWN_LAWS.items() if not law.link_loop]
+    closing = [name for name, law in KNOWN_LAWS.items() if law.link_loop]
+    return {name: text for name in closing if (text := loop_refusal(driver, name, instead))}
 
 
 def _reject_recording_place(settings: Sequence[str]) -> None:
@@ -400,5 +402,5 @@ def check_sections(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> N
         return
     afm, law = loaded.section("afm_node", AfmConfig), loaded.section("controller", ControllerConfig).law
     program = "" if afm.begin is None else afm.begin.program or ""
-    if text := refusal(afm.driver, law, program):
+    if text := refused_laws(afm.driver).get(law) or refusal(afm.driver, program):
         raise ConfigError(f"{loaded.origin}: {text}")

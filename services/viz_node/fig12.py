@@ -36,8 +36,8 @@ _TURN_SHARE = 0.05
 # What is written where the recording states that a state of the tip begins, and where it states that it ends.
 _WORDS = {"meniscus": ("meniscus forms", "meniscus breaks"), "in_contact": ("contact begins", "contact ends")}
 # The distances from its point [pt] and the directions [degree] in which a label is tried.
-_LABEL_PT = (22.0, 36.0, 56.0, 84.0, 120.0)
-_LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0)
+_LABEL_PT = (22.0, 30.0, 40.0, 56.0, 72.0, 90.0, 120.0)
+_LABEL_DEGREES = (-35.0, 35.0, -145.0, 145.0, 0.0, 180.0, -80.0, 80.0, -60.0, 60.0, -120.0, 120.0, -15.0, 15.0)
 # So many letters of a title are as wide as the figure.
 _TITLE_WIDTH = 88
 
@@ -282,7 +282,10 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
     figure.draw_without_rendering()
     frame, per_point = axes.get_window_extent(), figure.dpi / 72.0
     curves = np.concatenate([line.get_transform().transform(line.get_xydata()) for line in axes.lines])
-    between = [curves[:-1] + share * np.diff(curves, axis=0) for share in np.arange(0.0, 1.0, 0.125)]
+    shares = np.arange(0.0, 1.0, 0.125)[:, None, None]
+    between = (curves[:-1] + shares * np.diff(curves, axis=0)).reshape(-1, 2)
+    # several points in one dot hide nothing more
+    between = np.unique(np.round(between[np.isfinite(between).all(axis=1)]), axis=0)
     taken: list[Bbox] = []
     for x_nm, force_nn, texts in labels:
         label = axes.annotate(
@@ -300,7 +303,7 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
 
         def faults(box: Bbox) -> tuple[bool, int, int]:
             outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
-            return outside, sum(map(box.overlaps, taken)), sum(box.count_contains(points) for points in between)
+            return outside, sum(map(box.overlaps, taken)), box.count_contains(between)
 
         # of those that are as good, the first is the nearest
         best = min((beside(*place) for place in product(_LABEL_PT, _LABEL_DEGREES)), key=faults)

@@ -35,21 +35,15 @@ _PAPER: Mapping[str, Any] = {
 # text of a PDF or SVG stays text, which an editor of the journal can search and set
 _EVERYWHERE: Mapping[str, Any] = {"pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "telenano"}
 
-# found by a search for the greatest least difference, with these three first: stable is light, what diverges dark;
-# struck was found beside the others
+# found by a search for the greatest least difference, with these three first: stable is light, what diverges dark
 VERDICTS = {
     "stable": "#99e6ff",
     "limit_cycle": "#e68000",
     "diverged": "#66004d",
-    "drifting": "#cc3366",
-    "released": "#4d9999",
-    "wrong_force": "#0080ff",
     "contact_lost": "#0000e6",
     "guarded": "#001a00",
     "cannot_say": "#4d4d00",
-    "settling": "#ffff00",
     "no_data": "#ffffe6",
-    "struck": "#33cc88",
 }
 # curves of one panel: each has a line of its own as well, for print in grey
 LINES: tuple[tuple[str, Any], ...] = (

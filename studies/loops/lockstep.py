@@ -156,7 +156,8 @@ class Trajectory:
     put into cantilever and sample [J], the integral of F_s dx_s; in_contact, instrument_mode (MODE_* of the AFM's
     safety chain), hand_following; instrument_reason, why that mode last changed (REASON_*); withdrawn_s, when the
     instrument last ceased to follow [s], negative before the session and NaN if it never did; across, shape (n, 12),
-    the course of the path across (`studies.loops.across`), where there was one.
+    the course of the path across (`studies.loops.across`), where there was one; begins_s, for how long the rig ran
+    before the session [s].
     """
 
     time_s: Series
@@ -175,6 +176,7 @@ class Trajectory:
     instrument_reason: npt.NDArray[np.int64]
     withdrawn_s: Series
     across: Series | None = None
+    begins_s: float = 0.0
 
 
 def simulate(
@@ -224,6 +226,7 @@ def simulate(
     for name in ("instrument_mode", "instrument_reason"):
         columns[name] = columns[name].astype(np.int64)
     columns["withdrawn_s"] = columns["withdrawn_s"] - start * rig.period_s
+    columns["begins_s"] = start * rig.period_s
     columns["across"] = None if path is None else path.rows[start:done]
     return Trajectory(**columns)
 

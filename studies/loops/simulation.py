@@ -5,6 +5,7 @@ seconds of Fig. 12 take a fraction of one. What the processes add to it, their o
 jitter, is not in it.
 """
 
+import functools
 import math
 import warnings
 from collections.abc import Callable, Mapping
@@ -15,8 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from analysis.holds import Guard, Hold, Instrument, Limits, Programme, guard_of, judge_holds, verdict_of
-from analysis.interruptions import Interruption, Told, in_words, interruptions_of
+from analysis.holds import (
+    NO_PROGRAMME,
+    Guard,
+    Hold,
+    Instrument,
+    Limits,
+    Programme,
+    guard_of,
+    judge_holds,
+    verdict_of,
+)
+from analysis.interruptions import Told, in_words, interruptions_of
 from presets import find_scenario
 from proto.errors import ConfigError
 from recording.column_table import ColumnTable
@@ -27,7 +38,7 @@ from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
-from services.controller.config import ControllerConfig
+from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import EVEN, LinkSettings, network_name
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
@@ -125,10 +136,14 @@ class SimulatedSession(ColumnTable):
         safety: SafetyParams | None = None,
         *,
         steered: bool = False,
+        known: Programme = NO_PROGRAMME,
+        position_scale: float | None = None,
     ) -> None:
         self.conditions = conditions
         self.force_scale = force_scale
         self._safety = safety
+        self._known = known
+        self._position_scale = position_scale
         self._course = course
         values = {name: getattr(course, _RENAMED.get(name, name), None) for name in _COLUMNS}
         values["scaled_tip_force_n"] = force_scale * course.tip_force_n
@@ -197,30 +212,43 @@ class SimulatedSession(ColumnTable):
 
     @property
     def _tip(self) -> Instrument:
-        mode = self._course.instrument_mode
-        return Instrument((mode == MODE_FOLLOW) | (mode == MODE_HOLD), self._course.in_contact, mode == MODE_HOLD)
+        return instrument_of(self._course, self._position_scale)
 
     @cached_property
     def _programme(self) -> Programme:
-        """What the instrument reports when it withdraws: it is armed once, so that it does so at most once."""
-        course, limits = self._course, None
-        withdrawn = np.flatnonzero(np.isfinite(course.withdrawn_s))[:1].tolist()
-        reasons = [REASON_NAMES[int(course.instrument_reason[i])] for i in withdrawn]
-        guards = [Guard(float(course.withdrawn_s[i]), why) for i, why in zip(withdrawn, reasons, strict=True)]
-        if self._safety is not None:
-            silence_s = self._safety.command_deadline_s + self._safety.hold_time_s
-            limits = Limits(self._safety.force_limit_n, silence_s)
-        return Programme(guards=guards, limits=limits, interruptions=self._interruptions())
+        return programme_of(self._course, self._safety, self._known)
 
-    def _interruptions(self) -> list[Interruption]:
-        """Return when the link left a device without commands."""
-        course, time_s = self._course, self["time_s"]
-        held = course.instrument_mode == MODE_HOLD
-        begins = np.flatnonzero(np.diff(held, prepend=False) & held)
-        told = [Told(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
-        found = interruptions_of("tip_held", time_s, held, told)
-        found += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
-        return sorted(found, key=lambda one: one.start_s)
+
+def instrument_of(course: Trajectory, position_scale: float | None = None, *, knows_contact: bool = True) -> Instrument:
+    """Return what the instrument of a course says; position_scale, alpha_p, tells how far the hand is ahead of it."""
+    mode = course.instrument_mode
+    held, apart_m = mode == MODE_HOLD, None
+    if position_scale is not None:
+        apart_m = course.hand_position_m - course.base_position_m / position_scale
+    return Instrument((mode == MODE_FOLLOW) | held, course.in_contact, held, apart_m, knows_contact)
+
+
+def programme_of(course: Trajectory, safety: SafetyParams | None, known: Programme = NO_PROGRAMME) -> Programme:
+    """Return what is known of a course besides its series: when the loop was open, and the guard, which acts once."""
+    withdrawn = np.flatnonzero(np.isfinite(course.withdrawn_s))[:1].tolist()
+    reasons = [REASON_NAMES[int(course.instrument_reason[i])] for i in withdrawn]
+    guards = [Guard(float(course.withdrawn_s[i]), why) for i, why in zip(withdrawn, reasons, strict=True)]
+    if safety is not None:
+        known = known._replace(limits=Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s))
+    time_s, held = course.time_s, course.instrument_mode == MODE_HOLD
+    begins = np.flatnonzero(np.diff(held, prepend=False) & held)
+    told = [Told(float(time_s[i]), "hold", REASON_NAMES[int(course.instrument_reason[i])]) for i in begins]
+    found = interruptions_of("tip_held", time_s, held, told)
+    # a hand is let go for want of commands, or because the law no longer couples it to a tip that is held or away
+    found += interruptions_of("hand_let_go", time_s, ~course.hand_following, ())
+    return known._replace(guards=guards, interruptions=sorted(found, key=lambda one: one.start_s))
+
+
+def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> Programme:
+    """Return what a law and a link tell of a session: what the law rests at, how long a command is on its way [s]."""
+    rest_force = LAWS[controller.law].rest_force
+    own = None if rest_force is None else functools.partial(rest_force, controller.params())
+    return Programme(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)
 
 
 def simulate_scenario(
@@ -330,14 +358,31 @@ def simulate_document(
         link_seed=link.seed,
     )
     safety = rig.instrument.safety
-    return SimulatedSession(conditions, course, section.force_scale, safety, steered=hand is not None)
+    ages_s = _ages_s(schedule, period_s)
+    transit_s = float(np.percentile(ages_s, 99.0)) if ages_s.size else trip_s
+    known = known_of(controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s)
+    known = known._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
+    return SimulatedSession(
+        conditions,
+        course,
+        section.force_scale,
+        safety,
+        steered=hand is not None,
+        known=known,
+        position_scale=section.position_scale,
+    )
+
+
+def _ages_s(schedule: Schedule, period_s: float) -> Any:
+    """Return the age of the hand's sample that each answer descends from [s]."""
+    sent_ns = schedule.forward_of[schedule.backward_of] * round(period_s * 1e9)
+    return 1e-9 * (schedule.backward_ns - sent_ns)
 
 
 def _median_round_trip_ms(schedule: Schedule, period_s: float, least_s: float) -> float:
     """Return the median age of the hand's sample that an answer descends from [ms]; the least one where none comes."""
-    sent_ns = schedule.forward_of[schedule.backward_of] * round(period_s * 1e9)
-    ages_ns = schedule.backward_ns - sent_ns
-    return round(1e-6 * float(np.median(ages_ns)) if ages_ns.size else 1e3 * least_s, 3)
+    ages_s = _ages_s(schedule, period_s)
+    return round(1e3 * (float(np.median(ages_s)) if ages_s.size else least_s), 3)
 
 
 def instrument_params(config: AfmConfig, origin: str, duration_s: float) -> AfmParams:

@@ -11,6 +11,7 @@ from services.controller.law import SlaveReference as SlaveReference
 from services.controller.law import TipMeasurement as TipMeasurement
 from services.controller.law import law_of as law_of
 from services.controller.law import port_signal as port_signal
+from services.controller.law import the_hands_force as the_hands_force
 from services.controller.law import tip_signal as tip_signal
 from services.controller.laws.shared import pass_through as pass_through
 from services.controller.laws.shared import virtual_mass as virtual_mass

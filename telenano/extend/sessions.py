@@ -1,6 +1,7 @@
 """What a recording of a session holds: columns of its messages on the clock of the session, and its settings."""
 
 from analysis.conditions import described as described
+from analysis.mean_interval import mean_half_width as mean_half_width
 from analysis.report import scenario_in as scenario_in
 from proto.errors import ConfigError as ConfigError
 from proto.errors import RecordingError as RecordingError

@@ -14,6 +14,7 @@ from proto.errors import RefusedError as RefusedError
 from proto.messages import Message
 from proto.ranges import limited
 from proto.sequence import Arrival
+from services.controller.law import changed_in_contact as changed_in_contact
 from services.controller.law import longest_pause_periods as longest_pause_periods
 from services.controller.law import paced as paced
 from services.controller.law_rules import known_law as known_law
@@ -232,3 +233,10 @@ def afm_node(bench: NodeBench, driver: Any, section: Mapping[str, Any] | None = 
     from services.afm_node.node import AfmNode
 
     return AfmNode(bench.context, afm_config(section), driver)
+
+
+def refused_laws(driver: str) -> dict[str, str]:
+    """Return the laws that cannot be used with a driver of the instrument, and why, by their names."""
+    from services.launcher import plan
+
+    return plan.refused_laws(driver)

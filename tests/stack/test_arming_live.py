@@ -106,3 +106,49 @@ def test_the_real_commands_in_any_order_arm_no_tip_alone(rig: Rig) -> None:
     rig.wait_until(lambda: rig.newest("afm/state").mode == "follow", "a tip that follows")
     rig.stop()
     assert followed_unarmed(recordings_of(rig)) == []
+
+
+STATES = ("haptic/state", "afm/state")
+
+
+def at(state: Any) -> int:
+    return int(state.t_ns)
+
+
+def first_of_the_session(rig: Rig) -> tuple[Any, Any]:
+    """Return the newest state of the tip at the first tick of the hand's program, and that tick."""
+    states = [each.decode() for path in recordings_of(rig) for each in Recording(path).messages(list(STATES))]
+    start = next(state for state in states if getattr(state, "session_s", -1.0) >= 0.0)
+    return max((each for each in states if hasattr(each, "placed") and each.t_ns <= start.t_ns), key=at), start
+
+
+@pytest.mark.parametrize(
+    ("speed_m_per_s", "rate_hz"), [(15e-9, 250), (50e-9, 250), (2e-6, 125), (2e-6, 250), (2e-6, 1000)]
+)
+def test_a_session_on_the_bus_begins_with_the_tip_at_the_papers_distance(
+    tmp_path: Path, speed_m_per_s: float, rate_hz: int
+) -> None:
+    rig = Rig(tmp_path)
+    speed = f"afm_node.safety.base_speed_m_per_s={speed_m_per_s}"
+    try:
+        rig.start("--set", speed, "--duration", "0.3", rate=("--set", f"realtime.rate_hz={rate_hz}"))
+        code, _, err = rig.finish()
+        assert code == 0, err
+        tip, _ = first_of_the_session(rig)
+    finally:
+        rig.close()
+    assert tip.placed is True
+    assert tip.separation_m == pytest.approx(10e-9, rel=0.0, abs=0.1e-9)
+
+
+@pytest.mark.parametrize("scenario", ["fig10", "touch", "image"])
+def test_every_scenario_begins_with_the_tip_placed_or_its_program_under_way(tmp_path: Path, scenario: str) -> None:
+    rig = Rig(tmp_path)
+    try:
+        rig.start("--duration", "0.3", scenario=scenario)
+        code, _, err = rig.finish()
+        assert code == 0, err
+        tip, start = first_of_the_session(rig)
+    finally:
+        rig.close()
+    assert (tip.placed, tip.mode, start.armed) == (True, "follow", True)

@@ -1,6 +1,5 @@
 """Fig. 12 on an emulated handle and the model of a T7: processes of their own, on a pseudo-terminal and a socket."""
 
-import math
 import os
 import signal
 import socket
@@ -19,7 +18,7 @@ import yaml
 from stack_rig import ROOT, Rig
 from telenano_studies.loops.theory import critical_link_delay_s, loop_model
 
-from analysis.modes import modes_of
+from analysis.modes import fitted
 from recording.arrays import columns
 from recording.reader import Recording
 from services.afm_node.devices.modbus_frames import Conversation
@@ -308,7 +307,7 @@ def growth_per_s(recording: Recording) -> float:
     assert np.abs(force_n).max() < 0.95 * SPRING_N_PER_M * 5e-9
     assert force_n.mean() > 5e-9
     assert force_n.std() > 5.0 * step_n
-    swings = [mode for mode in modes_of(force_n, 1e-3, step_n / math.sqrt(12.0), step_n) if mode.frequency_hz > 1.0]
+    swings = [mode for mode in fitted(force_n, 1e-3, step_n).modes if mode.frequency_hz > 1.0]
     return max(swings, key=lambda mode: mode.end_n).growth_per_s
 
 

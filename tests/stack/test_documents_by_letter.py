@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import random
 import re
 import shlex
 import shutil
@@ -80,13 +81,16 @@ def test_old_sessions_are_removed_and_no_others(tmp_path: Path) -> None:
 
 
 def test_the_log_of_ping_is_a_network_by_the_letter(rig: Rig, tmp_path: Path) -> None:
+    draw = random.Random(1)
     said = "; ".join(
-        f"echo '[17000{n:05}.5] 64 bytes from 10.0.0.1: icmp_seq={n} ttl=64 time={20 + n % 7}.3 ms'"
+        f"echo '[17000{n:05}.5] 64 bytes from 10.0.0.1: icmp_seq={n} ttl=64 time={20 + draw.randrange(7)}.3 ms'"
         for n in range(1, 400)
     )
     environment = {**shims(tmp_path / "bin", ping=said), "TELENANO_RUNTIME_DIR": str(rig.sockets)}
     (tmp_path / "out").mkdir()
     found = [line.text for line in lines_of("docs/howto.md") if "out/ping.txt" in line.text or "out/line" in line.text]
+    # the study takes minutes, and its network is tried in test_network_presets.py
+    found = [text for text in found if "study advise" not in text]
     assert [text.split()[0] for text in found] == ["ping", "telenano", "telenano"]
     for text in found:
         done = shell(text + (" --duration 2.5 --json" if "telenano up" in text else ""), environment, tmp_path)
@@ -262,7 +266,9 @@ def test_the_law_of_the_tutorial_by_the_letter(rig: Rig, tmp_path: Path) -> None
     law.write_text(law.read_text().replace(there, instead))
     printed = {line.words[0]: bench.type(line.text, "--json" if line.words[0] != "law" else "") for line in edited}
     summary = json.loads(printed["up"])
-    assert summary["verdict"] == "struck" or not judged(summary, "the law of the tutorial"), summary["reason"]
+    is_struck = any(fact["kind"] == "struck" for hold in summary["holds"] for fact in hold["facts"])
+    rests = summary["verdict"] == "stable" and is_struck
+    assert rests or not judged(summary, "the law of the tutorial"), summary["reason"]
     found = json.loads(printed["study"])["critical_delay_ms"]
     (stated,) = re.findall(
         r"stable up to ([0-9]+[.][0-9]) ms instead of ([0-9]+[.][0-9])", (DOCS / "tutorial.md").read_text()

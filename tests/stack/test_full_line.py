@@ -94,8 +94,7 @@ def test_a_law_rests_in_contact_over_1_mbit_each_way(tmp_path: Path, law: str) -
     found = fig12(tmp_path, 1e3 * DELAY_S, 0.0, law, first_hold_s=2.6, rules={"rate_bit_per_s": MBIT})
     if found["distorted"]:
         pytest.skip(f"{found['verdict']}, which says nothing of the line: {found['distorted']}")
-    assert found["holds"][:1] + found["holds"][2:3] == ["stable", "stable"], found["reason"]
-    assert found["holds"][1] in ("stable", "settling"), found["reason"]
+    assert found["holds"][:2] == ["stable", "stable"], found["reason"]
     assert found["deadlines_missed"] == 0
     for measured in found["one_way_ms_at"].values():
         assert measured["p50"] < 1e3 * DELAY_S + MORE_MS

@@ -100,7 +100,7 @@ def test_hold_contact_and_release_are_the_papers(rig: Rig, figure: Path, tmp_pat
     assert abs(summary["release_force_nn"]) < 0.02
     holds = [hold["verdict"] for hold in summary["holds"] if hold["end_s"] <= FIGURE_S]
     assert len(holds) >= 2
-    assert set(holds) <= {"stable", "released"}
+    assert set(holds) <= {"stable"}
     assert_drawn_as_in_the_paper(figure, FIGURE_S)
 
 

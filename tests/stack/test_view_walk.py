@@ -10,7 +10,7 @@ import pytest
 from browser_page import BESIDE_A_BROWSER, FILLED, PATIENCE_S, Page, View, browser, needs_browser, open_page
 from stack_rig import Rig
 
-from analysis.verdict import Circumstances, Verdict, judge
+from analysis.verdict import Verdict, judge
 
 _LOG = logging.getLogger(__name__)
 pytestmark = [pytest.mark.browser, pytest.mark.endurance, needs_browser]
@@ -44,7 +44,7 @@ def watched(rig: Rig) -> Watched:
     rows = [row.decode() for row in rig.recording().messages("afm/state", begin_ns)]
     time_s = np.array([1e-9 * (row.t_ns - rows[0].t_ns) for row in rows])
     force_n = FORCE_SCALE * np.array([row.tip_force_n[2] for row in rows])
-    verdict = judge(time_s, force_n, HELD_N, Circumstances(noisy=True))
+    verdict = judge(time_s, force_n, HELD_N)
     found = Watched(verdict, float(np.ptp(force_n)), float(force_n.mean()))
     _LOG.info("%.1f s: %s", time_s[-1], found)
     return found

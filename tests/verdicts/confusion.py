@@ -25,9 +25,10 @@ FAMILIES = {
     "cannot_say": "open",
     "no_data": "open",
     "guarded": "guarded",
+    "contact_lost": "left",
 }
 SAYS_NOTHING = "open"  # The family of the kinds that leave open what the loop does.
-RIGHT = {"settles": {"quiet"}, "goes_on": {"cycle"}, "grows": {"growth", "guarded"}}  # The families that agree.
+RIGHT = {"settles": {"quiet"}, "goes_on": {"cycle"}, "grows": {"growth", "guarded", "left"}}  # The families that agree.
 MOST_SEEDS = 40  # Seeds printed of one kind of wrong answer; the count before them is of all.
 
 

@@ -14,7 +14,7 @@ from telenano_afm_controllers.nanonis_driver import NanonisAfm
 
 from telenano.extend.commands import ConfigError
 from telenano.extend.instruments import refusal
-from telenano.extend.testing import afm_config, instrument_of
+from telenano.extend.testing import afm_config, instrument_of, refused_laws
 
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "smith", "model_mediated", "tactile")
 MODELS = {"gwyscope": gwyscope_model, "nanonis": nanonis_model}
@@ -87,4 +87,5 @@ def test_a_nanonis_that_pushes_its_samples_waits_for_no_tap(tmp_path: Path) -> N
 
 def test_a_gwyscope_is_refused_no_law_and_no_program() -> None:
     programs = ("", "scan", "curve", "path", "tactile", "push")
-    assert {refusal("gwyscope", law, program) for law in LAWS for program in programs} == {""}
+    assert {refusal("gwyscope", program) for program in programs} == {""}
+    assert refused_laws("gwyscope") == {}

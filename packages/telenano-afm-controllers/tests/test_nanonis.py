@@ -33,8 +33,8 @@ from telenano_afm_controllers.nanonis_wire import COMMANDS, NanonisRefusalError
 from telenano_afm_controllers.request_answer import Incoming, WireError
 
 from telenano.extend.commands import ConfigError
-from telenano.extend.instruments import modbus_line, refusal
-from telenano.extend.testing import RefusedError, afm_node, instrument_of
+from telenano.extend.instruments import modbus_line
+from telenano.extend.testing import RefusedError, afm_node, instrument_of, refused_laws
 
 NAN = math.nan
 # as the vendor's client 1.0.9 sends and parses them: after the name of 32 bytes
@@ -290,8 +290,9 @@ def test_without_a_guard_and_without_a_person_it_is_refused_and_not_driven() -> 
 
 
 def test_a_law_with_a_loop_and_a_program_of_the_node_are_refused_in_words(bench_of: Any) -> None:
-    assert refusal("nanonis", "model_mediated") == refusal("nanonis", "tactile") == ""
-    assert "wave closes a loop through the instrument, and nanonis gives 50 samples" in refusal("nanonis", "wave")
+    refused = refused_laws("nanonis")
+    assert not {"model_mediated", "tactile"} & set(refused)
+    assert "wave closes a loop through the instrument, and nanonis gives 50 samples" in refused["wave"]
     section = {"driver": "nanonis", "nanonis": {"calibration": "nanonis.yaml"}}
     bench, line = bench_of("afm_node@slave"), Nanonis()
     node = afm_node(bench, line.driver, section)

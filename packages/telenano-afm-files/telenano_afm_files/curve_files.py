@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from telenano_afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf
+from telenano_afm_files import bruker, igor_waves, map_libraries, nanonis, nanosurf, text_curves
 from telenano_afm_files.recorded import Array, Curves, Recorded, Way, constants_of, factor_to_force
 
 # Of a segment so many points are kept at most; a finer curve is interpolated to them.
@@ -37,7 +37,14 @@ def _open(path: str, given: dict[str, float]) -> Any:
         # the names of files of NanoScope end with numbers as well
         own = bruker.curves_of
     with tempfile.TemporaryDirectory() as folder:
-        yield own(path) if own else map_libraries.curves_of(path, Path(folder), given)
+        if suffix in text_curves.SUFFIXES and (own is None or not nanonis.is_spectroscopy(path)):
+            try:
+                # the texts of makers have heads of their own
+                yield map_libraries.curves_of(path, Path(folder), given) if own is None else text_curves.curves_of(path)
+            except map_libraries.NoCurvesError:
+                yield text_curves.curves_of(path)
+        else:
+            yield own(path) if own else map_libraries.curves_of(path, Path(folder), given)
 
 
 def _given(stiffness: str | None, sensitivity: str | None) -> dict[str, float]:

@@ -35,6 +35,8 @@ _CURVE_SUFFIXES = (
     ".h5", ".tab",
 )  # fmt: skip
 MAP_SUFFIXES = (".npz", ".3ds", ".dat", *_CURVE_SUFFIXES)
+# Of the span of the mean force: more than this far from the sample is no noise.
+_FREE_SHARE = 0.05
 Watch = Callable[[float], None]
 
 
@@ -89,6 +91,7 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
             open_regular(path).close()
         members = {name: value for name, value in wanted.given.items() if name not in ASKED}
         found = _import(path, wanted._replace(given=members), watch)
+        found = found._replace(notes=(*_in_free_air(found.map), *found.notes))
         if not wanted.converted:
             return found
         text = "the force was made of the frequency shift, whose mean in the farthest tenth of a curve was taken as 0"
@@ -126,6 +129,29 @@ def _import(path: Path, wanted: Wanted, watch: Watch) -> Imported:
                 checked_map({**source, **facts, **dict(zip("xyz", axes, strict=True)), **wanted.given}, values), ()
             )
     return _on_one_grid(_read_curves(path, wanted, watch), wanted, source)
+
+
+def _in_free_air(found: ForceMap) -> list[str]:
+    """Return in words what a map of forces has far from its sample, where there is no force, and at its sample."""
+    if found.quantity != "force" or found.values.shape[-1] < 2 * _LEAST_POINTS:
+        return []
+    curves = found.values.reshape(-1, found.values.shape[-1])
+    middle = np.array([math.fsum(row) / len(row) for row in curves.T.tolist()])
+    far = middle[-max(len(middle) // 4, 2) :]
+    span, level = float(np.ptp(middle)), math.fsum(far.tolist()) / len(far)
+    step_m = float(found.z_m[1] - found.z_m[0])
+    tilt = (float(far[-1]) - float(far[0])) / (step_m * (len(far) - 1))
+    notes = []
+    if abs(level) > _FREE_SHARE * span:
+        notes.append(
+            f"at its top, in free air, its force is {1e9 * level:.3g} nN, and a hand would feel it: take it off the"
+            " values, or import curves, whose mean there is taken as 0 (--baseline)"
+        )
+    if abs(tilt) * step_m * len(middle) > 2.0 * _FREE_SHARE * span:
+        notes.append(f"at its top, in free air, its force rises by {tilt:.3g} N/m: its base line is tilted")
+    if float(middle[0]) < level - _FREE_SHARE * span and int(np.argmax(np.abs(middle - level))) == 0:
+        notes.append("its greatest force is at its bottom and pulls: is its sign turned? Then give --set sign=-1")
+    return notes
 
 
 def _read_curves(path: Path, wanted: Wanted, watch: Watch) -> _Curves:

@@ -56,6 +56,10 @@ _NO_CURVES = (
 )
 
 
+class NoCurvesError(ValueError):
+    """A file is of no format that the library reads."""
+
+
 def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
     """Return the curves of a file that afmformats reads.
 
@@ -83,10 +87,10 @@ def curves_of(path: str, folder: Path, given: dict[str, float]) -> Curves:
                 # The library knows two kinds of pause of JPK's; a file with another is of no format to it.
                 if (count := _segments_of(path)) > 2:
                     raise ValueError(refusal_of_pause(f"{count} segments")) from error
-                raise ValueError(_NO_CURVES) from error
+                raise NoCurvesError(_NO_CURVES) from error
             # an archive of something else, or one line of a grid
             except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
-                raise ValueError(_NO_CURVES) from error
+                raise NoCurvesError(_NO_CURVES) from error
 
     blocks = parts()
     first, share = next(blocks)

@@ -11,7 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.extend.tables import read_table
 from telenano_afm_files.recorded import Array, Curves, Recorded
+
+# The head of a spectroscopy is some kB long.
+_LONGEST_HEAD = 1 << 18
 
 Found = tuple[dict[str, Any], list[npt.NDArray[Any]]]
 
@@ -19,7 +23,10 @@ _SWEPT = re.compile(r"Z( rel)?( \[AVG\])? \(m\)")
 
 
 def load_nanonis(path: str) -> Found:
-    """Return the maps of the forward lines of a Nanonis .sxm file, y rising with the row; lines not scanned are NaN."""
+    """Return the maps of the forward lines of a Nanonis .sxm file, y rising with the row.
+
+    Of a scan that was stopped these are the finished lines, with the depth that they cover.
+    """
     from nanonispy2.read import Scan
 
     scan = Scan(path)
@@ -31,22 +38,37 @@ def load_nanonis(path: str) -> Found:
         facts.append({"name": name, "sides": [width, depth], "unit": "m", "z": units.get(name, "")})
         # Lines are kept in the order of the scan.
         maps.append(values[::-1] if scan.header["scan_dir"] == "down" else values)
+    begun = np.any([np.isfinite(values).any(axis=1) for values in maps], axis=0)
+    if begun.any() and not begun.all():
+        kept = slice(int(begun.argmax()), len(begun) - int(begun[::-1].argmax()))
+        # the line in which it was stopped is no whole one
+        ends = [
+            place for place in (kept.start, kept.stop - 1) if not all(np.isfinite(one[place]).all() for one in maps)
+        ]
+        kept = slice(kept.start + (kept.start in ends), kept.stop - (kept.stop - 1 in ends))
+        for fact, values in zip(facts, maps, strict=True):
+            fact["sides"] = [width, depth * (kept.stop - kept.start) / len(values)]
+            fact["left_out"] = (
+                f"{len(values) - (kept.stop - kept.start)} of {len(values)} lines, which were not finished"
+            )
+        maps = [values[kept] for values in maps]
     return {"channels": facts}, maps
 
 
 def load_table(path: str) -> Found:
     """Return the header of a spectroscopy and the names of its columns, and the table, shape (columns, rows)."""
-    # Some languages write a comma as decimal mark; columns are parted by tabs.
-    head, mark, body = Path(path).read_bytes().decode("utf-8", "replace").replace(",", ".").partition("[DATA]")
-    rows = [line.rstrip("\r\t ").split("\t") for line in body.strip("\r\n").splitlines()]
-    if not mark or len(rows) < 2:
+    table = read_table(Path(path))
+    if "[DATA]" not in table.head or not table.columns[0].title:
         raise ValueError("is no spectroscopy of Nanonis: it has no line [DATA] with names and numbers after it")
-    names, *numbers = rows
-    for place, row in enumerate(numbers, start=1):
-        if len(row) != len(names):
-            raise ValueError(f"row {place} of its data has {len(row)} columns, and {len(names)} have names")
-    header = dict(line.split("\t")[:2] for line in head.splitlines() if "\t" in line)
-    return {"header": header, "names": names}, [np.array(numbers, dtype=np.float64).T]
+    header = dict(line.split("\t")[:2] for line in table.head if "\t" in line)
+    names = [column.title for column in table.columns]
+    return {"header": header, "names": names}, [np.array([table.numbers(column) for column in table.columns])]
+
+
+def is_spectroscopy(path: str) -> bool:
+    """Return whether a file has the line [DATA] of Nanonis within its head."""
+    with Path(path).open("rb") as file:
+        return b"[DATA]" in file.read(_LONGEST_HEAD)
 
 
 class Sweep(NamedTuple):

@@ -49,11 +49,16 @@ def test_a_nanonis_image_has_its_rows_from_below(tmp_path: Path, direction: str)
     assert (surface.width_m, surface.depth_m) == pytest.approx((160e-9, 100e-9), rel=1e-6)
 
 
-def test_an_image_that_was_stopped_lacks_the_heights_of_its_last_lines(tmp_path: Path) -> None:
-    path = sxm(tmp_path / "a.sxm", "up", whole=False)
-    with pytest.raises(ConfigError, match=r"a\.sxm: has 48 heights that are no finite number \(of 160\)"):
-        read_surface(path)
-    assert np.isnan(read_surface(path, may_lack=True).height_m).sum() == 48
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_an_image_that_was_stopped_has_its_finished_lines(tmp_path: Path, direction: str) -> None:
+    whole = read_surface(sxm(tmp_path / "whole.sxm", direction))
+    found = read_surface(sxm(tmp_path / "a.sxm", direction, whole=False))
+    lines = len(found.height_m)
+    assert 0 < lines < len(whole.height_m)
+    assert np.isfinite(found.height_m).all()
+    assert (found.width_m, found.depth_m / lines) == pytest.approx((whole.width_m, whole.depth_m / len(whole.height_m)))
+    kept = whole.height_m[:lines] if direction == "up" else whole.height_m[-lines:]
+    np.testing.assert_array_equal(found.height_m, kept)
 
 
 def test_a_library_that_is_missing_is_named_with_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

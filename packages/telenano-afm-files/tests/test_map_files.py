@@ -187,3 +187,29 @@ def test_a_public_force_map_is_felt_within_the_noise_of_its_own_curves() -> None
         # 2 nN of force, and 5 pN of noise from point to point
         assert error.std() < 8e-12
         assert np.abs(error).max() < 5e-11
+
+
+@pytest.mark.parametrize("unit", ["N", "nN"])
+@pytest.mark.parametrize(
+    ("offset_n", "tilt_n_per_m", "sign", "words"),
+    [
+        (0.0, 0.0, 1.0, ""),
+        (5e-9, 0.0, 1.0, "in free air, its force is"),
+        (-2e-9, 0.0, 1.0, "in free air, its force is -"),
+        (0.0, 0.1, 1.0, "its base line is tilted"),
+        (0.0, 0.0, -1.0, "is its sign turned"),
+    ],
+)
+def test_what_a_grid_has_far_from_its_sample_is_said(
+    tmp_path: Path, offset_n: float, tilt_n_per_m: float, sign: float, words: str, unit: str
+) -> None:
+    z = np.linspace(0.0, 100e-9, 101)
+    force = sign * np.where(z < 20e-9, 1.0 * (20e-9 - z), 0.0) + offset_n + tilt_n_per_m * (z - z[-1])
+    noise = np.random.default_rng(1).normal(0.0, 5e-11, (3, 4, 101))
+    axes = {name: 1e-8 * np.arange(count) for name, count in (("x", 3), ("y", 4))}
+    np.savez(
+        tmp_path / "grid.npz", value=(force + noise) / (1e-9 if unit == "nN" else 1.0), z=z, **axes, unit=unit, sign=1,
+        length_unit="m", axis="base", stiffness_n_per_m=1.0, source="made",
+    )  # fmt: skip
+    notes = import_map(tmp_path / "grid.npz", Wanted({})).notes
+    assert any(words in note for note in notes) if words else not notes

@@ -15,15 +15,16 @@ import numpy.typing as npt
 
 from analysis.intervals import DEVIATIONS
 from analysis.report import split_age
-from analysis.statistics import correlated_half_width
 from recording.multi_file import RecordingSource
 from recording.site_clock import Timeline
 from services.afm_node.devices.converter_calibration import InstrumentCalibration
 from services.haptic_node.devices.calibration import HandleCalibration
 from services.runtime.loop.loop_age import STAGES, TOGETHER, WITH_JITTER
 from telenano.extend.commands import TelenanoError
+from telenano.extend.sessions import mean_half_width
 
 # the scales that each figure of a summary goes with, by the name of their source
+_SCATTER = "scatter in the session"
 _TIP_FORCE = ("stiffness of the cantilever", "deflection for a volt")
 _SCALES = {
     "hold_ratio": ("force of the hand for a count", *_TIP_FORCE),
@@ -97,15 +98,16 @@ def figure_budgets(summary: Mapping[str, Any], shares: Mapping[str, float]) -> l
     found = []
     for figure, scales in _SCALES.items():
         value, interval = summary.get(figure), summary.get("intervals", {}).get(figure)
-        if value is None or interval is None:
+        if value is None or not (interval or any(scale in shares for scale in scales)):
             continue
-        parts = {"scatter in the session": 0.5 * (interval[1] - interval[0]) / DEVIATIONS}
+        # A record that does not say how well its mean is known leaves the scatter out, by name.
+        parts = {_SCATTER: 0.5 * (interval[1] - interval[0]) / DEVIATIONS} if interval else {}
         parts |= {scale: shares[scale] * abs(value) for scale in scales if scale in shares}
         variance = sum(part**2 for part in parts.values())
         sources = tuple(
             Source(figure, name, part, part**2 / variance if variance else 0.0) for name, part in parts.items()
         )
-        without = tuple(scale for scale in scales if scale not in shares)
+        without = tuple(scale for scale in scales if scale not in shares) + (() if interval else (_SCATTER,))
         found.append(Budget(figure, value, DEVIATIONS * math.sqrt(variance), sources, without))
     return found
 
@@ -150,7 +152,7 @@ def delay_budget(recording: RecordingSource, timeline: Timeline, start_ns: int, 
 def _stage(name: str, values_ms: npt.NDArray[np.float64], loop_ms: npt.NDArray[np.float64], clock_ms: float) -> Stage:
     p50, p99 = np.percentile(values_ms, [50.0, 99.0])
     mean = float(values_ms.mean())
-    half = correlated_half_width(values_ms)
+    half = mean_half_width(values_ms)
     return Stage(name, mean, half, float(p50), float(p99), mean / float(loop_ms.mean()), clock_ms)
 
 

@@ -23,11 +23,20 @@ def sensitivity(
     part: Annotated[
         tuple[float, float], typer.Option("--part", metavar="LOW HIGH", help="Shares of its span of voltage to use.")
     ] = (0.3, 0.95),
+    way_unit: Annotated[
+        str, typer.Option("--way-unit", metavar="UNIT", help="Of the way in a text table; default: its head, or nm.")
+    ] = "",
+    deflection_unit: Annotated[
+        str, typer.Option("--deflection-unit", metavar="UNIT", help="Of the deflection there; default: its head, or V.")
+    ] = "",
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Accept a way for a volt that no usual read-out has.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Find the way for a volt: the slope of the way over the voltage in contact with a hard sample, with its error."""
     with report_errors(as_json):
-        document = _sensitivity(curve, part)
+        document = _sensitivity(curve, part, way_unit, deflection_unit, anyway=anyway)
     print_document(document, str(curve), as_json=as_json)
 
 
@@ -36,7 +45,7 @@ def stiffness(
     temperature: Annotated[float, typer.Option("--temperature", metavar="K", help="Temperature [K].")] = 300.0,
     spectrum: Annotated[
         Path | None,
-        typer.Option("--spectrum", metavar="FILE", help="A thermal spectrum: frequency [Hz] and density."),
+        typer.Option("--spectrum", metavar="FILE", help="A thermal spectrum: frequency and density."),
     ] = None,
     unit: Annotated[
         str,
@@ -46,6 +55,16 @@ def stiffness(
             help="Of the density: V^2/Hz, V/sqrt(Hz), m^2/Hz or m/sqrt(Hz); default: its head.",
         ),
     ] = "",
+    frequency_unit: Annotated[
+        str, typer.Option("--frequency-unit", metavar="UNIT", help="Of the frequency; default: its head, or Hz.")
+    ] = "",
+    exclude: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--exclude", metavar="LOW HIGH", help="Leave out lines of the electronics between these [Hz]."),
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Accept a resonance, Q and mass that no usual lever has.")
+    ] = False,
     record: Annotated[
         Path | None, typer.Option("--record", metavar="FILE", help="A record of the free deflection [V].")
     ] = None,
@@ -61,7 +80,7 @@ def stiffness(
     averages: Annotated[
         float | None,
         typer.Option(
-            "--averages", min=1.0, metavar="N", help="Periodograms in a line; default: as the file says, or 1."
+            "--averages", min=1.0, metavar="N", help="Periodograms in a line; default: by the file or the scatter."
         ),
     ] = None,
     factor: Annotated[
@@ -81,7 +100,7 @@ def stiffness(
         from telenano_calibration.own_calibration import (
             BY_ANGLE,
             Thermal,
-            columns_of,
+            record_of,
             spectrum_of,
             stiffness_of_record,
             stiffness_of_spectrum,
@@ -91,7 +110,7 @@ def stiffness(
             raise ConfigError("--spectrum, --record: give one of them")
         is_of_metres = False
         if spectrum is not None:
-            found_spectrum = spectrum_of(spectrum, unit)
+            found_spectrum = spectrum_of(spectrum, unit, frequency_unit)
             is_of_metres = found_spectrum.is_of_metres
             averages = averages or found_spectrum.averages
         if sensitivity_nm is None and not is_of_metres:
@@ -99,23 +118,40 @@ def stiffness(
         width, length = (1e-9 * value for value in size) if size else (None, None)
         way_m, way_error_m = (1.0, 0.0) if is_of_metres else (1e-9 * (sensitivity_nm or 0.0), 1e-9 * sensitivity_error)
         mode = BY_ANGLE if factor is None else factor
-        known = Thermal(way_m, temperature, mode, width, length, rate, averages or 1.0, way_error_m, 1e-9 * size_error)
+        known = Thermal(
+            way_m, temperature, mode, width, length, rate, averages, way_error_m, 1e-9 * size_error,
+            (exclude,) if exclude else (), anyway,
+        )  # fmt: skip
         if spectrum is not None:
             found = stiffness_of_spectrum(found_spectrum.frequency_hz, found_spectrum.density_per_hz, known)
+            remarks = found_spectrum.remarks
         else:
-            found = stiffness_of_record(columns_of(record or Path(), 1)[0], known)
+            deflection, remarks = record_of(record or Path(), unit)
+            found = stiffness_of_record(deflection, known)
+        found = found._replace(remarks=(*remarks, *found.remarks))
     print_document(found._asdict(), str(spectrum or record), as_json=as_json)
 
 
-def _sensitivity(curve: Path, part: tuple[float, float]) -> dict[str, Any]:
+def _sensitivity(
+    curve: Path, part: tuple[float, float], way_unit: str, deflection_unit: str, *, anyway: bool
+) -> dict[str, Any]:
     """Return what one curve gives, or the statistic of those of a file of several."""
-    from telenano_calibration.own_calibration import TEXTS, columns_of, sensitivities_of_file, sensitivity_of_curve
+    from telenano_calibration.own_calibration import (
+        TEXTS,
+        curve_of,
+        require_usual,
+        sensitivities_of_file,
+        sensitivity_of_curve,
+    )
 
+    remarks: tuple[str, ...] = ()
     if curve.suffix.lower() not in TEXTS:
         several, refused = sensitivities_of_file(curve, *part)
     else:
-        way_nm, volts = columns_of(curve, 2)
-        several, refused = [sensitivity_of_curve(1e-9 * way_nm, volts, *part)], 0
+        way_m, volts, remarks = curve_of(curve, way_unit, deflection_unit)
+        several, refused = [sensitivity_of_curve(way_m, volts, *part)], 0
+    if not anyway:
+        require_usual(several)
     if len(several) + refused == 1:
         (found,) = several
         return {
@@ -123,6 +159,7 @@ def _sensitivity(curve: Path, part: tuple[float, float]) -> dict[str, Any]:
             "standard_error_nm_per_v": 1e9 * found.standard_error_m_per_v,
             "points": found.points,
             "residual_nm": 1e9 * found.residual_m,
+            "remarks": remarks,
         }
     from telenano_studies.repetitions import statistic
 

@@ -14,19 +14,20 @@ Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 """
 
 import math
-import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
-from presets.regular_files import read_regular
 from services.afm_node.physics.disturbances import BOLTZMANN_J_PER_K
 from services.runtime.untrusted.file_readers import read_by_package
 from telenano.extend.commands import ConfigError
+from telenano.extend.tables import Column, TextTable, read_table, unit_of
 from telenano_calibration.line_fit import regressed
-from telenano_calibration.resonance import Resonance, fit_spectrum, periodogram
+from telenano_calibration.resonance import WIDENED, Resonance, fit_spectrum, periodogram
 
 Array = npt.NDArray[np.float64]
 
@@ -34,13 +35,8 @@ Array = npt.NDArray[np.float64]
 BY_ANGLE = 0.971 / 1.09**2
 # air at 20 degrees Celsius and 1013 hPa
 AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
-_LARGEST_BYTES = 256_000_000
 # Units of a density, as columns are named: of a power or of its root, in volts or in metres.
 DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
-_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15}
-_DENSITY = re.compile(
-    r"(?<![\w/])([munpfµμ]?)([Vm])(\^2|²|\*\*2|2)?\s?/\s?(√|sqrt|rt)?\s?\(?Hz\)?(\^\(?(?:0?\.5|1/2)\)?)?(?!\w)"
-)
 # files with other names are those of an instrument, which packages read
 TEXTS = ("", ".asc", ".csv", ".dat", ".tsv", ".txt")
 # numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
@@ -56,6 +52,19 @@ _IMAGINARY = (
 _REYNOLDS = (1e-6, 1e4)
 # From the softest levers of magnetic resonance to quartz resonators, with a margin; beyond it the units are wrong.
 _STIFFNESS = (1e-5, 1e7)  # [N/m]
+# Of levers of AFMs, from large ones to the small ones of fast scanning, and of needles and forks of quartz.
+_RESONANCE_HZ = (500.0, 1e7)
+# In honey-like liquids the least, in ultra-high vacuum at 4 K the greatest.
+_QUALITY = (0.6, 3e6)
+# k / w0^2: 0.1 N/m at 1.5 MHz is 1e-15 kg, a fork of quartz 1e-7 kg.
+_MASS_KG = (1e-16, 1e-5)
+# Of the photodiodes of AFMs, in contact with a hard sample.
+_M_PER_V = (5e-10, 2e-5)
+# A way on a hard sample, taken as nanometres where nothing says the unit.
+_WAY_NM = (5.0, 1e5)
+# Two halves of the line of contact that differ by more than this share, and by more than noise, are no line.
+_BENT = 0.1
+_BENT_ERRORS = 6.0
 # Two values agree where they are no more standard errors apart: 95 in 100 of those that are the same.
 _WITHIN = 1.96
 # Sizes that a maker states make a stiffness wrong by less than this factor, so that more is another unit.
@@ -68,6 +77,9 @@ class Stiffness(NamedTuple):
     standard_error_n_per_m: of the noise of the spectrum, and twice the share of the sensitivity's error where it is
     given. sader_n_per_m: by Sader's method, None without width and length. sader_over_thermal: that over k, with the
     standard error of the spectrum, the sensitivity and the size; agreement: in words whether they agree within it.
+    averages: periodograms in a line, as given or by the scatter of the lines; deviance_ratio: deviance of the lines in
+    that of thermal noise; residual_ratio: mean square of the residuals of blocks of lines, likewise; lines_left_out: of
+    the electronics, which no thermal noise has; influence: of the line that matters most [standard errors of k].
     """
 
     stiffness_n_per_m: float
@@ -80,6 +92,12 @@ class Stiffness(NamedTuple):
     sader_over_thermal: float | None = None
     sader_over_thermal_error: float | None = None
     agreement: str | None = None
+    averages: float = 1.0
+    deviance_ratio: float = 1.0
+    residual_ratio: float = 1.0
+    lines_left_out: int = 0
+    influence: float = 0.0
+    remarks: tuple[str, ...] = ()
 
 
 class Sensitivity(NamedTuple):
@@ -101,7 +119,9 @@ class Thermal(NamedTuple):
 
     sensitivity_m_per_v [m/V]; temperature_k [K]; factor: c; width_m, length_m: of the lever, for Sader's method [m];
     rate_hz: at which the deflection was sampled [Hz]; averages: how many periodograms each line is the mean of.
-    sensitivity_error_m_per_v, size_error_m: standard errors of the sensitivity, and of width and length each.
+    averages None: by the scatter of the lines. sensitivity_error_m_per_v, size_error_m: standard errors of the
+    sensitivity, and of width and length each. exclude_hz: bands whose lines are left out. anyway: resonance, Q and mass
+    that no usual lever has are accepted.
     """
 
     sensitivity_m_per_v: float
@@ -110,9 +130,11 @@ class Thermal(NamedTuple):
     width_m: float | None = None
     length_m: float | None = None
     rate_hz: float | None = None
-    averages: float = 1.0
+    averages: float | None = 1.0
     sensitivity_error_m_per_v: float = 0.0
     size_error_m: float = 0.0
+    exclude_hz: tuple[tuple[float, float], ...] = ()
+    anyway: bool = False
 
     @property
     def sensitivity_share(self) -> float:
@@ -120,77 +142,174 @@ class Thermal(NamedTuple):
         return 2.0 * self.sensitivity_error_m_per_v / abs(self.sensitivity_m_per_v)
 
 
-def columns_of(path: Path, count: int) -> Array:
-    """Return the columns of numbers of a text file, shape (count, n); lines that are no numbers are a head.
-
-    Raises:
-        ConfigError: The file cannot be read, or has too few numbers; the message names it and the line.
-    """
-    try:
-        text = read_regular(path, _LARGEST_BYTES).decode("utf-8", errors="replace")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    rows: list[list[float]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.replace(",", " ").replace(";", " ").split()
-        try:
-            row = [float(word) for word in words[:count]]
-        except ValueError:
-            if rows and not line.lstrip().startswith("#"):
-                raise ConfigError(f"{path}, line {number}: is no line of numbers, after {len(rows)} that are") from None
-            continue
-        if len(row) == count and all(map(math.isfinite, row)):
-            rows.append(row)
-        elif words:
-            raise ConfigError(f"{path}, line {number}: has {len(words)} columns, {count} finite numbers are needed")
-    if len(rows) < 16:
-        raise ConfigError(f"{path}: has {len(rows)} lines of {count} numbers, 16 or more are needed")
-    return np.array(rows).T
-
-
 class Spectrum(NamedTuple):
-    """A thermal spectrum: lines [Hz], their density, whether that is of metres and not of volts, and its averages."""
+    """A thermal spectrum: lines [Hz], their density, whether that is of metres and not of volts, and its averages.
+
+    averages: None where nothing says how many periodograms a line is the mean of; remarks: how the file was read.
+    """
 
     frequency_hz: Array
     density_per_hz: Array
     is_of_metres: bool
-    averages: float = 1.0
+    averages: float | None = None
+    remarks: tuple[str, ...] = ()
 
 
-def spectrum_of(path: Path, unit: str = "") -> Spectrum:
+def spectrum_of(path: Path, unit: str = "", frequency_unit: str = "") -> Spectrum:
     """Return a thermal spectrum, as density of a power.
 
     Args:
-        path: A text file of two columns, whose head may name the unit of the density, such as V/sqrt(Hz), or a file of
-            an instrument that an installed package reads.
-        unit: The unit of the density, of any power of ten; empty takes that of the file.
+        path: A text table whose head may name the units, such as kHz and V/sqrt(Hz), or a file of an instrument that an
+            installed package reads.
+        unit: The unit of the density; empty takes that of the file.
+        frequency_unit: The unit of the frequency; empty takes that of the file.
 
     Raises:
-        ConfigError: The file cannot be read, or its unit is not known; the message says how to give it.
+        ConfigError: The file cannot be read, or a unit is not known; the message says how to give it.
     """
-    averages = 1.0
-    if path.suffix.lower() in TEXTS:
-        frequency_hz, density = columns_of(path, 2)
-        text = read_regular(path, _LARGEST_BYTES).decode("utf-8", errors="replace")
-        head = "\n".join(line for line in text.splitlines()[:200] if not line[:1].isdigit())
-    else:
+    if path.suffix.lower() not in TEXTS:
         try:
             facts, (frequency_hz, density) = read_by_package(path, "spectrum")
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
         except ValueError as error:
             raise ConfigError(f"{path}: {error}") from error
-        head, averages = facts["unit"], float(facts["averages"])
-    found = [match for match in _DENSITY.finditer(unit or head) if bool(match[3]) is not bool(match[4] or match[5])]
-    if len({match[0] for match in found}) != 1:
-        known = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
-        if unit:
+        power, is_of_metres = _power_of(density, unit or facts["unit"], f"{path}: its density")
+        return Spectrum(frequency_hz, power, is_of_metres, float(facts["averages"]))
+    table = read_table(path)
+    first, second = _pair_of(table, ("Hz",), DENSITIES, ("freq", "f"), ("psd", "power", "density", "pwr", "amplitude"))
+    remarks = list(table.remarks)
+    words = table.units_in_head("Hz") if not (first.unit or frequency_unit) else set()
+    if len(words) > 1:
+        raise ConfigError(f"{path}: its head names the units {', '.join(sorted(words))} of a frequency: give one by "
+                          "--frequency-unit")  # fmt: skip
+    named = frequency_unit or "".join(words)
+    lines = table.in_si(first, ("Hz",), named, "--frequency-unit" if frequency_unit or not named else "")
+    if lines is None:
+        remarks.append("nothing names the unit of the frequency, which is taken as Hz")
+        lines = first.values
+    density, is_of_metres = _density_of(table, second, unit)
+    sound = np.isfinite(lines) & np.isfinite(density)
+    order = np.argsort(lines[sound], kind="stable")
+    if np.any(np.diff(order) < 0):
+        remarks.append("its lines were not in order, and are sorted")
+    return Spectrum(lines[sound][order], density[sound][order], is_of_metres, None, tuple(remarks))
+
+
+def _density_of(table: TextTable, column: Column, unit: str) -> tuple[Array, bool]:
+    values = table.numbers(column)
+    known = f"one of {', '.join(DENSITIES)}, with a prefix such as p where it has one"
+    kinds = [kind.powers for kind in map(unit_of, DENSITIES) if kind]
+    if unit:
+        found = unit_of(unit)
+        if found is None or found.powers not in kinds:
             raise ConfigError(f"--unit {unit}: must be {known}")
-        several = f"names several units ({', '.join(match[0] for match in found)})" if found else "names no unit"
-        raise ConfigError(f"{path}: its head {several} for the density: give --unit, {known}")
-    prefix, base, is_power, *_ = found[0].groups()
-    power = density * _PREFIXES[prefix] ** 2 if is_power else (density * _PREFIXES[prefix]) ** 2
-    return Spectrum(frequency_hz, power, base == "m", averages)
+        return _power_of(values, unit, "--unit")
+    if column.unit:
+        found = unit_of(column.unit)
+        if found is None or found.powers not in kinds:
+            raise ConfigError(
+                f"{table.name}, line {column.line}: the unit {column.unit!r} of {column.title!r} is that of no density:"
+                f" give --unit, {known}"
+            )
+        return _power_of(values, column.unit, table.name)
+    words = table.units_in_head(*DENSITIES)
+    if len({unit_of(word) for word in words}) != 1:
+        several = f"names several units ({', '.join(sorted(words))})" if words else "names no unit"
+        raise ConfigError(f"{table.name}: its head {several} for the density: give --unit, {known}")
+    return _power_of(values, words.pop(), table.name)
+
+
+def _power_of(density: Array, word: str, where: str) -> tuple[Array, bool]:
+    """Return a density as that of a power in SI units, and whether it is of metres."""
+    unit = unit_of(word)
+    for name in DENSITIES:
+        kind = unit_of(name)
+        if unit and kind and unit.powers == kind.powers:
+            values = density * unit.factor
+            return (values if "^2" in name else values**2), name.startswith("m")
+    raise ConfigError(f"{where}: {word!r} is no unit of a density; known are {', '.join(DENSITIES)}")
+
+
+def record_of(path: Path, unit: str = "") -> tuple[Array, tuple[str, ...]]:
+    """Return the deflection of the free lever [V] in a text table, and remarks on how it was read.
+
+    Raises:
+        ConfigError: The file cannot be read, or its unit is no voltage; the message says how to give it.
+    """
+    table = read_table(path)
+    volts = [column for column in table.columns if (known := column.known) and known.powers == (("V", 1.0),)]
+    column = volts[0] if volts else table.find("deflection", "defl", "volt", "signal") or table.columns[0]
+    if not volts and len(table.columns) > 1 and column is table.columns[0]:
+        raise ConfigError(f"{path}: has {len(table.columns)} columns, of which none is named as a deflection in V")
+    values = table.in_si(column, ("V",), unit, "--deflection-unit")
+    remarks = table.remarks
+    if values is None:
+        values, remarks = column.values, (*remarks, "nothing names the unit of the deflection, which is taken as V")
+    if len(table.columns) > 1:
+        remarks = (*remarks, f"of its columns {column.title!r} is taken")
+    if not np.isfinite(values).all():
+        place = int(np.argmin(np.isfinite(values)))
+        raise ConfigError(f"{path}, line {table.lines[place]}: has no number; a record has one in each line")
+    return values, remarks
+
+
+def curve_of(path: Path, way_unit: str = "", deflection_unit: str = "") -> tuple[Array, Array, tuple[str, ...]]:
+    """Return way [m] and deflection [V] of a curve on a hard sample in a text table, and remarks on how it was read.
+
+    Raises:
+        ConfigError: The file cannot be read, or a unit is not known, or no way has the size; the message asks for it.
+    """
+    table = read_table(path)
+    first, second = _pair_of(table, ("m",), ("V",), ("z", "way", "height", "piezo", "dist"), ("defl", "volt", "signal"))
+    remarks = list(table.remarks)
+    way, volts = (
+        table.in_si(column, wanted, given, option)
+        for column, wanted, given, option in (
+            (first, ("m",), way_unit, "--way-unit"),
+            (second, ("V",), deflection_unit, "--deflection-unit"),
+        )
+    )
+    if volts is None:
+        volts = table.numbers(second)
+        remarks.append("nothing names the unit of the deflection, which is taken as V")
+    if way is None:
+        way = table.numbers(first)
+        span = float(np.nanmax(way) - np.nanmin(way))
+        if not _WAY_NM[0] <= span <= _WAY_NM[1]:
+            likely = "m" if span < 1e-3 else "um" if span < _WAY_NM[0] else "pm"
+            raise ConfigError(
+                f"{path}: its head names no unit of the way, whose span of {span:.3g} is none in nm: is it in {likely}?"
+                f" Give --way-unit {likely}, or what it is"
+            )
+        way = 1e-9 * way
+        remarks.append("nothing names the unit of the way, which is taken as nm")
+    sound = np.isfinite(way) & np.isfinite(volts)
+    return way[sound], volts[sound], tuple(remarks)
+
+
+def _pair_of(
+    table: TextTable, first: Sequence[str], second: Sequence[str], names: Sequence[str], others: Sequence[str]
+) -> tuple[Column, Column]:
+    """Return the two columns that are meant: by their units, else by their names, else the first two."""
+    columns = table.columns
+    if len(columns) < 2 or len(table.lines) < 16:
+        raise ConfigError(
+            f"{table.name}: has {len(table.lines)} lines of {len(columns)} columns, 16 or more lines of 2 are needed"
+        )
+    found: list[Column | None] = []
+    for kinds, words in ((first, names), (second, others)):
+        powers = [kind.powers for kind in map(unit_of, kinds) if kind]
+        of_unit = [column for column in columns if (unit := column.known) and unit.powers in powers]
+        if len(of_unit) > 1 and (by_name := [one for one in of_unit if one.name.lower().startswith(tuple(words))]):
+            of_unit = by_name
+        named = table.find(*words)
+        found.append(of_unit[0] if of_unit else named if named is None or not named.known else None)
+    x = found[0] if found[0] is not None and found[0] is not found[1] else None
+    y = found[1]
+    x = x or next(column for column in columns if column is not y)
+    y = y or next(column for column in columns if column is not x)
+    return x, y
 
 
 def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: Thermal) -> Stiffness:
@@ -202,12 +321,7 @@ def stiffness_of_spectrum(frequency_hz: Array, density_v2_per_hz: Array, known: 
     if np.any(np.diff(frequency_hz) <= 0.0) or np.any(density_v2_per_hz < 0.0):
         raise ConfigError("the spectrum needs frequencies that rise, and densities of 0 or more")
     rate_hz = known.rate_hz if known.rate_hz is not None else 2.0 * float(frequency_hz[-1])
-    density = density_v2_per_hz * known.sensitivity_m_per_v**2
-    peak_hz, quality = _peak(frequency_hz, density)
-    mean_square = float(np.sum(density[1:] * np.diff(frequency_hz)))
-    return _stiffness(
-        known, lambda: fit_spectrum(frequency_hz, density, rate_hz, peak_hz, quality, mean_square, known.averages)
-    )
+    return _stiffness(known, frequency_hz, density_v2_per_hz * known.sensitivity_m_per_v**2, rate_hz, known.averages)
 
 
 def stiffness_of_record(deflection_v: Array, known: Thermal) -> Stiffness:
@@ -219,15 +333,26 @@ def stiffness_of_record(deflection_v: Array, known: Thermal) -> Stiffness:
     if known.rate_hz is None:
         raise ConfigError("--rate: a record needs the rate at which it was sampled [Hz]")
     rate_hz, deflection_m = known.rate_hz, deflection_v * known.sensitivity_m_per_v
-    frequency, power = periodogram(deflection_m, rate_hz)
-    peak_hz, quality = _peak(frequency[1:], power[1:])
-    square = float(np.var(deflection_m))
-    return _stiffness(known, lambda: fit_spectrum(frequency, power, rate_hz, peak_hz, quality, square))
+    return _stiffness(known, *periodogram(deflection_m, rate_hz), rate_hz, 1.0)
 
 
-def _stiffness(known: Thermal, fit: Any) -> Stiffness:
+def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, averages: float | None) -> Stiffness:
+    kept = lines > 0.0
+    for low, high in known.exclude_hz:
+        kept &= (lines < low) | (lines > high)
+    lines, power = lines[kept], power[kept]
+    if len(lines) < 16:
+        raise ConfigError(f"the spectrum has {len(lines)} lines that are not excluded: 16 are needed")
+    # a tone may be the greatest of the lines, and a narrow resonance is as narrow as one
+    smooth = ndimage.median_filter(power, 7)
+    starts: list[tuple[float, float, float]] = []
+    for one in (power, np.minimum(power, 30.0 * smooth), smooth):
+        peak_hz, quality = _peak(lines, one)
+        start = (float(np.sum(one[1:] * np.diff(lines))), peak_hz, quality)
+        if not starts or all(abs(math.log(start[1] / other[1])) > 0.5 / start[2] for other in starts):
+            starts.append(start)
     try:
-        found: Resonance = fit()
+        found: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages)
     except ValueError as error:
         raise ConfigError(str(error)) from error
     k = known.factor * BOLTZMANN_J_PER_K * known.temperature_k / found.mean_square_m2
@@ -236,8 +361,14 @@ def _stiffness(known: Thermal, fit: Any) -> Stiffness:
             f"a stiffness of {k:.3g} N/m is that of no cantilever: look at the unit of the density (--unit), or of a "
             "record, which is V, and at the way for a volt in nm/V"
         )
+    if not known.anyway:
+        _ask_about(k, found)
     deviation = k * math.hypot(found.share, known.sensitivity_share)
-    thermal = Stiffness(k, deviation, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor)
+    thermal = Stiffness(
+        k, deviation, found.resonance_hz, found.quality, found.floor_m2_per_hz, known.factor, averages=found.averages,
+        deviance_ratio=found.deviance, residual_ratio=found.mismatch, lines_left_out=found.tones,
+        influence=found.influence, remarks=_remarks_on(found, averages),
+    )  # fmt: skip
     if known.width_m is None or known.length_m is None:
         return thermal
     by_sader, slopes = _sader_with_slopes(known.width_m, known.length_m, found.resonance_hz, found.quality)
@@ -251,6 +382,47 @@ def _stiffness(known: Thermal, fit: Any) -> Stiffness:
     return thermal._replace(
         sader_n_per_m=by_sader, sader_over_thermal=ratio, sader_over_thermal_error=ratio * share, agreement=words
     )
+
+
+def _ask_about(k: float, found: Resonance) -> None:
+    """Raise ConfigError where resonance, Q or mass is that of no usual lever, with the likely mistake."""
+    f0, q = found.resonance_hz, found.quality
+    mass_kg = k / (2.0 * math.pi * f0) ** 2
+    asked = ""
+    if f0 < _RESONANCE_HZ[0]:
+        asked = f"a resonance of {f0:.4g} Hz: is the frequency in kHz? Give --frequency-unit kHz"
+    elif f0 > _RESONANCE_HZ[1]:
+        asked = (
+            f"a resonance of {f0:.4g} Hz: is the frequency in Hz, and not in what its head says? --frequency-unit Hz"
+        )
+    elif not _QUALITY[0] <= q <= _QUALITY[1]:
+        asked = f"Q of {q:.3g} at {f0:.6g} Hz: is the peak a tone or a hum? Leave it out by --exclude LOW HIGH"
+    elif not _MASS_KG[0] <= mass_kg <= _MASS_KG[1]:
+        asked = (
+            f"{k:.3g} N/m at {f0:.6g} Hz, a mass of {mass_kg:.1g} kg: is the way for a volt in nm/V, and the unit of"
+            " the density as its head says?"
+        )
+    if asked:
+        raise ConfigError(f"no usual lever has {asked}; --anyway takes it as it is")
+
+
+def _remarks_on(found: Resonance, given: float | None) -> tuple[str, ...]:
+    remarks = []
+    if found.tones:
+        remarks.append(f"{found.tones} lines that no thermal noise has (of the electronics) are left out")
+    if given is None:
+        remarks.append(
+            f"by the scatter of its lines each is the mean of {found.averages:.3g} periodograms (--averages)"
+        )
+    elif not 0.5 < found.deviance < 2.0:
+        scatter = "more" if found.deviance > 1.0 else "less"
+        remarks.append(f"its lines scatter {scatter} than those of {given:g} averages: is --averages right?")
+    if found.chance < WIDENED:
+        remarks.append(
+            f"the standard error is widened {math.sqrt(found.mismatch):.2g} times by the residuals of the fit"
+        )
+    remarks.append(f"lines from {found.band_hz[0]:.6g} to {found.band_hz[1]:.6g} Hz are taken")
+    return tuple(remarks)
 
 
 def _sader_with_slopes(
@@ -350,7 +522,18 @@ def sensitivity_of_curve(way_m: Array, volts: Array, low: float = 0.3, high: flo
         slope, error, scatter = (span * part for part in regressed(way_m[chosen], shares[chosen]))
     if not slope > 3.0 * error:
         raise ConfigError("the voltage does not follow the way there: this is no curve on a hard sample")
+    _require_straight(way_m[chosen], volts[chosen])
     return Sensitivity(1.0 / slope, error / slope**2, int(chosen.sum()), scatter / slope)
+
+
+def require_usual(found: Sequence[Sensitivity]) -> None:
+    """Raise ConfigError for a way for a volt that no usual read-out has, with the likely mistake."""
+    for one in found:
+        if not _M_PER_V[0] <= one.m_per_v <= _M_PER_V[1]:
+            raise ConfigError(
+                f"{1e9 * one.m_per_v:.3g} nm/V is the way for a volt of no usual read-out: are --way-unit and "
+                "--deflection-unit as the file has them? --anyway takes it as it is"
+            )
 
 
 def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> tuple[list[Sensitivity], int]:
@@ -379,6 +562,20 @@ def sensitivities_of_file(path: Path, low: float = 0.3, high: float = 0.95) -> t
     if not found:
         raise ConfigError(f"{path}: none of its {len(counts)} curves will do: {reason}")
     return found, len(counts) - len(found)
+
+
+def _require_straight(way_m: Array, volts: Array) -> None:
+    """Raise ConfigError where the two halves of the line of contact have slopes that differ by more than noise."""
+    upper = way_m > np.median(way_m)
+    if min(upper.sum(), (~upper).sum()) < 8:
+        return
+    (low, low_error, _), (high, high_error, _) = (regressed(way_m[part], volts[part]) for part in (~upper, upper))
+    apart = abs(high - low)
+    if apart > _BENT * abs(0.5 * (low + high)) and apart > _BENT_ERRORS * math.hypot(low_error, high_error):
+        raise ConfigError(
+            f"the line of contact is bent: its second half has {high / low:.2g} times the slope of the first. The"
+            " sample gives way, or the read-out is not linear there: choose another --part LOW HIGH"
+        )
 
 
 def _require(points: int, low: float, high: float) -> None:

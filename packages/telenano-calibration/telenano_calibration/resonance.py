@@ -19,17 +19,18 @@ rectangle, whose c falls evenly to 0 over the segment, and Hann's; the likelihoo
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
 Array = npt.NDArray[np.float64]
 
-# Of the resonance: drift is below, and what the sampling takes is above.
-BAND = (0.1, 3.0)
+# Of the resonance: drift is below, and what the sampling takes is above. The narrower ones are for lines with more.
+BANDS = ((0.1, 3.0), (0.4, 1.8), (0.7, 1.4))
 # the least Q of a spring that swings, and the greatest that is looked for
 QUALITIES = (0.5, 1e7)
 _MOST_STEPS, _ENOUGH = 60, 1e-7
@@ -43,13 +44,37 @@ _STARTS_OF_Q = (1.0, 4.0, 16.0)
 # The standard error of log s^2 is smaller than this, or the fit tells nothing.
 _KNOWN_TO = 1.0
 _TURN = 2.0 * math.pi
+# A line that noise exceeds in this share of spectra alone is no noise.
+_NOT_THERMAL = 1e-6
+# More lines than these, and than this share, are no tones.
+_MOST_TONES = 40
+_MOST_TONE_SHARE = 0.02
+_MOST_ROUNDS = 12
+_FEWEST_LINES = 16
+# Residuals that noise has in fewer spectra than these shares: errors are widened, another band is tried, refused.
+WIDENED = 0.05
+_DOUBTFUL = 0.01
+_IMPOSSIBLE = 1e-5
+# Correlation of neighbouring lines above which there was a window, and the most that one of those in use does.
+_LEAST_JOINED = 0.15
+_MOST_JOINED = 2.5
+# in standard errors
+_MOST_INFLUENCE = 4.0
+# A narrower band has so many widths of the peak at least.
+_BAND_WIDTHS = 4.0
+# The peak is so many times its width at half its height on both sides, and has so many blocks, as has each side.
+_PEAK_WIDTHS = 2.0
+_BLOCKS = 20
 Shape = Callable[[float, float, float], Array]
 
 
 class Resonance(NamedTuple):
     """Mean square s^2 [m^2], resonance f0 [Hz], Q, one-sided floor [m^2/Hz], and the standard error of log s^2.
 
-    covariance: of log s^2, log f0 and log Q, shape (3, 3).
+    covariance: of log s^2, log f0 and log Q, shape (3, 3). deviance: of the lines, in that of noise of `averages`.
+    mismatch: mean square of the residuals of blocks of lines, in that of noise; chance: of as much by noise.
+    tones: lines that were left out because no thermal noise has them. influence: by how many standard errors the one
+    line that matters most moves log s^2. band_hz: of the lines that were taken.
     """
 
     mean_square_m2: float
@@ -58,6 +83,13 @@ class Resonance(NamedTuple):
     floor_m2_per_hz: float
     share: float
     covariance: Array
+    deviance: float
+    mismatch: float
+    chance: float
+    tones: int
+    influence: float
+    averages: float
+    band_hz: tuple[float, float]
 
 
 def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_hz: float, quality: float) -> Array:
@@ -84,50 +116,102 @@ def fit_spectrum(
     frequency_hz: Array,
     power: Array,
     rate_hz: float,
-    resonance_hz: float,
-    quality: float,
-    mean_square: float,
-    averages: float = 1.0,
+    starts: Sequence[tuple[float, float, float]],
+    averages: float | None = 1.0,
 ) -> Resonance:
-    """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms.
+    """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms, and judge the fit.
+
+    Lines that no thermal noise has under the fit are left out, and the others are fitted again until none is left.
+    Where the residuals of the widest band have a course, narrower ones are tried, because what is not of the resonance
+    (drift, other modes) is far from it.
 
     Args:
-        frequency_hz: The lines [Hz], shape (n,).
+        frequency_hz: The lines [Hz], shape (n,), rising.
         power: The density there [m^2/Hz], shape (n,).
         rate_hz: The rate at which the deflection was sampled [Hz].
-        resonance_hz: The resonance, near which it is looked for [Hz].
-        quality: Q, near which it is looked for.
-        mean_square: The mean square of the motion, where the search begins [m^2].
-        averages: How many periodograms each line is the mean of.
+        starts: Where to look: mean square [m^2], resonance [Hz] and Q each.
+        averages: How many periodograms each line is the mean of; None takes it from the scatter of the lines.
 
     Raises:
-        ValueError: The fit ends at a bound, which the message names, the peak has too few lines, or the mean square
-            is not known to a factor of e.
+        ValueError: No fit describes the lines, or the fit ends at a bound, or the peak has too few lines, or the mean
+            square is not known to a factor of e; the message says which and what may be wrong.
     """
-    low, high = BAND[0] * resonance_hz, min(BAND[1] * resonance_hz, 0.45 * rate_hz)
+    best: Resonance | None = None
+    reason: ValueError | None = None
+    for band in BANDS:
+        for start in starts:
+            try:
+                found = _judged_fit(frequency_hz, power, rate_hz, start, averages, band)
+            except ValueError as error:
+                reason = reason or error
+                continue
+            if best is None or found.mismatch < best.mismatch:
+                best = found
+        if best is not None and best.chance > _DOUBTFUL:
+            break
+    if best is None:
+        raise reason or ValueError("no resonance is known from these lines")
+    if best.chance < _IMPOSSIBLE:
+        raise ValueError(
+            f"no resonance describes these lines: near {best.resonance_hz:.6g} Hz the residuals are {best.mismatch:.3g}"
+            " times as large as noise makes them. Another mode, drift or electronics may be among the lines (leave them"
+            " out by --exclude LOW HIGH), or --averages is too large"
+        )
+    if best.influence > _MOST_INFLUENCE:
+        raise ValueError(
+            f"a single line moves the mean square by {best.influence:.2g} of its standard errors: take a finer"
+            " spectrum, or leave it out by --exclude LOW HIGH"
+        )
+    # what the residuals have beyond noise makes the errors larger
+    widened = best.mismatch if best.chance < WIDENED else 1.0
+    return best._replace(share=best.share * math.sqrt(widened), covariance=best.covariance * widened)
+
+
+def _judged_fit(
+    frequency_hz: Array,
+    power: Array,
+    rate_hz: float,
+    start: tuple[float, float, float],
+    averages: float | None,
+    band: tuple[float, float],
+) -> Resonance:
+    """Return the fit of a band [resonances], without lines that are no noise, and how well it describes the rest."""
+    low, high = band[0] * start[1], min(band[1] * start[1], 0.45 * rate_hz)
     chosen = (frequency_hz > low) & (frequency_hz < high)
-    power, lines = power[chosen], frequency_hz[chosen]
-    starts = [(mean_square, resonance_hz, quality * times) for times in _STARTS_OF_Q]
-    fits = [_fit(partial(density, lines, rate_hz), power, starts[0])]
+    if chosen.sum() < _FEWEST_LINES:
+        raise ValueError(
+            f"the spectrum has {int(chosen.sum())} lines near {start[1]:.6g} Hz: {_FEWEST_LINES} are needed"
+        )
+    lines, values = frequency_hz[chosen], power[chosen]
     spacing = float(np.median(np.diff(frequency_hz)))
-    places = np.rint(lines / spacing).astype(int)
-    is_even = np.abs(lines - places * spacing).max() < 0.1 * spacing
-    if is_even and fits[0].place[1] - math.log(_FEW_LINES * spacing) < fits[0].place[2]:
-        count = round(rate_hz / spacing)
-        for kernel in (
-            1.0 - np.arange(count) / count,
-            _autocorrelation(0.5 - 0.5 * np.cos(_TURN / count * np.arange(count))),
-        ):
-            shape = partial(_seen_through, kernel, places, rate_hz)
-            fits += [_fit(shape, power, start) for start in starts]
-        fits = [one for one in fits if one.has_area_of(power, spacing)]
-        if not fits:
-            raise ValueError(
-                f"no resonance has the area of the peak, which has too few lines {spacing:.4g} Hz apart: take a finer "
-                "spectrum, or --record"
-            )
-    _, free, information, unit = min(fits, key=lambda fit: fit.cost)
+    kept = values > 0.0
+    for _ in range(_MOST_ROUNDS):
+        fit, shape = _fit_in_band(lines[kept], values[kept], rate_hz, start, spacing)
+        places = np.rint(lines / spacing).astype(int)
+        s2, f0, q = np.exp(np.clip(fit.place[:3], -200.0, 200.0)).tolist()
+        if not low < f0 < high or s2 <= 0.0:
+            raise ValueError(f"the fit of the resonance ends at the bound of its resonance, {start[1]:.6g} Hz")
+        model = shape(lines, places, s2, f0, q) + fit.place[3] * fit.unit
+        if not (np.isfinite(model).all() and (model[kept] > 0.0).all()):
+            raise ValueError(f"no resonance is known from these lines near {start[1]:.6g} Hz")
+        ratio = np.where(model > 0.0, values / np.where(model > 0.0, model, 1.0), 0.0)
+        count = averages or _averages_of(ratio[kept])
+        thermal = (special.gammaincc(count, count * ratio) > _NOT_THERMAL) & (values > 0.0)
+        if (thermal == kept).all():
+            break
+        kept = thermal
+        if kept.sum() < _FEWEST_LINES:
+            break
+    tones = int((~kept & (values > 0.0)).sum())
+    if tones > max(_MOST_TONES, _MOST_TONE_SHARE * len(lines)):
+        raise ValueError(
+            f"{tones} of {len(lines)} lines near {start[1]:.6g} Hz are far above any thermal noise: another mode or the"
+            " electronics (leave them out by --exclude LOW HIGH), or --averages is too large"
+        )
+    _, free, slopes, unit = fit
     s2, f0, q = np.exp(free[:3]).tolist()
+    if band != BANDS[0] and q * (band[1] - band[0]) < _BAND_WIDTHS:
+        raise ValueError(f"the peak near {f0:.6g} Hz is too wide for a narrower band")
     for name, value, bounds, form in (
         ("resonance", f0, (low, high), "{:.6g} Hz"),
         ("Q", q, QUALITIES, "{:g}"),
@@ -135,22 +219,111 @@ def fit_spectrum(
         for bound in bounds:
             if abs(math.log(value / bound)) < 1e-3 or not bounds[0] < value < bounds[1]:
                 raise ValueError(f"the fit of the resonance ends at the bound of its {name}, {form.format(bound)}")
-    covariance = _inverse(information)[:3, :3] / averages
+    inverse = _inverse(slopes @ slopes.T)
+    joined = _joined(ratio[kept] - 1.0)
+    covariance = inverse[:3, :3] * joined / count
     # Where the lines hardly tell, rounding decides where the search ends.
     if not 0.0 < covariance[0, 0] < _KNOWN_TO**2:
         raise ValueError(
             f"no resonance is known from these lines: the mean square near {f0:.6g} Hz has a standard error of more"
             " than a factor of e; a tone of the electronics has such a peak"
         )
-    return Resonance(s2, f0, q, max(float(free[3]) * unit, 0.0), math.sqrt(float(covariance[0, 0])), covariance)
+    share = math.sqrt(float(covariance[0, 0]))
+    moved = inverse[0] @ slopes * (ratio[kept] - 1.0)
+    mismatch, chance = _mismatch(ratio[kept], lines[kept], f0, q, count / joined)
+    deviance = float(np.mean(ratio[kept] - 1.0 - np.log(ratio[kept]))) / _deviance_of(count)
+    return Resonance(
+        s2, f0, q, max(float(free[3]) * unit, 0.0), share, covariance, deviance, mismatch, chance, tones,
+        float(np.abs(moved).max()) / share, count, (float(lines[0]), float(lines[-1])),
+    )  # fmt: skip
+
+
+def _fit_in_band(
+    lines: Array, power: Array, rate_hz: float, start: tuple[float, float, float], spacing: float
+) -> tuple["_Fit", Callable[..., Array]]:
+    """Return the fit of some lines, and the density at any lines as a function of them, places, s^2, f0 and Q."""
+    mean_square, resonance_hz, quality = start
+    starts = [(mean_square, resonance_hz, quality * times) for times in _STARTS_OF_Q]
+
+    def plain(at: Array, _: Any, s2: float, f0: float, q: float) -> Array:
+        return density(at, rate_hz, s2, f0, q)
+
+    fits: list[tuple[_Fit, Callable[..., Array]]] = [(_fit(partial(plain, lines, None), power, starts[0]), plain)]
+    places = np.rint(lines / spacing).astype(int)
+    is_even = np.abs(lines - places * spacing).max() < 0.1 * spacing
+    if is_even and fits[0][0].place[1] - math.log(_FEW_LINES * spacing) < fits[0][0].place[2]:
+        count = round(rate_hz / spacing)
+        for kernel in (
+            1.0 - np.arange(count) / count,
+            _autocorrelation(0.5 - 0.5 * np.cos(_TURN / count * np.arange(count))),
+        ):
+
+            def seen(_: Any, at: Any, s2: float, f0: float, q: float, kernel: Array = kernel) -> Array:
+                return _seen_through(kernel, at, rate_hz, s2, f0, q)
+
+            fits += [(_fit(partial(seen, None, places), power, one), seen) for one in starts]
+        fits = [one for one in fits if one[0].has_area_of(power, spacing)]
+        if not fits:
+            raise ValueError(
+                f"no resonance has the area of the peak, which has too few lines {spacing:.4g} Hz apart: take a finer "
+                "spectrum, or --record"
+            )
+    return min(fits, key=lambda one: one[0].cost)
+
+
+def _deviance_of(averages: float) -> float:
+    """Return the mean of r - 1 - log r of means r of so many exponential numbers, each of mean 1."""
+    return float(math.log(averages) - special.digamma(averages))
+
+
+def _averages_of(ratio: Array) -> float:
+    """Return of how many periodograms the lines are means, by their scatter about the fit."""
+    # the middle of the lines, whatever a tone or a misfit does at the ends
+    low, high = np.quantile(ratio, (0.25, 0.75))
+    wanted = math.log(max(high / low, 1.0 + 1e-9)) if low > 0.0 else math.inf
+    counts = np.geomspace(0.5, 1e5, 400)
+    spreads = np.log(special.gammaincinv(counts, 0.75) / special.gammaincinv(counts, 0.25))
+    return float(np.interp(-wanted, -spreads, counts))
+
+
+def _joined(residual: Array) -> float:
+    """Return by how much the sum of neighbouring lines varies more than that of lines without a window.
+
+    Hann's window gives neighbours a correlation of 4/9, and 1/36 over the next but one. A course of the residuals is in
+    all of them alike, and so no part of it.
+    """
+    square = float(residual @ residual)
+    if len(residual) < 64 or square <= 0.0:
+        return 1.0
+    first, second, third = (float(residual[:-lag] @ residual[lag:]) / square for lag in (1, 2, 3))
+    if first - third < _LEAST_JOINED:
+        return 1.0
+    return min(1.0 + 2.0 * (first + second - 2.0 * third), _MOST_JOINED)
+
+
+def _mismatch(ratio: Array, lines: Array, resonance_hz: float, quality: float, averages: float) -> tuple[float, float]:
+    """Return the mean square of the residuals of blocks of lines, in that of noise, and the chance of as much by noise.
+
+    The blocks have even counts of lines, in the peak and on both sides of it each.
+    """
+    width = max(_PEAK_WIDTHS * resonance_hz / quality, 4.0 * float(np.median(np.diff(lines))))
+    edges = np.searchsorted(lines, (resonance_hz - width, resonance_hz + width))
+    parts = [part for part in np.split(ratio - 1.0, edges) if len(part)]
+    blocks = [block for part in parts for block in np.array_split(part, min(_BLOCKS, len(part)))]
+    squares = [averages * float(block.sum()) ** 2 / len(block) for block in blocks]
+    free = max(len(squares) - 4, 1)
+    total = float(np.sum(squares))
+    # a block of few periodograms has a longer tail than a normal number
+    excess = 1.0 + 3.0 / (averages * max(len(ratio) / max(len(squares), 1), 1.0))
+    return total / free, float(special.chdtrc(free / excess, total / excess))
 
 
 class _Fit(NamedTuple):
-    """The least cost, where it is (log s^2, log f0, log Q, floor in units), the information there, and the unit."""
+    """The least cost, where it is (log s^2, log f0, log Q, floor in units), the slopes of log S there, and the unit."""
 
     cost: float
     place: Array
-    information: Array
+    slopes: Array
     unit: float
 
     def has_area_of(self, power: Array, spacing: float) -> bool:
@@ -175,7 +348,7 @@ def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
 
     present = logs(free)
     least = cost(present)
-    information = np.eye(4)
+    slopes = np.zeros((4, len(power)))
     for _ in range(_MOST_STEPS):
         slopes = np.empty((4, len(power)))
         for i in range(4):
@@ -200,7 +373,7 @@ def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
         gained, free, present, least = least - cost(tried), after, tried, cost(tried)
         if gained < _ENOUGH:
             break
-    return _Fit(least, free, information, unit)
+    return _Fit(least, free, slopes, unit)
 
 
 def _inverse(information: Array) -> Array:

@@ -150,6 +150,8 @@ def test_the_command_prints_and_writes_both_tables(
     page = (tmp_path / "out" / "budget.html").read_text()
     assert "deflection for a volt" in page
     assert "The link delays by 8 ms there and back on purpose." in page
-    shown = CliRunner().invoke(app, ["budget", path], env={"COLUMNS": "200"})
+    # without noise no mean has a scatter that says how well it is known, so the scales alone are in the budget
+    shown = CliRunner().invoke(app, ["budget", path, "--stage", str(files[1])], env={"COLUMNS": "200"})
     assert shown.exit_code == 0
+    assert "scatter in the session" in shown.stdout
     assert "are left out: " in shown.stdout.replace("is left out", "are left out")

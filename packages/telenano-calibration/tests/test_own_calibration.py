@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import linalg
 from telenano_calibration.own_calibration import (
     AIR_DENSITY_KG_PER_M3,
     AIR_VISCOSITY_PA_S,
     BY_ANGLE,
     Thermal,
-    columns_of,
+    curve_of,
     hydrodynamic,
     sader_n_per_m,
     sensitivity_of_curve,
+    spectrum_of,
     stiffness_of_record,
     stiffness_of_spectrum,
 )
@@ -154,13 +156,16 @@ def test_of_1000_spectra_93_to_97_in_a_hundred_cover_the_stiffness() -> None:
 
 def test_a_record_gives_what_its_spectrum_gives() -> None:
     random, count = np.random.default_rng(3), 1 << 17
+    # a spring in white noise, its place and speed stepped exactly (x in its own rms, speed in that of its own)
     omega, gamma = 2.0 * math.pi * F0, math.pi * F0 / Q
-    pole = np.exp(complex(-gamma, math.sqrt(omega**2 - gamma**2)) / RATE)
-    noise = random.standard_normal(count) + 1j * random.standard_normal(count)
-    state, course = 0j, np.empty(count)
-    for i, push in enumerate(noise.tolist()):
-        state = pole * state + push
-        course[i] = state.real
+    step = linalg.expm(np.array([[0.0, omega], [-omega, -2.0 * gamma]]) / RATE)
+    root = np.linalg.cholesky(np.eye(2) - step @ step.T)
+    pushes = random.standard_normal((count, 2)) @ root.T
+    (a, b), (c, d) = step.tolist()
+    x, v, course = 0.0, 0.0, np.empty(count)
+    for i, (of_place, of_speed) in enumerate(pushes.tolist()):
+        x, v = a * x + b * v + of_place, c * x + d * v + of_speed
+        course[i] = x
     course *= math.sqrt(BY_ANGLE * BOLTZMANN_J_PER_K * KELVIN / K / np.mean(course**2))
     found = stiffness_of_record(course / M_PER_V, KNOWN._replace(rate_hz=RATE))
     assert found.stiffness_n_per_m == pytest.approx(K, rel=0.05)
@@ -215,11 +220,11 @@ def test_what_is_no_curve_and_no_spectrum_is_refused(tmp_path: Path) -> None:
             stiffness_of_spectrum(frequency, power * metre**2, KNOWN)
     file = tmp_path / "s.txt"
     file.write_text("Hz;V2/Hz\n" + "".join(f"{n};1e-9\n" for n in range(20)) + "20;loud\n")
-    with pytest.raises(ConfigError, match=r"s\.txt, line 22: is no line of numbers, after 20"):
-        columns_of(file, 2)
+    with pytest.raises(ConfigError, match=r"s\.txt, line 22: 'loud' is no number"):
+        spectrum_of(file)
     file.write_text("1;2\n")
-    with pytest.raises(ConfigError, match="has 1 lines of 2 numbers, 16 or more"):
-        columns_of(file, 2)
+    with pytest.raises(ConfigError, match="has 1 lines of 2 columns, 16 or more"):
+        curve_of(file)
 
 
 def test_the_commands_read_files_of_ones_own(tmp_path: Path) -> None:
@@ -272,7 +277,7 @@ def test_a_stiffness_far_from_what_the_size_allows_is_said_to_be() -> None:
 def test_a_resonance_that_is_not_in_the_record_is_refused_with_the_bound() -> None:
     walk = np.cumsum(np.random.default_rng(0).standard_normal(20_000))
     with pytest.raises(ValueError, match="the fit of the resonance ends at the bound of its"):
-        fit_spectrum(*periodogram(walk, 8e3), 8e3, 1e3, 20.0, float(np.var(walk)))
+        fit_spectrum(*periodogram(walk, 8e3), 8e3, [(float(np.var(walk)), 1e3, 20.0)])
 
 
 def test_the_density_as_sampled_has_the_whole_mean_square_at_any_rate() -> None:
@@ -282,3 +287,117 @@ def test_the_density_as_sampled_has_the_whole_mean_square_at_any_rate() -> None:
         found = density(lines, rate_hz, 2.0, 1e3, quality)
         assert found.mean() * 0.5 * rate_hz == pytest.approx(2.0, rel=1e-4)
         assert (found > 0.0).all()
+
+
+LEVERS = {"stiff": (2.0, 70e3, 150.0), "soft": (0.02, 20e3, 40.0), "fast": (30.0, 900e3, 300.0)}
+
+
+def written(path: Path, head: str, unit_hz: float, unit_density: float, lever: str = "stiff", mark: str = "\t") -> None:
+    """Write a spectrum of a lever, by the textbook's density, in these units; root densities have unit_density < 0."""
+    k, f0, q = LEVERS[lever]
+    frequency = f0 / q / 20.0 * np.arange(1, 12_000)
+    x = frequency / f0
+    square = BY_ANGLE * BOLTZMANN_J_PER_K * 300.0 / k
+    mean = 2.0 * square / (math.pi * f0 * q * ((1.0 - x**2) ** 2 + (x / q) ** 2)) / 50e-9**2
+    density = mean * np.random.default_rng(1).gamma(50, 1.0 / 50, len(mean))
+    density = np.sqrt(density) / -unit_density if unit_density < 0.0 else density / unit_density
+    lines = "".join(f"{f / unit_hz:.9f}{mark}{v:.9e}\n" for f, v in zip(frequency, density, strict=True))
+    path.write_text(f"{head}\n{lines.replace('.', ',') if mark == ';' else lines}", encoding="utf-8")
+
+
+HEADS = {
+    "kHz": ("frequency [kHz]\tdensity [V^2/Hz]", 1e3, 1.0),
+    "MHz": ("f (MHz)\tPSD (mV²/Hz)", 1e6, 1e-6),
+    "mHz": ("f / mHz\tPSD / V/√Hz", 1e-3, -1.0),
+    "two lines": ("Frequency\tNoise\nkHz\tuV/sqrt(Hz)", 1e3, -1e-6),
+    "micro": ("Frequency (kHz)\tASD (\u03bcV/√Hz)", 1e3, -1e-6),
+    "micro sign": ("Frequency (kHz)\tASD (\u00b5V per sqrt(Hz))", 1e3, -1e-6),
+    "comment": ("# taken in air, frequency in kHz, density in V^2/Hz", 1e3, 1.0),
+}
+
+
+@pytest.mark.parametrize("lever", LEVERS)
+@pytest.mark.parametrize("head", HEADS)
+def test_the_head_gives_the_unit_of_each_column_of_a_spectrum(head: str, lever: str, tmp_path: Path) -> None:
+    written(tmp_path / "s.txt", *HEADS[head], lever)
+    words = ["--sensitivity", "50", "--averages", "50", "--json"]
+    found = CliRunner().invoke(app, ["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), *words])
+    k, f0, _ = LEVERS[lever]
+    assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(k, rel=0.08)
+    assert json.loads(found.stdout)["resonance_hz"] == pytest.approx(f0, rel=0.01)
+
+
+def test_a_decimal_comma_gives_what_a_point_gives(tmp_path: Path) -> None:
+    answers = []
+    for mark in ("\t", ";"):
+        written(tmp_path / "s.txt", f"f [kHz]{mark}PSD [V^2/Hz]", 1e3, 1.0, mark=mark)
+        words = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), "--sensitivity", "50", "--json"]
+        answers.append(json.loads(CliRunner().invoke(app, words).stdout)["stiffness_n_per_m"])
+    assert answers[0] == answers[1]
+
+
+@pytest.mark.parametrize(
+    ("head", "asked"),
+    [
+        ("frequency [furlong]\tdensity [V^2/Hz]", "line 1: the unit 'furlong' of 'frequency [furlong]'"),
+        ("frequency [mhz]\tdensity [V^2/Hz]", "line 1: the unit 'mhz'"),
+        ("frequency [s]\tdensity [V^2/Hz]", "of another kind than Hz"),
+        ("frequency [Hz]\tdensity [dB]", "line 1: the unit 'dB' of 'density [dB]' is that of no density"),
+        ("frequency\tdensity [V^2/Hz]", "is the frequency in kHz? Give --frequency-unit kHz"),
+        ("frequency [Hz]\tdensity [V^2/Hz]", "is the frequency in kHz?"),
+    ],
+)
+def test_a_unit_that_is_not_known_or_not_likely_is_asked_for(head: str, asked: str, tmp_path: Path) -> None:
+    for lever in LEVERS:
+        if "Hz?" in asked and LEVERS[lever][1] > 5e5:
+            continue
+        written(tmp_path / "s.txt", head, 1e3, 1.0, lever)
+        words = ["calibrate", "stiffness", "--spectrum", str(tmp_path / "s.txt"), "--sensitivity", "50", "--json"]
+        found = CliRunner().invoke(app, words)
+        assert found.exit_code == 2
+        assert asked in json.loads(found.stdout)["error"]
+        if "kHz" in asked:
+            found = CliRunner().invoke(app, [*words, "--frequency-unit", "kHz"])
+            assert json.loads(found.stdout)["stiffness_n_per_m"] == pytest.approx(LEVERS[lever][0], rel=0.08)
+
+
+WAYS = {
+    "z [µm]\tdeflection [mV]": (1e-6, 1e-3),
+    "z [m]\tdeflection [V]": (1.0, 1.0),
+    "Z rel (m)\tDeflection (V)": (1.0, 1.0),
+    "piezo / nm\tVertical Deflection / V": (1e-9, 1.0),
+    "deflection [µV]\theight [Å]": (1e-10, 1e-6),
+    "way\tvolts": (1e-9, 1.0),
+}
+
+
+@pytest.mark.parametrize("comma", [False, True])
+@pytest.mark.parametrize("head", WAYS)
+def test_the_head_gives_the_unit_of_way_and_deflection(head: str, comma: bool, tmp_path: Path) -> None:
+    way, volts = curve(3)
+    unit_m, unit_v = WAYS[head]
+    columns = [way / unit_m, volts / unit_v]
+    text = "".join(f"{a:.9e}\t{b:.9e}\n" for a, b in zip(*columns[:: -1 if head.startswith("d") else 1], strict=True))
+    (tmp_path / "c.txt").write_text(f"{head}\n{text.replace('.', ',') if comma else text}", encoding="utf-8")
+    found = CliRunner().invoke(app, ["calibrate", "sensitivity", "--curve", str(tmp_path / "c.txt"), "--json"])
+    assert json.loads(found.stdout)["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("unit", ["m", "um", "mm"])
+def test_a_way_without_a_unit_that_none_has_in_nanometres_is_asked_for(unit: str, tmp_path: Path) -> None:
+    way, volts = curve(3)
+    scale = {"m": 1.0, "um": 1e-6, "mm": 1e-3}[unit]
+    np.savetxt(tmp_path / "c.txt", np.column_stack([way / scale, volts]))
+    words = ["calibrate", "sensitivity", "--curve", str(tmp_path / "c.txt"), "--json"]
+    found = CliRunner().invoke(app, words)
+    assert found.exit_code == 2 and "Give --way-unit" in json.loads(found.stdout)["error"]
+    found = CliRunner().invoke(app, [*words, "--way-unit", unit])
+    assert json.loads(found.stdout)["sensitivity_nm_per_v"] == pytest.approx(60.0, rel=5e-3)
+
+
+def test_a_bent_line_of_contact_is_no_hard_sample() -> None:
+    way = np.linspace(0.0, 400e-9, 400)
+    for power in (1.5, 2.0):
+        volts = 5.0 * np.maximum(way / 200e-9 - 1.0, 0.0) ** power
+        with pytest.raises(ConfigError, match="the line of contact is bent"):
+            sensitivity_of_curve(way, volts + 0.005 * np.random.default_rng(2).standard_normal(400))

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 
 from telenano.extend.laws import NO_SIGNAL, EnergyAccount, HandSample, Law, MasterReference, PortSignal, TipMeasurement
-from telenano.extend.testing import RefusedError, longest_pause_periods, paced
+from telenano.extend.testing import RefusedError, changed_in_contact, longest_pause_periods, paced
 from telenano_conformance.balance_draws import BEGINS_S, KINDS, MIXED, SILENCES, Event, Order, drawn
 from telenano_conformance.balance_world import HandModel, SampleModel, lines_of, quantised, stiffest_n_per_m
 
@@ -102,8 +102,8 @@ class Balance:
 
 
 def states_passivity(law: Law) -> bool:
-    """Return whether a law states an account of its energy, by which it can be held to passivity."""
-    return law.master_energy_account is not Law.master_energy_account
+    """Return whether a law states that its two ports give out no more than it says that it was granted."""
+    return law.passive
 
 
 def silence_limit_s(config: Any) -> float:
@@ -335,6 +335,8 @@ class _Run:
             # a sample that the law states to be too stiff for it then is no case of its claim
             if limit is not None and self.stiffest > 1.2 * _STIFFEST_SHARE * limit:
                 raise RefusedError(f"{key}: the sample would be stiffer than the law states")
+            if self.tip.in_contact and (reason := changed_in_contact(self.law, self.config, config)):
+                raise RefusedError(reason)
             if not self.away:
                 self.master = self.law.retune(self.master_params, params, self.master)
         except (RefusedError, ValidationError):
@@ -347,10 +349,8 @@ class _Run:
         while self.retunes and self.retunes[0][0] <= tick:
             config = self.retunes.pop(0)[1]
             params = config.to_params(self.period_s)
-            # laws that carry the state of the slave half over a change of parameters have a step for it
-            carried = getattr(self.law, "slave_retune", None)
-            if carried is not None and not self.away:
-                self.slave = carried(self.slave_params, params, self.slave)
+            if not self.away:
+                self.slave = self.law.slave_retune(self.slave_params, params, self.slave)
             self.slave_config, self.slave_params = config, params
 
     # -- a tick -------------------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ def law_balance(
 ) -> None:
     """Run orders of events that an adversary draws against laws, and print what energy each makes.
 
-    The exit code is 1 where a law that states an account of its energy gives out more than came in and was granted.
+    The exit code is 1 where a law that states passivity gives out more than came in and was granted.
     """
     with report_errors(as_json):
         kinds = tuple(kind or _ALL)
@@ -103,7 +103,7 @@ def _print_findings(found: list[Row], broken: list[Row]) -> None:
         lost = sum(row[0] == name for row in broken)
         kinds = sum(row[0] == name for row in found)
         if not states_passivity(known_law(name)):
-            typer.echo(f"{name} states no account of its energy, so that it is held to nothing")
+            typer.echo(f"{name} does not state passivity, so that it is held to nothing")
         else:
             typer.echo(
                 f"{name} makes energy at {lost} of {kinds} kinds of transition" if lost else f"{name} makes none"

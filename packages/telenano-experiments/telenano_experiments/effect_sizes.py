@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from telenano_studies.repetitions import half_width
+
+from analysis.intervals import half_width
 
 CORRECTIONS = ("holm", "bonferroni", "fdr_bh", "none")
 Matrix = npt.NDArray[np.float64]

@@ -132,6 +132,10 @@ class Plan:
             return dict(factor.levels[str(level)])
         key = factor.key or SHORT_NAMES.get(name, name)
         if key in DELAYS:
+            if isinstance(level, bool | str):
+                raise ConfigError(
+                    f"{self.path}: factors.{name}: {level!r} is no number; write it without a unit, in ms"
+                )
             one_way_s = float(level) * DELAYS[key]
             return {"delay_node.forward.delay_s": one_way_s, "delay_node.backward.delay_s": one_way_s}
         return {} if key.startswith(_OF_TASK) else {key: level}

@@ -116,6 +116,12 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"factors": {"law": 3}}, "factors.law: Input should be"),
     ({"factors": {"law": {"levels": "wave"}}}, "factors.law.levels: levels have to be a list of values"),
     ({"factors": {"delay_ms": [1], "round_trip_ms": [2]}}, "round_trip_ms and delay_ms are the same delay"),
+    (
+        {"factors": {"round_trip_ms": ["0ms", "60ms"]}},
+        "factors.round_trip_ms: '0ms' is no number; write it without a unit",
+    ),
+    ({"factors": {"delay_ms": [10, "a"]}}, "factors.delay_ms: 'a' is no number"),
+    ({"factors": {"round_trip_ms": [True]}}, "factors.round_trip_ms: True is no number"),
     ({"tasks": ["tinny"]}, "experiment.yaml: tasks.0.name: tinny: is no task; .*tiny"),
     (
         {"tasks": [{"name": "tiny", "parameters": {"length_s": -1.0}}]},

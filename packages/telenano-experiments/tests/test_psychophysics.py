@@ -262,7 +262,44 @@ def test_few_answers_have_a_note_and_enough_have_none() -> None:
     levels = [0.02, 0.04, 0.06, 0.08]
     few = [(level, level > 0.05) for level in levels]
     notes = [fit((few * LEAST_TRIALS)[:number], Psychometric()).note for number in (LEAST_TRIALS - 1, LEAST_TRIALS)]
-    assert f"an interval of {LEAST_TRIALS - 1} trials is not to be relied on" in notes[0] and notes[1] == ""
+    assert f"an interval of {LEAST_TRIALS - 1} trials is not to be relied on" in notes[0]
+    assert "is not to be relied on" not in notes[1]
+
+
+def tracked(method: str, number: int) -> Any:
+    """Return the estimate of an observer with a threshold of 0.06."""
+    settings = made_observers.METHODS[method]
+    function = Psychometric.model_validate(settings["function"])
+    width = 0.08 if function.axis == "linear" else 1.5
+    observer, trials = Observer(function, 0.06, width, 0.01, number), make(settings, number)
+    while (level := trials.next()) is not None:
+        trials.take(level, observer.answer(level))
+    return trials.estimate()
+
+
+def test_a_wide_interval_is_named_beside_its_threshold() -> None:
+    """A staircase of 12 reversals mostly leaves more than half of its threshold to either side, QUEST+ less often."""
+    little = {
+        method: sum("this track tells little" in tracked(method, number).note for number in range(20))
+        for method in ("2 down, ratios", "QUEST+ 40")
+    }
+    assert little["QUEST+ 40"] < little["2 down, ratios"]
+    assert little["2 down, ratios"] >= 10
+
+
+def test_an_observer_who_learns_is_named_and_one_who_does_not_is_not() -> None:
+    still = [tracked("2 down", number).note for number in range(40)]
+    assert sum("the observer learns" in note for note in still) <= 3
+    source, named = random.Random(1), 0
+    model = Psychometric.model_validate(made_observers.METHODS["2 down"]["function"])
+    for _ in range(10):
+        answers = []
+        for trial in range(120):
+            level = source.choice((0.03, 0.06, 0.09))
+            # guesses at first, and half of the threshold in the end
+            answers.append((level, source.random() < (0.55 if trial < 50 else 0.95)))
+        named += "the observer learns" in fit(answers, model).note
+    assert named >= 9
 
 
 _FIT_BITS = """

@@ -46,6 +46,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
@@ -59,6 +60,8 @@ from telenano_laws.ports import (
     has_to_be_armed,
     is_heard,
     is_retracted,
+    kept_below,
+    of_scales,
     opened,
     opened_anew,
     paid_damped_way,
@@ -76,6 +79,14 @@ _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
 _AGREES_N = 0.5
 # A device that follows is behind its reference by less than this [m].
 _LONGEST_LEAD_M = 2e-3
+# time constant over which the changes of force and place are taken for a drift [s]
+_STEADY_S = 0.1
+# A drift is seen where the force changes by less than this [N/s].
+_STANDS_N_PER_S = 0.2
+# time constant with which the speed of a drift is learnt where the force stands [s]
+_DRIFT_S = 1.0
+# No sample is taken to drift faster, at the tip [m/s].
+_FASTEST_DRIFT_M_PER_S = 5e-10
 # a part of `memory_m` over which the slope is the one assumed beforehand
 _UNKNOWN_SHARE = 0.1
 # The tip asks for energy where less than this part of E_0 is left.
@@ -189,7 +200,11 @@ class Contact(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What came back from contact: newest pair, means and sums of products with fading weights, greatest pull [N]."""
+    """What came back from contact: newest pair, means and sums of products with fading weights, greatest pull [N].
+
+    Places are less drifted_m, by which the sample has drifted while the tip was in contact [m]; drift_m_per_s: its
+    speed; slow_m, slow_n: place and force as they were lately, the place as measured [m, N].
+    """
 
     known: bool
     last_m: float
@@ -199,10 +214,18 @@ class Seen(NamedTuple):
     square_m2: float
     product_n_m: float
     pull_n: float
+    slow_m: float
+    slow_n: float
+    drift_m_per_s: float
+    drifted_m: float
 
 
 class MasterState(NamedTuple):
-    """Mass, what was seen, the model and whether there is one, lag [s], share of the lag's terms, M, and the store."""
+    """Mass, what was seen, the model and whether there is one, lag [s], share of the lag's terms, M, and the store.
+
+    stood_s: for how long the device has been off [s]; device_m: where it was last [m]; ahead_j: what the hand has put
+    into the reference beyond what it has put into the device [J]; since_s: time since the newest answer [s].
+    """
 
     mass: Mass
     seen: Seen
@@ -213,6 +236,9 @@ class MasterState(NamedTuple):
     mass_kg: float
     store: Store
     stood_s: float
+    device_m: float
+    ahead_j: float
+    since_s: float
 
 
 class SlaveState(NamedTuple):
@@ -228,7 +254,7 @@ class SlaveState(NamedTuple):
 @compiled
 def nothing_seen() -> Seen:
     """Return what is known before the first contact."""
-    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @compiled
@@ -246,11 +272,46 @@ def potential(contact: Contact, y_m: float) -> float:
 
 
 @compiled
-def taught(params: BoundedModelParams, seen: Seen, position_m: float, force_n: float, touches: bool) -> Seen:
+def drifted(params: BoundedModelParams, seen: Seen, position_m: float, force_n: float, elapsed_s: float) -> Seen:
+    """Learn how fast the sample drifts: what the tip goes beyond the change of its force over the slope.
+
+    x' = F' / K + v, taken over the last `_STEADY_S`, and with the more weight the less the force changes: there the
+    slope says nothing and the drift is all. So a place is regressed on force and time, each where it can be told.
+    """
+    share = min(elapsed_s / _STEADY_S, 1.0)
+    speed, rate = (position_m - seen.slow_m) / _STEADY_S, (force_n - seen.slow_n) / _STEADY_S
+    stands = 1.0 / (1.0 + (rate / _STANDS_N_PER_S) ** 2)
+    drift = speed - rate / slope_of(params, seen)
+    drift = seen.drift_m_per_s + stands * stands * min(elapsed_s / _DRIFT_S, 1.0) * (drift - seen.drift_m_per_s)
+    drift = bounded(drift, _FASTEST_DRIFT_M_PER_S / params.mass.position_scale)
+    return Seen(
+        known=seen.known,
+        last_m=seen.last_m,
+        last_n=seen.last_n,
+        mean_m=seen.mean_m,
+        mean_n=seen.mean_n,
+        square_m2=seen.square_m2,
+        product_n_m=seen.product_n_m,
+        pull_n=seen.pull_n,
+        slow_m=seen.slow_m + share * (position_m - seen.slow_m),
+        slow_n=seen.slow_n + share * (force_n - seen.slow_n),
+        drift_m_per_s=drift,
+        drifted_m=seen.drifted_m + drift * elapsed_s,
+    )
+
+
+@compiled
+def taught(
+    params: BoundedModelParams, seen: Seen, measured_m: float, force_n: float, touches: bool, elapsed_s: float
+) -> Seen:
     """Learn from a pair of the tip; out of contact it can only move the surface further away.
 
-    A pair has a weight by the way since the one before, so a tip that stands forgets nothing.
+    A pair has a weight by the way since the one before, less the drift, so a tip that stands forgets nothing, and
+    neither does one that is carried along.
     """
+    if touches and seen.known:
+        seen = drifted(params, seen, measured_m, force_n, elapsed_s)
+    position_m = measured_m - seen.drifted_m
     if not touches:
         slope = slope_of(params, seen)
         beyond = seen.known and position_m > seen.last_m - (seen.last_n + seen.pull_n) / slope
@@ -265,9 +326,14 @@ def taught(params: BoundedModelParams, seen: Seen, position_m: float, force_n: f
             seen.square_m2,
             seen.product_n_m,
             seen.pull_n,
+            measured_m,
+            -seen.pull_n,
+            seen.drift_m_per_s,
+            seen.drifted_m,
         )
     if not seen.known:
-        return Seen(True, position_m, force_n, position_m, force_n, 0.0, 0.0, max(-force_n, 0.0))
+        pull_n = max(-force_n, 0.0)
+        return Seen(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, measured_m, force_n, 0.0, 0.0)
     way = abs(position_m - seen.last_m) / params.memory_m
     gain = way / (1.0 + way)
     by_m, by_n, kept = position_m - seen.mean_m, force_n - seen.mean_n, 1.0 - gain
@@ -280,6 +346,10 @@ def taught(params: BoundedModelParams, seen: Seen, position_m: float, force_n: f
         square_m2=kept * (seen.square_m2 + gain * by_m * by_m),
         product_n_m=kept * (seen.product_n_m + gain * by_m * by_n),
         pull_n=max(seen.pull_n, -force_n),
+        slow_m=seen.slow_m,
+        slow_n=seen.slow_n,
+        drift_m_per_s=seen.drift_m_per_s,
+        drifted_m=seen.drifted_m,
     )
 
 
@@ -296,7 +366,7 @@ def goal_of(params: BoundedModelParams, seen: Seen) -> Contact:
     """Return the model that what was seen speaks for, with a well no deeper than allowed."""
     slope = slope_of(params, seen)
     pull = min(seen.pull_n, math.sqrt(2.0 * slope * params.well_j))
-    return Contact(slope, seen.last_m - seen.last_n / slope, pull)
+    return Contact(slope, seen.last_m + seen.drifted_m - seen.last_n / slope, pull)
 
 
 @compiled
@@ -331,8 +401,10 @@ def updated(
 
 @compiled
 def _begun(params: BoundedModelParams, mass: Mass) -> MasterState:
-    contact = Contact(params.first_n_per_m, 0.0, 0.0)
-    return MasterState(mass, nothing_seen(), contact, False, 0.0, 0.0, params.mass_kg, opened(params.start_j), 0.0)
+    contact, store = Contact(params.first_n_per_m, 0.0, 0.0), opened(params.start_j)
+    return MasterState(
+        mass, nothing_seen(), contact, False, 0.0, 0.0, params.mass_kg, store, 0.0, mass.position_m, 0.0, 0.0
+    )
 
 
 @compiled
@@ -371,12 +443,27 @@ def _let_go(
     if state.rendered:
         y = tip_reference(p, state.mass) / p.position_scale
         store = tank(store, potential(state.contact, y), params.cap_j)
+    ahead = state.ahead_j
+    if state.mass.coupled:
+        # The reference goes back to the device, which is a way against the hand's force that Z pays.
+        undone_j = hand.force_n * (hand.position_m - state.mass.position_m)
+        store = tank(store, min(undone_j, 0.0), params.cap_j)
+        ahead += undone_j - _at_device(state, hand)
     anew = is_retracted(p, signal)
     seen, lag = state.seen, state.lag_s
     if anew:
-        seen, lag, store = nothing_seen(), 0.0, opened_anew(store, 0.0, False, params.start_j)
+        seen, lag, store, ahead = nothing_seen(), 0.0, opened_anew(store, 0.0, False, params.start_j), 0.0
     mass = let_go(p, state.mass, hand, signal)
-    return MasterState(mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s)
+    return MasterState(
+        mass, seen, state.contact, False, lag, 0.0, params.mass_kg, store, stood_s, hand.position_m, ahead, 0.0
+    )
+
+
+@compiled
+def _at_device(state: MasterState, hand: HandSample) -> float:
+    """Return the work [J] of the hand at its device since the last sample; one that was off was moved by no law."""
+    works = hand.following and state.mass.coupled and state.stood_s == 0.0
+    return hand.force_n * (hand.position_m - state.device_m) if works else 0.0
 
 
 @compiled
@@ -385,7 +472,7 @@ def _first_contact(params: BoundedModelParams, goal: Contact, y_m: float, tip_m:
 
     The force that the hand begins with there is paid as well.
     """
-    if abs(y_m - tip_m) <= params.memory_m and potential(goal, y_m) <= left_j:
+    if abs(y_m - tip_m) <= params.memory_m and potential(goal, y_m) <= max(left_j, 0.0):
         return goal
     return Contact(goal.stiffness_n_per_m, max(goal.zero_m, y_m), 0.0)
 
@@ -419,30 +506,42 @@ def master_receive(
     mass, seen, contact, rendered, store = state.mass, state.seen, state.contact, state.rendered, state.store
     tip_m, tip_n = signal.position_m / scale, p.force_scale * signal.force_n
     lag, heavy = state.lag_s, state.mass_kg
+    since = state.since_s + dt
     if signal.silence_s < 0.5 * p.period_s:
-        seen = taught(params, seen, tip_m, tip_n, signal.in_contact)
+        seen = taught(params, seen, tip_m, tip_n, signal.in_contact, since)
+        since = 0.0
         lag += params.lag_share * (min(0.5 * signal.round_trip_s, _LONGEST_LAG_S) - lag)
     offset = mass.tip_offset_m / scale
     goal, held_back, force = goal_of(params, seen), state.held_back, 0.0
+    before, ahead = mass.position_m, state.ahead_j - _at_device(state, hand)
+    lead = mass.position_m - hand.position_m
+    # What it costs to undo the lead of a device that is stuck, and what only the reference has got from the hand, is
+    # not there to be spent.
+    owed = max(hand.force_n * bounded(lead, _LONGEST_LEAD_M), ahead, 0.0)
     if seen.known and not rendered:
         y = mass.position_m + offset
-        contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j), True
+        contact, rendered = _first_contact(params, goal, y, tip_m, store.left_j - owed), True
         store = tank(store, -potential(contact, y), params.cap_j)
-    lead = mass.position_m - hand.position_m
-    # What it costs to undo the lead of a device that is stuck is not there to be spent.
-    owed = max(hand.force_n * bounded(lead, _LONGEST_LEAD_M), 0.0)
     if not hand.following or abs(lead) > _LONGEST_LEAD_M:
         # A device that is off for a moment, or at the end of its travel, stands: the lead of its reference is undone,
         # and booked like a motion.
         y, kept = mass.position_m + offset, bounded(lead, _LONGEST_LEAD_M) if hand.following else 0.0
-        mass = Mass(hand.position_m + kept, 0.0, mass.tip_offset_m, True)
-        back = kept - lead
+        back, tip_offset = kept - lead, mass.tip_offset_m
         if rendered:
-            force = contact_force(contact, y + back)
-            store = tank(store, potential(contact, y) - potential(contact, y + back), params.cap_j)
+            rise = potential(contact, y + back) - potential(contact, y)
+            if rise > max(store.left_j - owed, 0.0):
+                # What moved the device has not paid for a deeper model, so the model goes along.
+                tip_offset, rise = tip_offset - scale * back, 0.0
+                offset = tip_offset / scale
+            store = tank(store, -rise, params.cap_j)
+            force = contact_force(contact, hand.position_m + kept + offset)
+        mass = Mass(hand.position_m + kept, 0.0, tip_offset, True)
         store = tank(store, hand.force_n * back, params.cap_j)
     if not hand.following:
-        state = MasterState(mass, seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s)
+        ahead += hand.force_n * (mass.position_m - before)
+        state = MasterState(
+            mass, seen, contact, rendered, lag, held_back, params.mass_kg, store, off_s, hand.position_m, ahead, since
+        )
         return state, MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
         y = mass.position_m + offset
@@ -473,7 +572,8 @@ def master_receive(
         mass = Mass(bounded(mass.position_m + way, _FARTHEST_M), after, mass.tip_offset_m, True)
     missing = max(signal.energy_j - store.sent_j, 0.0)
     store = sent_on(store, min(max(store.left_j - owed, 0.0), params.send_share * missing))
-    state = MasterState(mass, seen, contact, rendered, lag, held_back, heavy, store, 0.0)
+    ahead += hand.force_n * (mass.position_m - before)
+    state = MasterState(mass, seen, contact, rendered, lag, held_back, heavy, store, 0.0, hand.position_m, ahead, since)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -535,13 +635,55 @@ def slave_send(
 
 @compiled
 def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes; the store stays below the new cap."""
-    store = state.store
-    store = Store(store.sent_j, store.received_j, min(store.left_j, new.cap_j), store.granted_j)
-    mass, heavy = rescaled(old.mass, new.mass, state.mass), max(state.mass_kg, new.mass_kg)
-    return MasterState(
-        mass, state.seen, state.contact, state.rendered, state.lag_s, state.held_back, heavy, store, state.stood_s
+    """Keep the tip's reference, the force of the model and the mass when parameters change; Z pays a rise of V.
+
+    What was seen and the model are lengths and forces of the tip, so other scales make other numbers of them. The mass
+    becomes another one in the next period, where it keeps momentum or speed.
+    """
+    longer, stronger = of_scales(old.mass, new.mass)
+    seen, contact, store = state.seen, state.contact, kept_below(state.store, new.cap_j)
+    seen = Seen(
+        known=seen.known,
+        last_m=longer * seen.last_m,
+        last_n=stronger * seen.last_n,
+        mean_m=longer * seen.mean_m,
+        mean_n=stronger * seen.mean_n,
+        square_m2=longer * longer * seen.square_m2,
+        product_n_m=longer * stronger * seen.product_n_m,
+        pull_n=stronger * seen.pull_n,
+        slow_m=longer * seen.slow_m,
+        slow_n=stronger * seen.slow_n,
+        drift_m_per_s=longer * seen.drift_m_per_s,
+        drifted_m=longer * seen.drifted_m,
     )
+    mass = rescaled(old.mass, new.mass, state.mass)
+    scaled = Contact(contact.stiffness_n_per_m * stronger / longer, longer * contact.zero_m, stronger * contact.pull_n)
+    if state.rendered:
+        before = potential(contact, tip_reference(old.mass, state.mass) / old.mass.position_scale)
+        rise = potential(scaled, tip_reference(new.mass, mass) / new.mass.position_scale) - before
+        store = tank(store, -max(rise, 0.0), new.cap_j)
+    return MasterState(
+        mass,
+        seen,
+        scaled,
+        state.rendered,
+        state.lag_s,
+        state.held_back,
+        state.mass_kg,
+        store,
+        state.stood_s,
+        state.device_m,
+        state.ahead_j,
+        state.since_s,
+    )
+
+
+@compiled
+def slave_retune(old: BoundedModelParams, new: BoundedModelParams, state: SlaveState) -> SlaveState:
+    """Keep the last measurement, which is at the hand's scale; the store stays below the new cap."""
+    longer, stronger = of_scales(old.mass, new.mass)
+    store = kept_below(state.store, new.cap_j)
+    return SlaveState(state.position_m, longer * state.last_m, stronger * state.last_n, store, state.coupled)
 
 
 @compiled
@@ -556,4 +698,12 @@ def slave_energy_account(params: BoundedModelParams, state: SlaveState) -> Energ
     return account_of(state.store)
 
 
-BOUNDED_MODEL = law_of(__name__, BoundedModelConfig, uses_energy=True, local_loop=True)
+BOUNDED_MODEL = law_of(
+    __name__,
+    BoundedModelConfig,
+    uses_energy=True,
+    local_loop=True,
+    link_loop=False,
+    passive=True,
+    rest_force=the_hands_force,
+)

@@ -40,6 +40,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     virtual_mass,
 )
@@ -208,4 +209,4 @@ def retune(old: FourChannelParams, new: FourChannelParams, state: MasterState) -
     return MasterState(rescaled(old.mass, new.mass, state.mass))
 
 
-FOUR_CHANNEL = law_of(__name__, FourChannelConfig, local_loop=True)
+FOUR_CHANNEL = law_of(__name__, FourChannelConfig, local_loop=True, rest_force=the_hands_force)

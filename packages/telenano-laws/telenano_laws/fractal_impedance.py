@@ -41,11 +41,12 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
 )
-from telenano_laws.ports import followed
+from telenano_laws.ports import followed, of_scales
 
 # the width of the rise from K_0 e_0 to W, as a part of what the distance has left up to e_b
 _RISE_PARTS = 20.0
@@ -251,7 +252,26 @@ def slave_send(
 @compiled
 def retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes."""
-    return MasterState(rescaled(old.mass, new.mass, state.mass), state.turn)
+    longer, _ = of_scales(old.mass, new.mass)
+    return MasterState(rescaled(old.mass, new.mass, state.mass), _longer_turn(state.turn, longer))
 
 
-FRACTAL_IMPEDANCE = law_of(__name__, FractalImpedanceConfig, local_loop=True)
+@compiled
+def _longer_turn(turn: Turn, longer: float) -> Turn:
+    return Turn(longer * turn.last_m, longer * turn.farthest_m)
+
+
+@compiled
+def slave_retune(old: FractalImpedanceParams, new: FractalImpedanceParams, state: SlaveState) -> SlaveState:
+    """Keep the turn, which is at the hand's scale."""
+    longer, _ = of_scales(old.mass, new.mass)
+    return SlaveState(state.position_m, _longer_turn(state.turn, longer))
+
+
+FRACTAL_IMPEDANCE = law_of(
+    __name__,
+    FractalImpedanceConfig,
+    local_loop=True,
+    fixed_in_contact=("stiffness_n_per_m", "greatest_force_n"),
+    rest_force=the_hands_force,
+)

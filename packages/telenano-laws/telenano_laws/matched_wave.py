@@ -48,11 +48,12 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
     virtual_mass,
 )
-from telenano_laws.ports import followed, goes_on, slid_work
+from telenano_laws.ports import followed, goes_on, of_scales, slid_work
 
 # after such a silence no wave is on its way any more, and the base stands [s]
 _STANDS_S = 0.02
@@ -334,11 +335,37 @@ def slave_send(
 
 
 @compiled
+def _rescaled_inbox(inbox: Inbox, longer: float) -> Inbox:
+    """Return the counters at another scale of lengths; what is due stays."""
+    received_m = longer * inbox.received_m
+    return Inbox(received_m, received_m - (inbox.received_m - inbox.taken_m), inbox.received_j, inbox.taken_j)
+
+
+@compiled
 def retune(old: MatchedWaveParams, new: MatchedWaveParams, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
-    impulse = state.impulse_m * (old.impedance_n_s_per_m / new.impedance_n_s_per_m)
-    mass = rescaled(old.mass, new.mass, state.mass)
-    return MasterState(mass, state.inbox, impulse, state.sent_j, state.wave_sqrt_w, state.stood_s)
+    longer, _ = of_scales(old.mass, new.mass)
+    impulse = state.impulse_m * (old.impedance_n_s_per_m / new.impedance_n_s_per_m) * longer
+    mass, inbox = rescaled(old.mass, new.mass, state.mass), _rescaled_inbox(state.inbox, longer)
+    return MasterState(mass, inbox, impulse, state.sent_j, state.wave_sqrt_w, state.stood_s)
+
+
+@compiled
+def slave_retune(old: MatchedWaveParams, new: MatchedWaveParams, state: SlaveState) -> SlaveState:
+    """Keep the counters and the measurement, which are at the hand's scale."""
+    longer, stronger = of_scales(old.mass, new.mass)
+    return SlaveState(
+        position_m=state.position_m,
+        inbox=_rescaled_inbox(state.inbox, longer),
+        anchor_m=state.anchor_m,
+        sent_m=longer * state.sent_m,
+        sent_j=state.sent_j,
+        wave_sqrt_w=state.wave_sqrt_w,
+        reserve_j=min(state.reserve_j, new.cap_j),
+        last_m=longer * state.last_m,
+        last_n=stronger * state.last_n,
+        coupled=state.coupled,
+    )
 
 
 @compiled
@@ -353,4 +380,13 @@ def slave_energy_account(params: MatchedWaveParams, state: SlaveState) -> Energy
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, 0.0)
 
 
-MATCHED_WAVE = law_of(__name__, MatchedWaveConfig, uses_waves=True, uses_energy=True, local_loop=True)
+MATCHED_WAVE = law_of(
+    __name__,
+    MatchedWaveConfig,
+    uses_waves=True,
+    uses_energy=True,
+    local_loop=True,
+    passive=True,
+    fixed_in_contact=("impedance_n_s_per_m",),
+    rest_force=the_hands_force,
+)

@@ -76,6 +76,18 @@ def tank(store: Store, into_j: float, cap_j: float) -> Store:
 
 
 @compiled
+def kept_below(store: Store, cap_j: float) -> Store:
+    """Keep a store below another cap; what is beyond it is dissipated."""
+    return Store(store.sent_j, store.received_j, min(store.left_j, cap_j), store.granted_j)
+
+
+@compiled
+def of_scales(old: MassParams, new: MassParams) -> tuple[float, float]:
+    """Return by what lengths and forces of the tip, as they are at the hand's scale, are multiplied by new scales."""
+    return old.position_scale / new.position_scale, new.force_scale / old.force_scale
+
+
+@compiled
 def sent_on(store: Store, energy_j: float) -> Store:
     """Send energy [J] from the tank to the other side."""
     return Store(store.sent_j + energy_j, store.received_j, store.left_j - energy_j, store.granted_j)

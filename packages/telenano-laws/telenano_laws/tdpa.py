@@ -47,6 +47,7 @@ from telenano.extend.laws import (
     ranges,
     rescaled,
     resumed,
+    the_hands_force,
     tip_reference,
     tip_signal,
 )
@@ -60,6 +61,8 @@ from telenano_laws.ports import (
     has_to_be_armed,
     is_heard,
     is_retracted,
+    kept_below,
+    of_scales,
     opened,
     opened_anew,
     paid_or_granted,
@@ -229,11 +232,23 @@ def slave_send(params: TdpaParams, state: SlaveState, tip: TipMeasurement, dt: f
 
 
 @compiled
-def retune(old: TdpaParams, new: TdpaParams, state: MasterState) -> MasterState:
+def retune(old: Any, new: Any, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes; what may leave stays below the new cap."""
-    s = state.store
-    store = Store(s.sent_j, s.received_j, min(s.left_j, new.cap_j), s.granted_j)
-    return MasterState(rescaled(old.mass, new.mass, state.mass), store, state.stood_s)
+    return MasterState(rescaled(old.mass, new.mass, state.mass), kept_below(state.store, new.cap_j), state.stood_s)
+
+
+@compiled
+def slave_retune(old: Any, new: Any, state: SlaveState) -> SlaveState:
+    """Keep the reference and the measurement, which are at the hand's scale; the store stays below the new cap."""
+    longer, stronger = of_scales(old.mass, new.mass)
+    return SlaveState(
+        position_m=state.position_m,
+        heard_m=longer * state.heard_m,
+        last_m=longer * state.last_m,
+        last_n=stronger * state.last_n,
+        store=kept_below(state.store, new.cap_j),
+        coupled=state.coupled,
+    )
 
 
 @compiled
@@ -248,4 +263,4 @@ def slave_energy_account(params: TdpaParams, state: SlaveState) -> EnergyAccount
     return account_of(state.store)
 
 
-TDPA = law_of(__name__, TdpaConfig, uses_energy=True)
+TDPA = law_of(__name__, TdpaConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

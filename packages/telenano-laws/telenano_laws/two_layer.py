@@ -36,6 +36,7 @@ from telenano.extend.laws import (
     moved,
     periods_in,
     ranges,
+    the_hands_force,
 )
 from telenano_laws.ports import (
     clipped_force,
@@ -61,6 +62,7 @@ from telenano_laws.tdpa import master_send as master_send
 from telenano_laws.tdpa import master_start as master_start
 from telenano_laws.tdpa import retune as retune
 from telenano_laws.tdpa import slave_energy_account as slave_energy_account
+from telenano_laws.tdpa import slave_retune as slave_retune
 from telenano_laws.tdpa import slave_send as slave_send
 from telenano_laws.tdpa import slave_start as slave_start
 
@@ -174,4 +176,4 @@ def slave_receive(
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
-TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True)
+TWO_LAYER = law_of(__name__, TwoLayerConfig, uses_energy=True, passive=True, rest_force=the_hands_force)

@@ -29,6 +29,8 @@ Array = npt.NDArray[np.float64]
 _JUMP_SHARE = 0.5
 # A file of a curve may lack these constants.
 CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
+# A tenth of a piconewton is below the thermal force of any lever.
+_LEAST_LOAD_N = 1e-13
 _SPEED_M_PER_S = CurveSettings.in_simulated_time().speed_m_per_s
 
 
@@ -94,6 +96,8 @@ def force_curve(
             raise ConfigError(f"{name} = {value:g} must be positive and finite")
     if not 10 <= points <= 100_000:
         raise ConfigError(f"{points} points a way are outside 10 to 100000")
+    if load_n < _LEAST_LOAD_N:
+        raise ConfigError(f"a load of {load_n:.3g} N is below what any tip feels: is it in nN, as --load takes it?")
     if load_n > config.safety.force_limit_n:
         raise ConfigError(f"a load of {load_n:g} N is above safety.force_limit_n = {config.safety.force_limit_n:g} N")
     plant = config.to_params().plant

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from services.afm_node.physics.cantilever import Plant, PlantState, deflection_m, equilibrium
 from services.afm_node.physics.contact.friction import FrictionParams, FrictionState, friction_step
-from services.afm_node.physics.dynamic import DynamicState, advance
+from services.afm_node.physics.dynamic import DynamicState, advance, lag_rad
 from services.afm_node.physics.dynamic_plant import NORMALS_PER_PERIOD, DynamicPlant
 from services.afm_node.physics.sample.surface import height_at
 from services.afm_node.programs.feedback import carried_out, feedback_step
@@ -124,7 +124,7 @@ def tapping_line(
             sums[HEIGHT] -= 0.5 * (before + base)
             sums[ERROR] += error_m
             sums[AMPLITUDE] += amplitude
-            sums[PHASE] += math.atan2(reading.quadrature_m, reading.in_phase_m)
+            sums[PHASE] += lag_rad(reading.in_phase_m, reading.quadrature_m)
             sums[DISSIPATED] += reading.dissipated_j
             sums[FORCE] += reading.peak_force_n
             n += 1

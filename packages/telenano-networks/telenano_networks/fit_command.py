@@ -46,6 +46,13 @@ def fit(
         bool,
         typer.Option("--without-memory", help="The same distribution, each message drawn by itself: for comparison."),
     ] = False,
+    period: Annotated[
+        float | None,
+        typer.Option("--period", metavar="S", min=1e-6, help="Time between two messages of a log without times [s]."),
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Write the settings also where the model is not like the log.")
+    ] = False,
     about: Annotated[str, typer.Option("--about", metavar="TEXT", help="What the line is, in one line.")] = "",
     cite: Annotated[str, typer.Option("--cite", metavar="TEXT", help="Where the log is from.")] = "",
     taken: Annotated[str, typer.Option("--taken", metavar="TEXT", help="What of it was given, and how.")] = (
@@ -64,8 +71,8 @@ def fit(
 ) -> None:
     """Make settings of the link from a log of a line: its delays, how long they last, its stalls and its losses.
 
-    The fit of the first half of the log is held against the second half, which it has not seen; exit code 3 when they
-    disagree in a statistic.
+    The fit of the first half of the log is held against the second half, which it has not seen; when they disagree in a
+    statistic the exit code is 3, and no settings are written without --anyway.
     """
     with report_errors(as_json):
         if histogram:
@@ -78,13 +85,13 @@ def fit(
         from telenano_networks.line_log import read_log
         from telenano_networks.line_page import line_figure
 
-        log = read_log(logs, unit, round_trip=round_trip, direction=direction)
+        log = read_log(logs, unit, round_trip=round_trip, direction=direction, period_s=period)
         model, table = fitted(log), accept(log, seed)
         bounds = intervals(log, seed)
-        way = (model.one_way() if log.round_trip else model).settings()
+        ways = model.ways(round_trip=log.round_trip)
         remarks = _remarks(log, table)
         if without_memory:
-            way = _without_memory(way, seed)
+            ways = {name: _without_memory(way, seed) if "jitter" in way else way for name, way in ways.items()}
             remarks.append("Each message drawn by itself: the distribution is that of the line, its memory is not.")
         document: dict[str, Any] = {
             "parameters": {
@@ -95,11 +102,13 @@ def fit(
             "agrees": all(row.agrees for row in table),
             "round_trip": log.round_trip,
             "remarks": remarks,
-            "way": way,
+            "way": ways["forward"],
+            "ways": ways,
             "files": str(out),
         }
+        document["written"] = document["agrees"] or anyway
         with results_in(out) as folder:
-            _write(folder, document, _profile(way, seed, about or "a line that was measured", (cite, taken), remarks))
+            _write(folder, document, _profile(ways, seed, about or "a line that was measured", (cite, taken), remarks))
             picture = png_of(line_figure(log, generated(model, log, seed)))
             (folder / "fit.png").write_bytes(picture)
             _page(picture, document).write(folder / "fit.html")
@@ -121,22 +130,28 @@ def _of_histogram(
     found = read_histogram(logs[0], None if unit is None else UNITS_S[unit])
     quantiles = quantiles_text(zip(SHARES, found.quantiles_s(SHARES), strict=True))
     way = {"jitter": {"distribution": "table", "scale_s": 1.0, "quantiles": quantiles}}
+    ways = {"forward": way, "backward": way}
     remarks = [
         "No memory known: a histogram does not say which messages came one after the other. Each message drawn by "
         "itself; stalls, runs of loss and order are not in it."
     ]
-    document = {"parameters": {}, "agreement": [], "agrees": None, "remarks": remarks, "way": way, "files": str(out)}
+    document = {
+        "parameters": {}, "agreement": [], "agrees": None, "remarks": remarks, "way": way, "ways": ways,
+        "files": str(out), "written": True,
+    }  # fmt: skip
     with results_in(out) as folder:
         _write(
-            folder, document, _profile(way, seed, f"{about or 'a measured line'} (no memory known)", source, remarks)
+            folder, document, _profile(ways, seed, f"{about or 'a measured line'} (no memory known)", source, remarks)
         )
     return document
 
 
 def _write(folder: Path, document: dict[str, Any], profile: dict[str, Any]) -> None:
-    (folder / "way.json").write_text(json.dumps(document["way"]) + "\n", encoding="utf-8")
-    text = yaml.safe_dump(profile, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
-    (folder / "profile.yaml").write_text(text, encoding="utf-8")
+    if document["written"]:
+        for name, content in (("way", document["way"]), ("way_back", document["ways"]["backward"])):
+            (folder / f"{name}.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+        text = yaml.safe_dump(profile, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
+        (folder / "profile.yaml").write_text(text, encoding="utf-8")
     (folder / "fit.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -149,7 +164,13 @@ def _show(document: dict[str, Any], out: Path, as_json: bool) -> None:
             print_rows(rows)
     for remark in document["remarks"]:
         typer.echo(remark)
-    typer.echo(f"{out}: way.json has the settings of one way, profile.yaml the network")
+    if document["written"]:
+        typer.echo(f"{out}: way.json and way_back.json have the settings of both ways, profile.yaml the network")
+    else:
+        apart = ", ".join(row["what"] for row in document["agreement"] if not row["agrees"])
+        typer.echo(
+            f"{out}: no settings are written, because the model is not like the log in {apart}; --anyway writes them"
+        )
 
 
 def _known(value: Any) -> Any:
@@ -161,8 +182,8 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
     found = _grouped(log.cuts)
     if log.round_trip:
         found.append(
-            "The log has round trips. One way gets half of each usual delay, and half as many stalls and losses, each "
-            "as long; how they are shared in truth, no round trip says."
+            "The log has round trips. All that varies, stalls and losses go forward, and half of the least delay back, "
+            "so that the sum is that of the log; how they are shared in truth, no round trip says."
         )
     found.append(
         f"The log has a message each {1e3 * log.period_s:.3g} ms. Between them the model goes on as at them; what "
@@ -219,8 +240,24 @@ def _without_memory(way: dict[str, Any], seed: int) -> dict[str, Any]:
     return {"jitter": jitter, "loss": {"probability": 1.0 - len(delays_s) / len(delay_ns)}}
 
 
-def _profile(way: dict[str, Any], seed: int, about: str, source: tuple[str, str], remarks: list[str]) -> dict[str, Any]:
+def _profile(
+    ways: dict[str, dict[str, Any]], seed: int, about: str, source: tuple[str, str], remarks: list[str]
+) -> dict[str, Any]:
     """Return a network of presets/networks, with the statistics that its messages have."""
+    statistics: dict[str, Any] = {}
+    for direction, way in ways.items():
+        same = next((other for other in statistics if ways[other] == way), None)
+        statistics[direction] = statistics[same] if same else _statistics_of(way, seed)
+    return {
+        "about": about,
+        "source": [{"cite": source[0], "taken": source[1]}] if source[0] else [],
+        "assumed": remarks,
+        "statistics": statistics,
+        "link": ways,
+    }
+
+
+def _statistics_of(way: dict[str, Any], seed: int) -> dict[str, Any]:
     import numpy as np
 
     # Stalls are seldom, and most of the mean may be theirs.
@@ -228,18 +265,11 @@ def _profile(way: dict[str, Any], seed: int, about: str, source: tuple[str, str]
     lost = np.isnan(delay_ns)
     delays_ms = 1e-6 * delay_ns[~lost]
     middle = np.quantile(delays_ms, (0.25, 0.5, 0.75)).round(2).tolist()
-    statistics = {
+    return {
         "mean_ms": round(float(delays_ms.mean()), 2),
         "percentiles_ms": dict(zip((25, 50, 75), middle, strict=True)),
         "lost": round(float(lost.mean()), 5),
         "overtakes": bool((np.diff((sent_ns + delay_ns)[~lost]) < 0.0).any()),
-    }
-    return {
-        "about": about,
-        "source": [{"cite": source[0], "taken": source[1]}] if source[0] else [],
-        "assumed": remarks,
-        "statistics": {direction: statistics for direction in ("forward", "backward")},
-        "link": {direction: way for direction in ("forward", "backward")},
     }
 
 
@@ -266,7 +296,7 @@ def _agreement_rows(document: dict[str, Any]) -> list[dict[str, str]]:
             "95 %": f"{_text(row['low'])} to {_text(row['high'])}",
             "generated": _text(row["generated"]),
             "first half": _text(row["other_half"]) + (", differs" if row["halves_differ"] else ""),
-            "agrees": "yes" if row["agrees"] else "no",
+            "agrees": "-" if None in (row["measured"], row["generated"]) else "yes" if row["agrees"] else "no",
         }
         for row in document["agreement"]
     ]

@@ -6,9 +6,7 @@ deliver. A log is cut where its clock steps back or where nothing was sent for a
 whose clocks disagree, or whose delay is another one at its end than at its begin, is refused.
 """
 
-import csv
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from proto.errors import ConfigError
-from services.delay_node.models.traces import read_text
+from telenano.extend.readers import read_regular
+from telenano.extend.tables import Column as TableColumn
+from telenano.extend.tables import TextTable, parse_table
 from telenano_networks import ping_log
 from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
 
@@ -27,9 +27,13 @@ FEWEST, SHORTEST_S = 300, 30.0
 _PAUSE_PERIODS, _PAUSE_S = 20.0, 1.0
 # Outside of these no median delay of a line lies, and a unit is wrong.
 _SHORTEST_DELAY_S, _LONGEST_DELAY_S = 1e-6, 100.0
-_HEADING = re.compile(r"^(?P<name>.*?)(?:[ _]*[\[(](?P<bracket>ns|us|µs|ms|s)[\])]|_(?P<suffix>ns|us|ms|s))?$")
 _SENT, _RECEIVED = ("sent", "send", "pub", "tx"), ("rec", "sub", "rx", "arriv")
-_DELAY, _LOST = ("delay", "rtt", "latency"), "lost"
+# words of a heading that mean a round trip, and those that mean any delay
+_ROUND_TRIP = ("rtt", "round", "ping")
+_DELAY, _LOST = ("delay", "latency", "owd", "one-way", "one_way", *_ROUND_TRIP), "lost"
+_LARGEST_BYTES = 256_000_000
+# Longer times say that a unit is wrong: between two messages, and of a whole log [s].
+_LONGEST_PERIOD_S, _LONGEST_LOG_S = 600.0, 1e8
 # A step of one of two clocks is sought after each of so many parts of a log.
 _PARTS = 20
 # Rows that go back in time more often than in this share, and so many times, are not in the order of sending.
@@ -76,131 +80,132 @@ class LineLog:
 
 
 def read_log(
-    paths: Sequence[Path], unit: str | None = None, *, round_trip: bool = False, direction: Direction = "forward"
+    paths: Sequence[Path],
+    unit: str | None = None,
+    *,
+    round_trip: bool = False,
+    direction: Direction = "forward",
+    period_s: float | None = None,
 ) -> LineLog:
     """Read logs of one line, each file as a segment of its own at least.
 
     `unit` is that of the columns of a table whose headings name none; `round_trip` says that the delays of a table are
-    round trips, as those of `ping` are; `direction` is that of a recording which counts.
+    round trips, as those of `ping` are and those under a heading such as `rtt`; `direction` is that of a recording
+    which counts; `period_s` is the time between two messages of a log that has no times [s].
 
     Raises:
         ConfigError: A log cannot be used; the message names file, line or column, and what would be right.
     """
     segments: list[Segment] = []
     cuts: list[str] = []
-    pinged = []
+    # whether the delays of each log are round trips
+    trips: list[bool] = []
     for path in paths:
-        if path.suffix == ".mcap":
-            pinged.append(False)
-            sent_s, delay_s = of_recording(path, direction, cuts)
-        else:
-            text = read_text(path) if not ping_log.is_ping_file(path) else path.read_text(encoding="utf-8")
-            pinged.append(ping_log.is_ping_log(text))
-            if pinged[-1]:
-                sent_s, delay_s = _of_ping(text, path.name)
-            elif is_delivery_trace(text):
-                sent_s, delay_s = through_delivery_trace(text, path.name, cuts)
-            else:
-                sent_s, delay_s = _of_table(text, path.name, unit, cuts)
-        if pinged[-1] and not len(sent_s):
-            cuts.append(f"{path.name}: no packet was answered; it is left out, and the line was gone meanwhile")
-        else:
+        try:
+            parts, is_trip = _read(path, unit, direction, period_s, cuts)
+        except (ValueError, OverflowError, MemoryError) as error:
+            raise ConfigError(f"{path.name}: is no log of a line that can be read: {error}") from error
+        trips.append(is_trip or round_trip)
+        for sent_s, delay_s in parts:
             segments += _cut(sent_s, delay_s, path.name, cuts)
     if not segments:
         raise ConfigError(f"{', '.join(path.name for path in paths)}: is a log of ping without an answer")
-    if any(pinged) and not all(pinged) and not round_trip:
+    if any(trips) and not all(trips):
         raise ConfigError("logs of ping are of round trips; give tables beside them with --round-trip if they are too")
-    log = LineLog(tuple(segments), round_trip or any(pinged), _resolution(segments), tuple(cuts))
+    log = LineLog(tuple(segments), any(trips), _resolution(segments), tuple(cuts))
     _check(log)
     return log
 
 
-def _of_ping(text: str, name: str) -> tuple[Column, Column]:
-    answers = ping_log.round_trips(text, name)
-    return np.array([row[0] for row in answers]), np.array([row[1] for row in answers])
+Part = tuple[Column, Column]
 
 
-def _of_table(text: str, name: str, unit: str | None, cuts: list[str]) -> tuple[Column, Column]:
-    # Some programs put the mark of the order of bytes in front of their tables.
-    lines = [line for line in text.removeprefix("\ufeff").splitlines() if line.strip() and not line.startswith("#")]
-    if len(lines) > 1 and not text.endswith("\n"):
-        cuts.append(f"{name}: its last line has no end and may be a part of one; it is left out")
-        del lines[-1]
-    rows = list(_fields(lines))
-    headings = [heading.strip() for heading in rows[0]] if rows else []
-    if not headings or any(_number(heading) is not None for heading in headings):
-        raise ConfigError(f"{name}, line 1: has no headings; name the columns, such as sent_s,received_s")
-    sent = _column(headings, _SENT)
-    sent = _column(headings, ("time",)) if sent is None else sent
-    received, delay = _column(headings, _RECEIVED), _column(headings, _DELAY)
-    if sent is None or (received is None and delay is None):
-        raise ConfigError(
-            f"{name}: has the columns {', '.join(headings)}; a column of times of sending (sent_s) is needed, and one"
-            " of receiving (received_s) or of delays (delay_s), empty where a message was lost"
-        )
-    scales = {at: _scale_of(headings[at], name, unit) for at in (sent, received, delay) if at is not None}
-    lost = _column(headings, (_LOST,))
-    sent_s, delay_s = np.empty(len(rows) - 1), np.empty(len(rows) - 1)
-    origin: float | None = None
-    for place, row in enumerate(rows[1:]):
-        line = f"{name}, line {place + 2}"
-        begin = _value(row, sent, line)
-        if begin is None:
-            raise ConfigError(f"{line}: has no time of sending")
-        # Times of an epoch keep their nanoseconds only as differences.
-        origin = begin if origin is None else origin
-        sent_s[place] = (begin - origin) * scales[sent]
-        is_lost = lost is not None and _value(row, lost, line) == 1.0
-        took: float | None
-        if delay is not None:
-            given = _value(row, delay, line)
-            took = None if given is None else given * scales[delay]
-        else:
-            assert received is not None
-            end = _value(row, received, line)
-            took = None if end is None else end * scales[received] - begin * scales[sent]
-        if took is not None and took < 0.0 and not is_lost:
-            raise ConfigError(f"{line}: was received {-took:.6g} s before it was sent; the two clocks disagree")
-        delay_s[place] = np.nan if took is None or is_lost else took
-    return sent_s, delay_s
-
-
-def _fields(lines: Sequence[str]) -> Iterator[list[str]]:
-    first = lines[0] if lines else ""
-    delimiter = next((mark for mark in (",", ";", "\t") if mark in first), None)
-    if delimiter is None:
-        return (line.split() for line in lines)
-    return iter(csv.reader(lines, delimiter=delimiter))
-
-
-def _column(headings: Sequence[str], beginnings: Sequence[str]) -> int | None:
-    return next((n for n, heading in enumerate(headings) if heading.lower().startswith(tuple(beginnings))), None)
-
-
-def _scale_of(heading: str, name: str, unit: str | None) -> float:
-    found = _HEADING.match(heading)
-    own = None if found is None else found["bracket"] or found["suffix"]
-    if own is None and unit is None:
-        raise ConfigError(
-            f"{name}: the column {heading} does not say its unit; call it {heading}_ms, or give --unit ms"
-        )
-    return UNITS_S["us" if own == "µs" else own or unit or "s"]
-
-
-def _number(word: str) -> float | None:
+def _read(
+    path: Path, unit: str | None, direction: Direction, period_s: float | None, cuts: list[str]
+) -> tuple[list[Part], bool]:
+    """Return the parts of a log, and whether its delays are round trips."""
+    if path.suffix == ".mcap":
+        return [of_recording(path, direction, cuts)], False
     try:
-        return float(word)
-    except ValueError:
-        return None
+        content = read_regular(path, _LARGEST_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    text = content.decode("utf-8", "replace")
+    if ping_log.is_ping_log(text):
+        found = ping_log.round_trips(text, path.name, period_s)
+        cuts += found.remarks
+        return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in found.parts], True
+    if is_delivery_trace(text) and period_s is None:
+        return [through_delivery_trace(text, path.name, cuts)], False
+    table = parse_table(content, path.name)
+    cuts += [f"{path.name}: {remark}" for remark in table.remarks if "no number" not in remark]
+    return _of_table(table, unit, period_s, cuts)
 
 
-def _value(row: Sequence[str], column: int, line: str) -> float | None:
-    if column >= len(row) or row[column].strip().lower() in ("", "nan", "none", "-"):
-        return None
-    value = _number(row[column])
-    if value is None or not np.isfinite(value):
-        raise ConfigError(f"{line}: {row[column]!r} is not a number")
-    return value
+def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: list[str]) -> tuple[list[Part], bool]:
+    name, columns = table.name, table.columns
+    sent, received = table.find(*_SENT) or table.find("time"), table.find(*_RECEIVED)
+    delay = table.find(*_DELAY)
+    is_trip = delay is not None and delay.name.lower().startswith(_ROUND_TRIP)
+    if len(columns) == 1 and (period_s or delay is not None):
+        # a lone column of delays
+        delay = columns[0]
+        if period_s is None:
+            raise ConfigError(f"{name}: has delays and no times; give the time between two messages by --period S")
+        sent = None
+    elif not any(column.title for column in columns):
+        lone = "; of delays alone, give --period S" if len(columns) == 1 else ""
+        raise ConfigError(f"{name}, line 1: has no headings; name the columns, such as sent_s,received_s{lone}")
+    elif sent is None or (received is None and delay is None):
+        raise ConfigError(
+            f"{name}: has the columns {', '.join(column.title for column in columns)}; a column of times of sending"
+            " (sent_s) is needed, and one of receiving (received_s) or of delays (delay_s), empty where a message was"
+            " lost"
+        )
+    rows = len(table.lines)
+    if not table.ends_whole and rows > 1 and not any("no whole row" in remark for remark in table.remarks):
+        cuts.append(f"{name}: its last line has no end and may be a part of one; it is left out")
+        rows -= 1
+    lost_column = table.find(_LOST)
+    lost = np.zeros(rows, dtype=bool) if lost_column is None else table.numbers(lost_column)[:rows] == 1.0
+    if sent is None:
+        sent_s = (period_s or 0.0) * np.arange(rows)
+    else:
+        begins, scale = table.numbers(sent)[:rows], _scale_of(sent, table, unit)
+        if np.isnan(begins).any():
+            raise ConfigError(f"{name}, line {table.lines[int(np.isnan(begins).argmax())]}: has no time of sending")
+        # Times of an epoch keep their nanoseconds only as differences.
+        sent_s = (begins - begins[0]) * scale
+    if delay is not None:
+        delay_s = table.numbers(delay)[:rows] * _scale_of(delay, table, unit)
+    else:
+        assert received is not None and sent is not None
+        ends, of_ends = table.numbers(received)[:rows], _scale_of(received, table, unit)
+        same = of_ends == scale
+        delay_s = (ends - begins) * scale if same else ends * of_ends - begins * scale
+    early = (delay_s < 0.0) & ~lost
+    if early.any():
+        place = int(early.argmax())
+        raise ConfigError(
+            f"{name}, line {table.lines[place]}: was received {-delay_s[place]:.6g} s before it was sent; the two"
+            " clocks disagree"
+        )
+    if is_trip and delay is not None:
+        cuts.append(f"{name}: its heading {delay.title} means round trips")
+    delay_s = np.where(lost, np.nan, delay_s)
+    return [(np.asarray(sent_s, dtype=np.float64), delay_s)], is_trip
+
+
+def _scale_of(column: TableColumn, table: TextTable, unit: str | None) -> float:
+    given = column.unit or unit
+    if not given:
+        raise ConfigError(
+            f"{table.name}: the column {column.title or 'of delays'} does not say its unit; call it"
+            f" {column.title or 'delay'}_ms, or give --unit ms"
+        )
+    one = table.in_si(column._replace(values=np.ones(1), bad=None), ("s",), given, "--unit" if not column.unit else "")
+    assert one is not None
+    return float(one[0])
 
 
 def _cut(sent_s: Column, delay_s: Column, name: str, cuts: list[str]) -> list[Segment]:
@@ -244,6 +249,11 @@ def _check(log: LineLog) -> None:
         raise ConfigError(
             f"{count} messages in {seconds:.3g} s are too few for a model, which needs {FEWEST} in {SHORTEST_S:g} s;"
             " is the unit of the times right?"
+        )
+    if seconds > _LONGEST_LOG_S or log.period_s > _LONGEST_PERIOD_S:
+        raise ConfigError(
+            f"{count} messages in {seconds:.3g} s, one in {log.period_s:.3g} s, are no log of a line that a model"
+            " fits; is the unit of the times right?"
         )
     delays = np.concatenate([part.delay_s for part in log.segments])
     if np.isnan(delays).mean() > 0.5:

@@ -10,6 +10,7 @@ from proto.errors import ConfigError
 from recording.reader import Recording
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
+from telenano.extend.tables import read_table
 from telenano_networks.network_trace import traces_of
 from telenano_networks.report_command import fates_in
 
@@ -19,6 +20,8 @@ Direction = Literal["forward", "backward"]
 _SIZE_BYTES, _PERIOD_S = 200, 0.010
 # A trace of opportunities has this unit [s], and no fewer of them.
 _OPPORTUNITY_S, _FEWEST_OPPORTUNITIES = 1e-3, 100
+# A trace with fewer opportunities carries next to nothing.
+_MOST_SENT_FOR_EACH = 1000
 
 
 class Histogram(NamedTuple):
@@ -66,7 +69,7 @@ def of_recording(path: Path, direction: Direction, notes: list[str]) -> tuple[Co
 def is_delivery_trace(text: str) -> bool:
     """Return whether a text is a whole number a line, never falling: mahimahi writes so when a line could deliver."""
     words = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if len(words) < _FEWEST_OPPORTUNITIES or not all(word.isdigit() for word in words):
+    if len(words) < _FEWEST_OPPORTUNITIES or not all(word.isdecimal() and len(word) < 19 for word in words):
         return False
     return bool((np.diff(np.array(words, dtype=np.int64)) >= 0).all())
 
@@ -77,10 +80,15 @@ def through_delivery_trace(text: str, name: str, notes: list[str]) -> tuple[Colu
     Raises:
         ConfigError: The trace ends where it begins.
     """
-    times = [int(word) for word in text.split() if word.isdigit()]
+    times = [int(word) for word in text.split() if word.isdecimal()]
     if times[-1] == 0:
         raise ConfigError(f"{name}: all opportunities of the trace are at time 0")
     count = int(times[-1] * _OPPORTUNITY_S / _PERIOD_S)
+    if count > _MOST_SENT_FOR_EACH * len(times):
+        raise ConfigError(
+            f"{name}: its last opportunity is at {times[-1]} ms, {count / len(times):.3g} messages for each of its"
+            f" {len(times)}: is its last line right?"
+        )
     folder, file = _written(text)
     try:
         way = {"delivery_trace": {"file": file}, "queue": {"limit_messages": None}}
@@ -113,27 +121,20 @@ def read_histogram(path: Path, unit_s: float | None) -> Histogram:
         ConfigError: Nobody says the unit, a row is no pair of numbers, the edges do not rise, or nothing is counted;
             the message names file and line.
     """
-    from services.delay_node.models.traces import read_text
-
-    edges: list[float] = []
-    counts: list[float] = []
-    for line, row in enumerate(read_text(path).splitlines(), start=1):
-        words = row.replace(",", " ").replace(";", " ").split()
-        if not words or row.startswith("#"):
-            continue
-        try:
-            edge, count = (float(word) for word in words)
-        except ValueError:
-            if edges or unit_s is not None or not words[0].endswith(("_s", "_ms", "_us", "_ns")):
-                if not edges and unit_s is not None:
-                    continue
-                raise ConfigError(f"{path.name}, line {line}: {row!r} is not a bin and its count") from None
-            unit_s = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[words[0].rsplit("_", 1)[1]]
-            continue
-        if count < 0.0 or (edges and edge <= edges[-1]):
-            raise ConfigError(f"{path.name}, line {line}: the bins have to rise, and no count is below 0")
-        edges.append(edge)
-        counts.append(count)
+    table = read_table(path)
+    name = path.name
+    if len(table.columns) != 2:
+        raise ConfigError(
+            f"{name}: has {len(table.columns)} columns; a histogram has two, a bin's lower edge and its count"
+        )
+    bins, counted = table.columns
+    edges, counts = (table.numbers(column).tolist() for column in (bins, counted))
+    if bins.unit and unit_s is None:
+        table.in_si(bins, ("s",))
+        unit_s = bins.known.factor if bins.known else None
+    for place, (edge, count) in enumerate(zip(edges, counts, strict=True)):
+        if not (edge == edge and count >= 0.0) or (place and edge <= edges[place - 1]):
+            raise ConfigError(f"{name}, line {table.lines[place]}: the bins have to rise, and no count is below 0")
     if unit_s is None:
         raise ConfigError(f"{path.name}: does not say the unit of its bins; give --unit ms")
     if len(edges) < 2 or sum(counts) <= 0.0:

@@ -130,7 +130,8 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
     seconds: list[float] = []
     found: list[tuple[int, float, int, int]] = []
     for part in log.segments:
-        pieces = max(1, round(float(part.sent_s[-1]) / _BLOCK_S))
+        # never more than messages, whatever their times say
+        pieces = max(1, min(round(float(part.sent_s[-1]) / _BLOCK_S), len(part.sent_s)))
         edges_s = np.linspace(0.0, part.sent_s[-1], pieces + 1)
         block = len(seconds) + np.searchsorted(edges_s[1:-1], part.sent_s, side="right")
         seconds += np.diff(edges_s).tolist()

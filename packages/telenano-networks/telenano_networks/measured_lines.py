@@ -130,7 +130,19 @@ def fitted(name: str, line: Line, folder: Path, out: Path, *extra: str) -> dict[
     taken = " ".join(["telenano link fit", given, *line.options, *extra])
     logs = [str(path) for path in logs_of(line, folder)]
     about = line.about.replace("measured", "measured; each message drawn by itself") if extra else line.about
-    command = [sys.executable, "-m", "telenano", "link", "fit", *logs, *line.options, *extra, "--out", str(out / name)]
+    command = [
+        sys.executable,
+        "-m",
+        "telenano",
+        "link",
+        "fit",
+        *logs,
+        *line.options,
+        *extra,
+        "--anyway",
+        "--out",
+        str(out / name),
+    ]
     done = children.run(
         [*command, "--about", about, "--cite", cite, "--taken", taken], capture_output=True, text=True, check=False
     )

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from analysis.intervals import wilson
+from analysis.intervals import half_width, wilson
 from services.runtime.settings.config import flatten
 
 CONFIDENCE = 0.95
@@ -49,19 +49,6 @@ def statistic(values: Sequence[float]) -> Statistic:
 def share(count: int, of: int) -> Statistic:
     """Return the statistic of a share: 0 <= count <= of, of > 0. It has no deviation."""
     return Statistic(of, count / of, None, *wilson(count, of))
-
-
-def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
-    """Return half the interval of a mean by Student's t.
-
-    Args:
-        deviation: The standard deviation of the values, by n - 1.
-        count: How many values there are, 2 or more.
-        confidence: How often an interval is meant to have the true mean in it.
-    """
-    from scipy.stats import t
-
-    return float(t.ppf(0.5 + 0.5 * confidence, count - 1) * deviation / math.sqrt(count))
 
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:

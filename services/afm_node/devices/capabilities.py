@@ -1,18 +1,17 @@
 """What each driver of an instrument can do, and with which laws and programs it may therefore be used.
 
-`refusal` is the one place where that is decided: it says in words why a combination is not possible, before anything is
-started. A driver of a package brings its own row; one without a row is not judged.
+`refusal` and `loop_refusal` are the one place where that is decided: they say in words why a combination is not
+possible, before anything is started. A driver of a package brings its own row; one without a row is not judged. A law
+says of itself whether it closes a loop (`Law.link_loop`), so no law is known here by its name.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from services.afm_node.config import DRIVERS
 
 # A loop through link and instrument needs z and force at this rate at least [Hz]; slower ones shake a hand in contact.
 LEAST_LOOP_HZ = 200.0
-# laws that close no loop through link and instrument: the hand meets a model, or nothing
-WITHOUT_A_LOOP = ("model_mediated", "tactile")
 
 
 class Capabilities(NamedTuple):
@@ -55,24 +54,34 @@ def capabilities_of(driver: str) -> Capabilities | None:
     return Capabilities(*found.capabilities)
 
 
-def refusal(driver: str, law: str, program: str = "") -> str:
-    """Return why a law, or a program that begins by itself, cannot be used with a driver; empty where it can.
+def loop_refusal(driver: str, law: str, instead: Sequence[str]) -> str:
+    """Return why a law that closes a loop through the instrument cannot be used with a driver; empty where it can.
 
     Args:
         driver: The value of `afm_node.driver`.
-        law: The value of `controller.law`, empty where it is not the question.
+        law: The name of the law.
+        instead: The laws that close no such loop, of which one may be taken.
+    """
+    found = capabilities_of(driver)
+    if found is None or found.sample_hz >= LEAST_LOOP_HZ:
+        return ""
+    return (
+        f"controller.law: {law} closes a loop through the instrument, and {driver} gives {found.sample_hz:g} samples a"
+        f" second, {found.latency_s * 1e3:g} ms late, where a loop needs {LEAST_LOOP_HZ:g}: use a law whose hand meets"
+        f" a model of the contact at once, which the instrument corrects, or moves no tip ({', '.join(instead)})"
+    )
+
+
+def refusal(driver: str, program: str) -> str:
+    """Return why a program of the instrument cannot be used with a driver; empty where it can.
+
+    Args:
+        driver: The value of `afm_node.driver`.
         program: The name of a program of the instrument, empty for none.
     """
     found = capabilities_of(driver)
     if found is None:
         return ""
-    if law and found.sample_hz < LEAST_LOOP_HZ and law not in WITHOUT_A_LOOP:
-        return (
-            f"controller.law: {law} closes a loop through the instrument, and {driver} gives"
-            f" {found.sample_hz:g} samples a second, {found.latency_s * 1e3:g} ms late, where a"
-            f" loop needs {LEAST_LOOP_HZ:g}: use model_mediated,"
-            " whose hand meets a model of the contact at once, which the instrument corrects"
-        )
     if program in ("scan", "tactile", "push") and not found.lateral:
         return f"{program} moves the tip over the sample, and {driver} moves it along z only"
     if program == "scan" and found.scans:

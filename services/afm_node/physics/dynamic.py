@@ -31,7 +31,7 @@ import numpy.typing as npt
 from services.afm_node.physics.contact.electrostatic import electrostatic_force_n
 from services.afm_node.physics.contact.force_grid import Passages, grid_force, grid_slopes, passed
 from services.afm_node.physics.dynamic_plant import FAR_STEPS, KICKS_PER_PERIOD, DynamicPlant, Viscosity
-from services.numerics.compiled import always_compiled
+from services.numerics.compiled import always_compiled, compiled
 
 # a step goes no further than this share of the way to the next jump of the force, or this far where that is nearer
 _LOOK_AHEAD = 0.25
@@ -67,6 +67,16 @@ class Reading(NamedTuple):
     peak_force_n: float
     dissipated_j: float
     contact_share: float
+
+
+@compiled
+def lag_rad(in_phase_m: float, quadrature_m: float) -> float:
+    """Return by how much the deflection lags the drive, as the field counts it: pi/2 in free motion at the resonance.
+
+    More is attraction, less repulsion. The base is driven towards the sample and the deflection counts away from it,
+    which is the half turn that is taken out here.
+    """
+    return math.atan2(-quadrature_m, -in_phase_m)
 
 
 @always_compiled

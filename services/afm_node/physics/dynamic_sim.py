@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from services.afm_node.physics.cantilever import Plant, initial_state
 from services.afm_node.physics.contact.electrostatic import electrostatic_strength_n_m2
-from services.afm_node.physics.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m
+from services.afm_node.physics.dynamic import NO_NOISE, DynamicState, Reading, advance, free_amplitude_m, lag_rad
 from services.afm_node.physics.dynamic_plant import KICKS_PER_PERIOD, NORMALS_PER_PERIOD, DynamicPlant
 from services.afm_node.physics.part import AfmSample, Motion, Oscillation, Part, PlantInputs, register
 from services.numerics.compiled import always_compiled
@@ -249,7 +249,7 @@ def _oscillation(state: DynamicTip) -> Oscillation:
     if not state.is_driven:
         return Oscillation(0.0, 0.0)
     x, y = state.in_phase_m, state.quadrature_m
-    return Oscillation(math.hypot(x, y), math.atan2(y, x), state.dissipated_j)
+    return Oscillation(math.hypot(x, y), lag_rad(x, y), state.dissipated_j)
 
 
 _MOTION = Motion(_settle, _oscillation)

@@ -78,8 +78,9 @@ class AfmSample(NamedTuple):
 
 
 class Oscillation(NamedTuple):
-    """Amplitude of the deflection at the frequency of the drive [m], and its phase against the drive [rad].
+    """Amplitude of the deflection at the frequency of the drive [m], and its lag behind the drive [rad].
 
+    The lag is pi/2 in free motion at the resonance, more in attraction and less in repulsion (`dynamic.lag_rad`).
     dissipated_j: energy that the sample takes in a period [J].
     """
 

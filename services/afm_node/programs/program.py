@@ -112,7 +112,7 @@ def way_to_surface(
 class FinishedLine(NamedTuple):
     """A line: its number and sense, its ends at the middles of the outer pixels, heights [m], forces in x [N].
 
-    Amplitude [m], phase against the drive [rad] and energy that the sample takes in a period [J], None in contact mode;
+    Amplitude [m], lag behind the drive [rad] and energy that the sample takes in a period [J], None in contact mode;
     the forces are None where the instrument takes the image and measures none.
     """
 

@@ -40,6 +40,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
 )
 from services.controller.laws.shared.pass_through import SlaveState
 from services.controller.laws.shared.pass_through import slave_send as slave_send
@@ -346,4 +347,12 @@ def master_energy_account(params: ModelMediatedParams, state: MasterState) -> En
     return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
-MODEL_MEDIATED = law_of(__name__, ModelMediatedConfig, local_loop=True)
+MODEL_MEDIATED = law_of(
+    __name__,
+    ModelMediatedConfig,
+    local_loop=True,
+    link_loop=False,
+    must_know=("cantilever_stiffness_n_per_m",),
+    fixed_in_contact=("cantilever_stiffness_n_per_m",),
+    rest_force=the_hands_force,
+)

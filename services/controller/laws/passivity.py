@@ -78,6 +78,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -517,6 +518,31 @@ def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> Ma
 
 
 @compiled
+def slave_retune(old: PassivityParams, new: PassivityParams, state: SlaveState) -> SlaveState:
+    """Keep the force of the coupling when K_c changes: its energy changes with its stretch, and is charged."""
+    longer = old.mass.position_scale / new.mass.position_scale
+    stronger = new.mass.force_scale / old.mass.force_scale
+    stretch = state.stretch_m * (old.coupling_n_per_m / new.coupling_n_per_m) * stronger
+    stored = 0.5 * old.coupling_n_per_m * state.stretch_m * state.stretch_m
+    rise = 0.5 * new.coupling_n_per_m * stretch * stretch - stored
+    paid = min(rise, max(state.account.remaining_j, 0.0))
+    account = charged(state.account, 0.0, -rise)
+    if rise > 0.0:
+        account = granted(charged(state.account, -paid, 0.0), rise - paid)
+    left = min(account.remaining_j, new.cap_j)
+    return SlaveState(
+        position_m=state.position_m,
+        stretch_m=stretch,
+        lead_m=longer * (state.lead_m - state.stretch_m) + stretch,
+        limit_n=stronger * state.limit_n,
+        last_m=state.last_m,
+        last_n=stronger * state.last_n,
+        account=Account(account.in_j, account.received_j, left, account.lost_j, account.granted_j),
+        coupled=state.coupled,
+    )
+
+
+@compiled
 def master_energy_account(params: PassivityParams, state: MasterState) -> EnergyAccount:
     """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
@@ -528,4 +554,6 @@ def slave_energy_account(params: PassivityParams, state: SlaveState) -> EnergyAc
     return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
 
 
-PASSIVITY = law_of(__name__, PassivityConfig, uses_energy=True, local_loop=True)
+PASSIVITY = law_of(
+    __name__, PassivityConfig, uses_energy=True, local_loop=True, passive=True, rest_force=the_hands_force
+)

@@ -13,7 +13,14 @@ present delay, with the last force and position held.
 
 from typing import NamedTuple
 
-from services.controller.law import HandSample, MasterReference, PortSignal, law_of, port_signal
+from services.controller.law import (
+    HandSample,
+    MasterReference,
+    PortSignal,
+    law_of,
+    port_signal,
+    the_hands_force,
+)
 from services.controller.laws.shared import pass_through
 from services.controller.laws.shared.virtual_mass import (
     Mass,
@@ -88,4 +95,4 @@ def retune(old: PositionForceParams, new: PositionForceParams, state: Mass) -> M
     return rescaled(old.mass, new.mass, state)
 
 
-POSITION_FORCE = law_of(__name__, PositionForceConfig, slave=pass_through)
+POSITION_FORCE = law_of(__name__, PositionForceConfig, slave=pass_through, rest_force=the_hands_force)

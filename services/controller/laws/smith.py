@@ -232,4 +232,9 @@ def retune(old: SmithParams, new: SmithParams, state: MasterState) -> MasterStat
     return MasterState(inner, state.sent_m, state.block_m, state.newest, state.estimate, state.in_use_n_per_m)
 
 
+def rest_force(params: SmithParams, force_n: float) -> float:
+    """Return the force at the tip that the virtual impedance rests at [N]: the prediction ends with the motion."""
+    return impedance.rest_force(params.impedance, force_n)
+
+
 SMITH = law_of(__name__, SmithConfig, slave=pass_through)

@@ -193,4 +193,4 @@ def retune(old: TactileParams, new: TactileParams, state: MasterState) -> Master
     return state
 
 
-TACTILE = law_of(__name__, TactileConfig)
+TACTILE = law_of(__name__, TactileConfig, link_loop=False, must_know=("cantilever_stiffness_n_per_m",))

@@ -132,4 +132,10 @@ def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: Mast
     return MasterState(state.position_m, state.velocity_m_per_s, offset)
 
 
+def rest_force(params: VirtualImpedanceParams, force_n: float) -> float:
+    """Return alpha_f F_s = F_m / (1 + 1/K_f) [N]; NaN where a virtual spring holds the hand back by its own way."""
+    gain = params.force_gain
+    return gain / (1.0 + gain) * force_n if abs(params.impedance.phi_xx - 1.0) < 1e-12 else float("nan")
+
+
 VIRTUAL_IMPEDANCE = law_of(__name__, VirtualImpedanceConfig, slave=pass_through)

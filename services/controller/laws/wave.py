@@ -61,6 +61,7 @@ from services.controller.law import (
     TipMeasurement,
     law_of,
     port_signal,
+    the_hands_force,
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -411,21 +412,57 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
 
 
 @compiled
+def _retuned_inbox(old: WaveParams, new: WaveParams, inbox: Inbox) -> tuple[Inbox, float]:
+    """Return the counters under other parameters, such that the wave that is drawn stays, and the energy granted [J].
+
+    A wave is a share of what is due, so another share needs as much more or less of that, and of its energy.
+    """
+    longer, more = old.mass.position_scale / new.mass.position_scale, old.share / new.share
+    due_m, due_j = inbox.received_m - inbox.taken_m, max(inbox.received_j - inbox.taken_j, 0.0)
+    received_m = longer * inbox.received_m
+    retuned = Inbox(received_m, received_m - more * due_m, inbox.received_j, inbox.received_j - more * due_j)
+    return retuned, max(more - 1.0, 0.0) * due_j
+
+
+@compiled
 def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
-    """Keep the tip's reference constant when alpha_p changes, and force and energy of the line when b does."""
-    ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m
+    """Keep the tip's reference when alpha_p changes, force and energy of the line when b does, the wave with tau_f."""
+    ratio = old.impedance_n_s_per_m / new.impedance_n_s_per_m * (old.mass.position_scale / new.mass.position_scale)
     mass = rescaled(old.mass, new.mass, state.mass)
+    inbox, granted_j = _retuned_inbox(old, new, state.inbox)
     return MasterState(
         mass=mass,
-        inbox=state.inbox,
+        inbox=inbox,
         impulse_m=state.impulse_m * ratio,
         sent_j=state.sent_j,
         wave_sqrt_w=state.wave_sqrt_w,
         bias_n=state.bias_n,
-        granted_j=state.granted_j,
+        granted_j=state.granted_j + granted_j,
         begun=state.begun,
         up=state.up,
         stood_s=state.stood_s,
+    )
+
+
+@compiled
+def slave_retune(old: WaveParams, new: WaveParams, state: SlaveState) -> SlaveState:
+    """Keep what was sent, the measurement and the wave that is drawn under other scales and another tau_f."""
+    stronger = new.mass.force_scale / old.mass.force_scale
+    inbox, granted_j = _retuned_inbox(old, new, state.inbox)
+    return SlaveState(
+        position_m=state.position_m,
+        inbox=inbox,
+        anchor_m=state.anchor_m,
+        sent_m=state.sent_m * (old.mass.position_scale / new.mass.position_scale),
+        sent_j=state.sent_j,
+        wave_sqrt_w=state.wave_sqrt_w,
+        reserve_j=state.reserve_j,
+        last_m=state.last_m,
+        last_n=stronger * state.last_n,
+        bias_n=stronger * state.bias_n,
+        granted_j=state.granted_j + granted_j,
+        coupled=state.coupled,
+        begun=state.begun,
     )
 
 
@@ -441,4 +478,13 @@ def slave_energy_account(params: WaveParams, state: SlaveState) -> EnergyAccount
     return EnergyAccount(state.inbox.received_j - state.inbox.taken_j + state.reserve_j, 0.0, state.granted_j)
 
 
-WAVE = law_of(__name__, WaveConfig, uses_waves=True, uses_energy=True, local_loop=True)
+WAVE = law_of(
+    __name__,
+    WaveConfig,
+    uses_waves=True,
+    uses_energy=True,
+    local_loop=True,
+    passive=True,
+    fixed_in_contact=("impedance_n_s_per_m",),
+    rest_force=the_hands_force,
+)

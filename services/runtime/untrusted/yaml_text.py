@@ -22,20 +22,34 @@ class YamlError(ValueError):
     """A text is no YAML, or beyond the bounds; the text says what is wrong, and where that is known."""
 
 
-class _Loader(yaml.SafeLoader):
-    """A safe loader, which makes plain values only: 1e-9 is a number, on and off are words.
+# What YAML 1.1 takes for another number than a person who writes it. Digits with an 8 or 9 behind a 0 are a text to it,
+# such as the identity of a device, which its writers leave without quotes.
+_OTHER_BASE = re.compile(
+    r"[-+]?(?:0[0-7_]+|0[0-9_]+\.[0-9_]*(?:[eE][-+]?[0-9]+)?|0[0-9_]+[eE][-+]?[0-9]+|0[xXoObB][0-9a-fA-F_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)"
+)
+_REPLACED = ("tag:yaml.org,2002:bool", *_NUMBER_TAGS)
 
-    YAML 1.1 has 1e-9 (without a point) a text, and on, off, yes and no truth values.
+
+class _Loader(yaml.SafeLoader):
+    """A safe loader, which makes plain values only: 1e-9 is a number, on and off are words, numbers have base 10.
+
+    YAML 1.1 has 1e-9 (without a point) a text, on, off, yes and no truth values, 1:30 is 90 and 012 is 10.
     """
 
 
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:bool"]
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _REPLACED]
     for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 _Loader.add_implicit_resolver("tag:yaml.org,2002:bool", re.compile(r"(?i:true|false)$"), list("tTfF"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?(?:0|[1-9][0-9_]*)$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"), list("-+.0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"(?:[-+]?(?:[0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?[0-9]+[eE][-+]?[0-9]+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
+    ),
+    list("-+.0123456789"),
 )
 
 
@@ -92,6 +106,8 @@ def _check_size(root: yaml.Node) -> None:
         counts[id(node)] = 0
         total = 1
         if isinstance(node, yaml.ScalarNode):
+            if node.style is None and _OTHER_BASE.fullmatch(node.value):
+                raise YamlError(_refusal_of_base(node))
             if node.tag in _NUMBER_TAGS and len(node.value) > _LONGEST_NUMBER:
                 raise YamlError(
                     f"the number in {_line(node)} has {len(node.value)} characters, at most {_LONGEST_NUMBER} are read"
@@ -106,6 +122,25 @@ def _check_size(root: yaml.Node) -> None:
         return total
 
     count(root)
+
+
+def _refusal_of_base(node: yaml.ScalarNode) -> str:
+    """Return what to write in place of a number that has another base than 10, or looks as if it had."""
+    word, said = node.value, ""
+    if ":" in word:
+        total = 0.0
+        for part in word.lstrip("+-").split(":"):
+            total = 60.0 * total + float(part.replace("_", ""))
+        said = f"{'-' if word.startswith('-') else ''}{total:g} for so many seconds or minutes"
+    elif word.lstrip("+-")[1:2].isalpha():
+        said = f"{int(word.replace('_', ''), 0)}" if len(word) <= _LONGEST_NUMBER else "its value"
+    else:
+        digits = word.lstrip("+-").replace("_", "").lstrip("0")
+        digits = digits if digits[:1].isdigit() else f"0{digits}"
+        said = f"{'-' if word.startswith('-') else ''}{digits[:_LONGEST_NUMBER]}"
+    return (
+        f"{word[:_LONGEST_NUMBER]} in {_line(node)} is no number of base 10: write {said}, or '{word[:40]}' for a text"
+    )
 
 
 def _check_keys(node: yaml.Node, loader: _Loader, path: tuple[str, ...], seen: set[int]) -> None:

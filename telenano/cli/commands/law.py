@@ -53,7 +53,12 @@ def show(law: LawArgument, as_json: JsonOption = False) -> None:
             }
             for name, schema in properties.items()
         ]
-        facts = {"law": law, **_origin(law), "about": _about(LAWS[law])}
+        says = {
+            "closes_a_loop_through_the_instrument": found.link_loop,
+            "states_passivity": found.passive,
+            "must_know": list(found.must_know),
+        }
+        facts = {"law": law, **_origin(law), "about": _about(LAWS[law]), **says}
     if as_json:
         print_json({**facts, "parameters": parameters})
         return

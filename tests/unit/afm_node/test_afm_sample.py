@@ -112,3 +112,41 @@ def test_a_sample_of_ones_own_is_a_function_of_x_and_y(monkeypatch):
     ):
         with pytest.raises(ConfigError, match=what):
             SampleConfig(name=name, pixels=8).build()
+
+
+@pytest.mark.parametrize("separator", ["\t", ";", ",", " "])
+@pytest.mark.parametrize("unit", ["", "nm", "µm", "m"])
+def test_a_matrix_of_heights_in_text_has_its_size_and_unit_from_head_or_option(tmp_path, separator, unit):
+    draw = np.random.default_rng(3)
+    heights = draw.uniform(-5e-9, 5e-9, (6, 9))
+    scale = {"": 1.0, "m": 1.0, "nm": 1e-9, "µm": 1e-6}[unit]
+    # rows run from the top down, and y rises
+    text = "\n".join(separator.join(f"{v / scale:.9e}" for v in row) for row in heights[::-1]) + "\n"
+    text = text.replace(".", ",") if separator == ";" else text
+    said = f"# Channel: Topography\n# Value units: {unit}\n" if unit else ""
+    path = tmp_path / "m.txt"
+    path.write_text(said + text, encoding="utf-8")
+    found = read_surface(path, size_m=9e-8)
+    np.testing.assert_allclose(found.height_m, heights, rtol=1e-8)
+    assert (found.width_m, found.depth_m) == pytest.approx((9e-8, 6e-8))
+    with pytest.raises(ConfigError, match="without a size: give its width"):
+        read_surface(path)
+    path.write_text(f"# Width: 0.09 µm\n# Height: 120 nm\n{said}{text}", encoding="utf-8")
+    found = read_surface(path)
+    assert (found.width_m, found.depth_m) == pytest.approx((9e-8, 1.2e-7))
+
+
+@pytest.mark.parametrize(
+    ("head", "factor", "reason"),
+    [
+        ("", 1e9, "its values are no heights in m: write their unit"),
+        ("# Value units: V\n", 1.0, "its values in 'V', which is no unit of length"),
+        ("# Width: 3 furlong\n", 1.0, "its head gives the width in 'furlong'"),
+    ],
+)
+def test_a_matrix_whose_heights_have_no_unit_or_an_unknown_one_is_refused(tmp_path, head, factor, reason):
+    path = tmp_path / "m.csv"
+    values = factor * np.random.default_rng(1).uniform(1e-9, 9e-9, (5, 5))
+    path.write_text(head + "\n".join(",".join(f"{v:.6e}" for v in row) for row in values) + "\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=reason):
+        read_surface(path, size_m=1e-7)

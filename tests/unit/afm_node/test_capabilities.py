@@ -1,5 +1,6 @@
 """What a driver may be used with: the table, and its refusals in a plan and at a node."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,9 @@ from proto.errors import ConfigError
 from services.afm_node.config import TAKEN
 from services.afm_node.devices.capabilities import TABLE, refusal
 from services.afm_node.programs.table import PROGRAMS
-from services.controller.config import ControllerConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.controller.law_names import LAW_NAMES
-from services.launcher.plan import UpRequest, make_plan
+from services.launcher.plan import UpRequest, make_plan, refused_laws
 
 
 def test_every_driver_of_the_node_has_a_row() -> None:
@@ -19,12 +20,13 @@ def test_every_driver_of_the_node_has_a_row() -> None:
 
 
 def test_an_instrument_with_all_abilities_is_refused_nothing() -> None:
-    assert {refusal("simulated", law, program) for law in LAW_NAMES for program in ("", *PROGRAMS)} == {""}
+    assert {refusal("simulated", program) for program in ("", *PROGRAMS)} == {""}
+    assert refused_laws("simulated") == {}
 
 
 def test_an_instrument_without_a_stage_takes_no_image(tmp_path: Path) -> None:
-    assert refusal("modbus", "wave", "curve") == ""
-    assert "scan moves the tip over the sample, and modbus moves it along z only" in refusal("modbus", "wave", "scan")
+    assert refusal("modbus", "curve") == ""
+    assert "scan moves the tip over the sample, and modbus moves it along z only" in refusal("modbus", "scan")
     calibration = f"afm_node.modbus={{calibration: {tmp_path / 'stage.yaml'}}}"
     begin = "afm_node.begin={program: scan}"
     settings = ("afm_node.driver=modbus", calibration, begin)
@@ -38,15 +40,28 @@ def test_a_plan_gives_both_halves_the_laws_that_they_have_to_refuse_later(tmp_pa
     settings = ("afm_node.driver=nanonis", nanonis, "controller.law=model_mediated")
     plan = make_plan(UpRequest(scenario="fig12", settings=settings), tmp_path)
     config = plan.loaded.section("controller", ControllerConfig)
-    own = {law for law in config.refused_laws if law in LAW_NAMES}
-    assert own == set(LAW_NAMES) - {"model_mediated", "tactile"}
-    assert config.refused_laws["wave"] == refusal("nanonis", "wave")
+    assert set(config.refused_laws) == {name for name, law in KNOWN_LAWS.items() if law.link_loop}
+    assert set(LAW_NAMES) - set(config.refused_laws) == {"model_mediated"}
+    assert config.refused_laws == refused_laws("nanonis")
     simulated = make_plan(UpRequest(scenario="fig12"), tmp_path)
     assert "refused_laws" not in (simulated.loaded.document.get("controller") or {})
 
 
+def test_a_law_is_judged_by_what_it_says_of_itself_and_not_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 50 samples a second a law of a package whose hand meets a model is not refused, nor left out of the advice."""
+    model = dataclasses.replace(KNOWN_LAWS["model_mediated"], name="somebodys_model")
+    loop = dataclasses.replace(KNOWN_LAWS["wave"], name="somebodys_loop")
+    monkeypatch.setitem(KNOWN_LAWS, "somebodys_model", model)
+    monkeypatch.setitem(KNOWN_LAWS, "somebodys_loop", loop)
+    refused = refused_laws("nanonis")
+    assert "somebodys_model" not in refused and "somebodys_loop" in refused
+    assert "(model_mediated, " in refused["somebodys_loop"] and "somebodys_model" in refused["somebodys_loop"]
+    assert "bounded_model" not in refused and "bounded_model" in refused["wave"]
+
+
 def test_a_driver_of_another_package_is_not_judged() -> None:
-    assert refusal("somebodys_afm", "wave", "scan") == ""
+    assert refusal("somebodys_afm", "scan") == ""
+    assert refused_laws("somebodys_afm") == {}
 
 
 def test_attended_is_an_option_of_up(tmp_path: Path) -> None:

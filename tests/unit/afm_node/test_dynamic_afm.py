@@ -122,7 +122,7 @@ def test_a_tapping_image_holds_the_amplitude_and_its_lines_carry_amplitude_and_p
         # in steady vibration the sample takes what the base gives and the cantilever's own damping does not
         plant, free_m = afm.driver._params.plant.tip.driven, 20e-9
         drive_m, turns_hz = free_m / free_amplitude_m(plant, 1.0), 2.0 * np.pi * plant.drive_hz
-        z = line.amplitude_m.to_numpy() * np.exp(1j * line.phase_rad.to_numpy())
+        z = line.amplitude_m.to_numpy() * np.exp(1j * (line.phase_rad.to_numpy() + np.pi))
         given_j = np.array([drive_work_j(plant, drive_m, v.real, v.imag) for v in z.tolist()])
         damped_j = np.pi * turns_hz * plant.damping_kg_per_s * np.abs(z) ** 2
         taken_j = np.median(line.dissipated_j.to_numpy())

@@ -5,9 +5,9 @@ import pytest
 
 from analysis.holds import (
     _WORST_FIRST,
-    SETTLING_SHARE,
     Guard,
     Instrument,
+    Late,
     Limits,
     Programme,
     constant_stretches,
@@ -15,6 +15,7 @@ from analysis.holds import (
     judge_holds,
     verdict_of,
 )
+from analysis.interruptions import Interruption
 from analysis.verdict import KINDS
 
 TIME_S = np.arange(9000) * 1e-3
@@ -40,36 +41,32 @@ def test_the_holds_are_where_the_hand_stands_still() -> None:
 
 def test_a_loop_that_follows_is_stable_in_each_of_them() -> None:
     holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N)
-    assert [hold.verdict for hold in holds] == ["stable"] * 3
-    assert [hold.hand_force_n for hold in holds] == pytest.approx([0.0, 1.0, 2.0], abs=1e-9)
+    # the first second, in which hand and tip do nothing, is no hold
+    assert [hold.verdict for hold in holds] == ["stable"] * 2
+    assert [hold.hand_force_n for hold in holds] == pytest.approx([1.0, 2.0], abs=1e-9)
+    assert [hold.hold_ratio for hold in holds] == pytest.approx([1.0, 1.0], abs=1e-6)
 
 
 def test_a_swing_that_dies_out_grows_or_goes_on() -> None:
-    assert verdicts(HAND_N + swing(1.5, 4.5, -2.0, 0.5)) == ["stable", "stable", "stable"]
-    assert verdicts(HAND_N + swing(1.5, 4.5, 2.0, 0.01)) == ["stable", "diverged", "stable"]
-    assert verdicts(HAND_N + swing(5.0, 9.0, 0.0, 0.3)) == ["stable", "stable", "limit_cycle"]
+    assert verdicts(HAND_N + swing(1.5, 4.5, -2.0, 0.5)) == ["stable", "stable"]
+    assert verdicts(HAND_N + swing(1.5, 4.5, 2.0, 0.01)) == ["diverged", "stable"]
+    assert verdicts(HAND_N + swing(5.0, 9.0, 0.0, 0.3)) == ["stable", "limit_cycle"]
 
 
-def test_what_the_step_before_left_behind_is_not_looked_at() -> None:
-    end_s = 5.0 + 0.9 * SETTLING_SHARE * 4.0
-    assert verdicts(HAND_N + swing(5.0, end_s, 0.0, 1.0)) == ["stable"] * 3
-
-
-@pytest.mark.parametrize(("forces", "kind"), [(1.9, "stable"), (2.1, "struck")])
-def test_a_blow_belongs_to_the_hold_that_it_is_in_or_that_follows(forces: float, kind: str) -> None:
-    for at_s, pressed_n, blown in ((4.7, 2.0, 2), (5.1, 2.0, 2), (1.2, 1.0, 1), (1.7, 1.0, 1)):
+@pytest.mark.parametrize(("forces", "is_struck"), [(1.9, False), (2.1, True)])
+def test_a_blow_belongs_to_the_hold_that_it_is_in_or_that_follows(forces: float, is_struck: bool) -> None:
+    for at_s, pressed_n, blown in ((4.7, 2.0, 1), (5.1, 2.0, 1), (1.2, 1.0, 0), (1.7, 1.0, 0)):
         tip_n = HAND_N.copy()
         tip_n[round(1e3 * at_s)] = forces * pressed_n
-        found = verdicts(tip_n)
-        assert found == [kind if index == blown else "stable" for index in range(3)], at_s
-        session = verdict_of(judge_holds(TIME_S, HAND_N, TIME_S, tip_n))
-        assert session[0] == kind
+        found = judge_holds(TIME_S, HAND_N, TIME_S, tip_n)
+        assert [hold.verdict for hold in found] == ["stable", "stable"]
+        assert [hold.has("struck") for hold in found] == [is_struck and index == blown for index in range(2)], at_s
 
 
 def test_small_is_measured_by_the_greatest_force_of_the_session() -> None:
     # 0.08 N from peak to peak: 8 % of the hold's own force, 4 % of the greatest
-    assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.04)) == ["stable"] * 3
-    assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.06)) == ["stable", "limit_cycle", "stable"]
+    assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.04)) == ["stable"] * 2
+    assert verdicts(HAND_N + swing(1.5, 4.5, 0.0, 0.06)) == ["limit_cycle", "stable"]
 
 
 def test_a_session_without_force_has_no_holds() -> None:
@@ -88,9 +85,8 @@ def test_a_tip_that_the_guard_tore_off_is_not_stable() -> None:
     following = TIME_S < 1.3
     torn = np.where(following, HAND_N, 0.0)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, torn, instrument(following, following & (HAND_N > 0.0)))
-    assert [hold.verdict for hold in holds] == ["stable", "guarded", "guarded"]
-    acted = "the instrument's guard acted at 1.300 s"
-    assert verdict_of(holds) == ("guarded", f"{acted}; until then the hold has 0 samples")
+    assert [hold.verdict for hold in holds] == ["guarded", "guarded"]
+    assert verdict_of(holds) == ("guarded", "the instrument's guard acted at 1.300 s")
 
 
 LIMITS = Limits(force_n=200e-9, silence_s=0.3)
@@ -106,7 +102,7 @@ def test_a_guard_that_acted_comes_first_with_its_time_and_limit() -> None:
     kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
     assert kind == "diverged"
     limit = "(force_limit: more than 200 nN on the tip)"
-    assert reason.startswith(f"the instrument's guard acted at 3.100 s {limit}; until then the motion grew")
+    assert reason.startswith(f"the instrument's guard acted at 3.100 s {limit}; until then a motion")
 
 
 def test_a_guard_that_acted_between_two_holds_is_not_passed_over() -> None:
@@ -114,7 +110,7 @@ def test_a_guard_that_acted_between_two_holds_is_not_passed_over() -> None:
     tip = instrument(following)
     programme = Programme(guards=[Guard(4.7, "hold_expired")], limits=LIMITS)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, tip, programme)
-    assert [hold.verdict for hold in holds] == ["stable"] * 3
+    assert [hold.verdict for hold in holds] == ["stable"] * 2
     kind, reason = verdict_of(holds, guard_of(TIME_S, tip, programme))
     assert kind == "guarded"
     assert reason.startswith("the instrument withdrew at 4.700 s because no command came (hold_expired: none for 300")
@@ -139,44 +135,113 @@ def test_a_stop_that_a_person_asked_for_is_no_guard() -> None:
     assert guard_of(np.array([]), Instrument(np.array([], dtype=bool), np.array([], dtype=bool))) == ""
 
 
-def test_the_tip_has_to_touch_and_press_as_the_hand_does() -> None:
-    assert verdict_of(judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, instrument()))[0] == "stable"
+def test_a_tip_that_never_arrived_is_no_verdict_on_the_law() -> None:
     away = judge_holds(TIME_S, HAND_N, TIME_S, np.zeros_like(TIME_S), instrument(touching=np.zeros(9000, dtype=bool)))
-    assert [hold.verdict for hold in away] == ["stable", "contact_lost", "contact_lost"]
-    wrong = judge_holds(TIME_S, HAND_N, TIME_S, 4.0 * HAND_N, instrument())
-    assert [hold.verdict for hold in wrong] == ["stable", "wrong_force", "wrong_force"]
+    assert [hold.verdict for hold in away] == ["cannot_say", "cannot_say"]
+    assert away[0].reason == "the tip had not reached the surface by the end of the hold: a longer hold would decide"
 
 
-def test_a_tip_that_meets_the_surface_late_in_a_hold_is_excused_once() -> None:
-    for contact_s in (3.4, 3.6, 3.8):
-        since_s = TIME_S - contact_s
-        approach = np.where(since_s < 0.15, -since_s * 8.0, HAND_N - 2.2 * np.exp(-(since_s - 0.15) / 0.15))
-        tip_n, touching = np.where(since_s < 0.0, 0.0, approach), since_s >= 0.0
-        hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(touching=touching))[1]
-        assert hold.verdict in ("settling", "cannot_say"), hold
-        assert "met the surface" in hold.reason or "late in the hold" in hold.reason
-        # one that was on the surface before, in the same hold, has been thrown off
-        again = touching | ((TIME_S > 2.6) & (TIME_S < 2.7))
-        thrown = np.where((TIME_S > 2.6) & (TIME_S < 2.7), 0.6 * HAND_N, tip_n)
-        hold = judge_holds(TIME_S, HAND_N, TIME_S, thrown, instrument(touching=again))[1]
-        assert "met the surface" not in hold.reason
-    # nor is one that was on the surface in an earlier hold of the same press
-    since_s = TIME_S - 8.2
-    approach = np.where(since_s < 0.15, -since_s * 8.0, 2.0 - 3.2 * np.exp(-(since_s - 0.15) / 0.15))
-    before = (TIME_S > 2.0) & (TIME_S < 4.0)
-    tip_n = np.where(before, HAND_N, np.where(since_s < 0.0, 0.0, approach))
-    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(touching=before | (since_s >= 0.0)))[2]
-    assert "met the surface" not in hold.reason
-    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(touching=since_s >= 0.0))[2]
-    assert hold.verdict in ("settling", "cannot_say"), hold
+def test_a_tip_that_left_for_good_has_lost_its_contact_and_one_that_comes_back_moves() -> None:
+    left = instrument(touching=(HAND_N > 0.0) & (TIME_S < 3.0))
+    holds = judge_holds(TIME_S, HAND_N, TIME_S, np.where(TIME_S < 3.0, HAND_N, 0.0), left)
+    assert holds[0].verdict == "contact_lost"
+    hammering = np.clip(HAND_N + swing(1.5, 4.5, 0.0, 1.6), 0.0, None)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, hammering, instrument(touching=hammering > 0.0))[0]
+    assert hold.verdict == "limit_cycle"
+    assert hold.judged_from_s == pytest.approx(1.5, abs=0.01)
+
+
+@pytest.mark.parametrize("force_gain", [2, 3, 5, 8, 9, 10, 11, 12, 15, 20, 50, 100])
+def test_a_law_is_measured_by_its_own_rest(force_gain: int) -> None:
+    tip_n = HAND_N / (1.0 + 1.0 / force_gain)
+    own = Programme(rest_force=lambda force_n: force_n / (1.0 + 1.0 / force_gain))
+    for known in (own, Programme()):
+        holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(), known)
+        assert [hold.verdict for hold in holds] == ["stable", "stable"]
+        assert not any(hold.has("off_force") for hold in holds)
+        assert [hold.hold_ratio for hold in holds] == pytest.approx([1.0 + 1.0 / force_gain] * 2, rel=1e-6)
+    other = Programme(rest_force=lambda force_n: 0.5 * tip_n[8000] / 2.0 * force_n)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(), other)[1]
+    assert (hold.verdict, hold.has("off_force")) == ("stable", True)
+
+
+def test_a_hold_in_which_nothing_moves_and_a_hand_that_has_parted_say_so() -> None:
+    stuck = np.where(TIME_S < 4.5, HAND_N, 1.0)
+    first, second = judge_holds(TIME_S, HAND_N, TIME_S, stuck, instrument())
+    assert (first.has("nothing_moved"), second.has("nothing_moved")) == (False, True)
+    apart = instrument()._replace(apart_m=np.full(9000, 9e-3))
+    (fact,) = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, apart)[0].facts
+    assert (fact.kind, fact.text) == ("parted", "hand and tip parted by 9 mm")
+
+
+@pytest.mark.parametrize("arrived_s", [1.6, 2.4, 3.4, 4.0])
+def test_a_tip_that_meets_the_surface_late_in_a_hold_is_judged_from_then_on(arrived_s: float) -> None:
+    since_s = TIME_S - arrived_s
+    landing = HAND_N - 2.2 * np.exp(-np.maximum(since_s, 0.0) / 0.05)
+    tip_n = np.where(since_s < 0.0, -0.3 * np.exp(np.minimum(since_s, 0.0) / 0.01), landing)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(touching=since_s >= 0.0))[0]
+    assert hold.verdict == "stable", hold
+    assert hold.has("arrived_late")
+    assert hold.judged_from_s == pytest.approx(arrived_s, abs=0.002)
+
+
+def starved(at_s: float, length_s: float) -> Programme:
+    """An outage of the link, which the tip notices a deadline of 50 ms later and the hand as well; 20 ms each way."""
+    kinds = ("tip_held", "hand_let_go")
+    why = {"tip_held": "command_deadline", "hand_let_go": "no command within the deadline"}
+    ends = (at_s + 0.07, at_s + 0.02 + length_s)
+    return Programme(
+        interruptions=[Interruption(kind, *ends, why[kind]) for kind in kinds],  # type: ignore[arg-type]
+        transit_s=0.04,
+    )
+
+
+@pytest.mark.parametrize("length_s", [0.12, 0.2])
+@pytest.mark.parametrize("at_s", [1.7, 2.2, 2.9, 3.6, 4.1, 4.3])
+def test_what_an_interruption_makes_the_tip_do_is_not_the_laws(at_s: float, length_s: float) -> None:
+    # starved, the tip goes on as it went, and comes back with a blow
+    since_s = TIME_S - at_s - 0.02
+    away = np.where((since_s > 0.0) & (since_s < length_s), 9.0 * since_s, 0.0)
+    back_s = np.maximum(since_s - length_s, 0.0)
+    back = np.where(since_s >= length_s, 1.5 * np.exp(-9.0 * back_s) * np.cos(30.0 * back_s), 0.0)
+    tip_n = HAND_N + np.where(TIME_S < 4.5, away + back, 0.0)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(), starved(at_s, length_s))[0]
+    assert hold.verdict in ("stable", "cannot_say"), hold
+    assert hold.has("interrupted")
+    # a law that swung before that is not excused
+    swinging = HAND_N + swing(1.5, 4.5, 0.0, 0.4)
+    before = judge_holds(TIME_S, HAND_N, TIME_S, swinging, instrument(), starved(at_s, length_s))[0]
+    assert before.verdict == ("limit_cycle" if at_s >= 2.2 else "cannot_say"), before
+
+
+def test_a_machine_that_is_late_is_named_and_blamed() -> None:
+    kicks = HAND_N + swing(2.0, 2.3, 0.0, 0.2) + swing(3.3, 3.6, 0.0, 0.2) + swing(4.0, 4.4, 0.0, 0.2)
+    late = Programme(late=[Late(2.0, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument(), late)[0]
+    assert hold.verdict == "cannot_say"
+    assert "the machine was late by 30 ms, 3 times" in hold.reason
+    assert judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument())[0].verdict == "limit_cycle"
+    # one that is late does not take a loop at rest its verdict
+    still = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N, instrument(), late)[0]
+    assert (still.verdict, still.has("machine_late")) == ("stable", True)
+
+
+def test_contact_is_taken_from_the_force_where_nobody_measures_it() -> None:
+    tip = instrument(touching=np.ones(9000, dtype=bool))._replace(knows_contact=False)
+    late = np.where(TIME_S > 3.0, HAND_N, 0.0)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, late, tip)[0]
+    assert hold.has("contact_by_force") and hold.has("arrived_late")
+    assert hold.judged_from_s == pytest.approx(3.0, abs=0.01)
 
 
 def test_a_session_is_called_by_its_worst_hold() -> None:
     holds = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N + swing(5.0, 9.0, 0.0, 1.0), instrument())
-    assert [hold.verdict for hold in holds] == ["stable", "stable", "limit_cycle"]
-    drifting = holds[1]._replace(verdict="drifting", reason="the force drifts")
-    assert verdict_of([holds[0], drifting, holds[2]]) == ("limit_cycle", holds[2].reason)
-    assert verdict_of([drifting, holds[0]]) == ("drifting", "the force drifts")
+    assert [hold.verdict for hold in holds] == ["stable", "limit_cycle"]
+    unsaid = holds[0]._replace(verdict="cannot_say", reason="a longer hold would decide")
+    assert verdict_of([holds[0], unsaid, holds[1]]) == ("limit_cycle", holds[1].reason)
+    # a hold of which nothing can be said is no verdict on the law
+    assert verdict_of([unsaid, holds[0]]) == ("stable", holds[0].reason)
+    assert verdict_of([unsaid]) == ("cannot_say", unsaid.reason)
 
 
 def test_every_verdict_has_a_place_among_the_worst() -> None:
@@ -184,9 +249,12 @@ def test_every_verdict_has_a_place_among_the_worst() -> None:
 
 
 def test_a_session_without_holds_cannot_be_called_stable() -> None:
-    assert verdict_of([]) == ("cannot_say", "the hand never stood still for long enough")
+    assert verdict_of([]) == (
+        "cannot_say",
+        "the hand never stood still for long enough: a hold of 0.5 s or more would decide",
+    )
     # a hand that lies on the device, as in Fig. 10, does stand still
-    idle = "the hand pressed with no force, so there is no hold to judge"
+    idle = "the hand pressed with no force, so there is no hold to judge: one that presses would decide"
     assert verdict_of([], greatest_n=0.0) == ("cannot_say", idle)
 
 
@@ -197,8 +265,7 @@ def test_a_slow_loop_that_does_not_swing_is_never_said_to(time_constant_s: float
     for n in range(1, len(TIME_S)):
         tip_n[n] = tip_n[n - 1] + 1e-3 / time_constant_s * (HAND_N[n] - tip_n[n - 1])
     found = judge_holds(TIME_S, HAND_N, TIME_S, tip_n)
-    assert {hold.verdict for hold in found} <= {"stable", "drifting", "wrong_force"}
-    assert not any("grows" in hold.reason or "neither grows" in hold.reason for hold in found)
+    assert {hold.verdict for hold in found} <= {"stable", "cannot_say"}
 
 
 def test_a_hold_that_lasts_into_a_scan_ends_where_the_scan_begins() -> None:
@@ -210,12 +277,12 @@ def test_a_hold_that_lasts_into_a_scan_ends_where_the_scan_begins() -> None:
     tip = instrument(following)
     programme = Programme(guards=[Guard(away[0], "retract_requested")], programs=[scanning])
     holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, programme)
-    assert [hold.verdict for hold in holds] == ["stable"] * 3
-    assert holds[1].end_s == scanning[0]
+    assert [hold.verdict for hold in holds] == ["stable"] * 2
+    assert holds[0].end_s == scanning[0]
     assert verdict_of(holds, guard_of(TIME_S, tip, programme))[0] == "stable"
     # what the guard itself does in the same place stays what it was
     acted = programme._replace(guards=[Guard(away[0], "force_limit")], programs=[])
-    assert "guard acted" in judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, acted)[1].reason
+    assert "guard acted" in judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip, acted)[0].reason
 
 
 def test_a_hold_in_which_somebody_stops_the_tip_is_judged_until_then() -> None:
@@ -223,8 +290,8 @@ def test_a_hold_in_which_somebody_stops_the_tip_is_judged_until_then() -> None:
     asked = Programme(guards=[Guard(7.0, "estop")])
     swinging = np.where(following, HAND_N + swing(5.0, 7.0, 0.0, 0.5), 0.0)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, swinging, instrument(following), asked)
-    assert [hold.verdict for hold in holds] == ["stable", "stable", "limit_cycle"]
-    assert holds[2].end_s == 7.0
+    assert [hold.verdict for hold in holds] == ["stable", "limit_cycle"]
+    assert holds[1].end_s == 7.0
     # nobody is held by a tip that is away
     assert max(hold.end_s for hold in holds) == 7.0
 
@@ -257,4 +324,4 @@ def test_no_swing_is_found_in_a_hold_or_in_a_scan() -> None:
     known = Programme(by_hand=True, programs=[(5.2, 9.0)])
     tip_n = HAND_N + swing(1.5, 4.5, 0.0, 0.5) + swing(5.3, 9.0, 0.0, 3.0)
     holds = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, programme=known)
-    assert [(hold.verdict, hold.frequency_hz) for hold in holds] == [("stable", None), ("limit_cycle", None)]
+    assert [(hold.verdict, hold.frequency_hz) for hold in holds] == [("limit_cycle", None)]

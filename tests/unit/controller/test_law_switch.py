@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from proto.errors import RefusedError
 from proto.sequence import Arrival
 from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
@@ -252,3 +253,61 @@ def test_dead_band_saves_messages_and_the_loop_lives(bench_of: Any, law: str) ->
     assert law == "virtual_impedance" or all(status.passive for status in rig.statuses)
     assert rig.statuses[-1].saved_percent == pytest.approx(100.0 * (1.0 - rig.forwards / 3000), rel=0.02, abs=0.0)
     assert 1e8 * 20.0 * rig.base == pytest.approx(1.0, rel=0.15, abs=0.0)
+
+
+@pytest.mark.check("holds a contact for seconds with both halves as nodes")
+@pytest.mark.parametrize(
+    ("law", "key", "factor"),
+    [
+        ("wave", "filter_s", 0.5),
+        ("wave", "filter_s", 2.0),
+        ("wave", "damping_n_s_per_m", 2.0),
+        ("passivity", "coupling_stiffness_n_per_m", 0.5),
+        ("passivity", "coupling_stiffness_n_per_m", 2.0),
+        ("passivity", "energy_cap_j", 0.1),
+        ("model_mediated", "guard_damping_n_s_per_m", 2.0),
+        ("virtual_impedance", "force_gain", 0.8),
+    ],
+)
+def test_a_setting_changes_in_a_held_contact_without_a_step_at_either_half(
+    bench_of: Any, law: str, key: str, factor: float
+) -> None:
+    rig = Rig(bench_of, law, delay=8)
+    rig.tick(2500)
+    (hand_m, base_m, shown_n, _), start = rig.rows[-1], len(rig.rows)
+    value = factor * getattr(rig.master.config.law_config(), key)
+    rig.set(rig.master, **{f"{law}.{key}": value})
+    rig.tick(3)
+    rig.set(rig.slave, **{f"{law}.{key}": value})
+    rig.tick(500)
+    rows = rig.rows[start:]
+    assert {mode for *_, mode in rows} == {"position"}
+    assert max(abs(hand - hand_m) for hand, *_ in rows) <= 1e-4
+    assert max(abs(shown - shown_n) for _, _, shown, _ in rows) <= 0.05
+    assert max(1e8 * 20.0 * abs(base - base_m) for _, base, *_ in rows) <= 0.05
+    assert [status.passive for status in (*rig.statuses, *rig.tip_status) if status.passive is False] == []
+
+
+@pytest.mark.parametrize(
+    ("law", "key"),
+    [
+        *((law, scale) for law in LAWS for scale in ("position_scale", "force_scale")),
+        ("wave", "impedance_n_s_per_m"),
+        ("model_mediated", "cantilever_stiffness_n_per_m"),
+    ],
+)
+def test_a_scale_waits_until_the_tip_is_off_the_sample_and_both_halves_say_why(
+    bench_of: Any, law: str, key: str
+) -> None:
+    rig = Rig(bench_of, law, delay=2)
+    rig.tick(300)
+    value = 1.25 * getattr(rig.master.config.law_config(), key)
+    for half in (rig.master, rig.slave):
+        before = half.params
+        with pytest.raises(RefusedError, match=f"{law}.{key} cannot be changed while the tip touches"):
+            rig.set(half, **{f"{law}.{key}": value})
+        assert half.params == before
+    rig.master.signal = rig.master.signal._replace(in_contact=False)
+    rig.slave.tip = rig.slave.tip._replace(in_contact=False)
+    for half in (rig.master, rig.slave):
+        assert f"{law}.{key}" in rig.set(half, **{f"{law}.{key}": value})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.controller.config import LAWS, OWN_LAWS, ControllerConfig
+from services.controller.config import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
 from services.controller.law import (
     HandSample,
     Law,
@@ -16,8 +16,10 @@ from services.controller.law import (
     PortSignal,
     SlaveReference,
     TipMeasurement,
+    checked_law,
     law_of,
     no_energy_account,
+    the_hands_force,
 )
 from services.controller.law_names import LAW_NAMES
 from services.controller.law_rules import RULES, broken_rules
@@ -50,14 +52,25 @@ def test_table_is_made_of_the_steps_that_a_module_has() -> None:
         master_send=wave.master_send, master_receive=wave.master_receive, slave_start=wave.slave_start,
         slave_receive=wave.slave_receive, slave_send=wave.slave_send, retune=wave.retune,
         master_energy_account=wave.master_energy_account, slave_energy_account=wave.slave_energy_account,
-        uses_waves=True, uses_energy=True, local_loop=True,
+        uses_waves=True, uses_energy=True, local_loop=True, passive=True, slave_retune=wave.slave_retune,
+        fixed_in_contact=("impedance_n_s_per_m",), rest_force=the_hands_force,
     )  # fmt: skip
     smith = LAWS["smith"]
     assert (smith.slave_start, smith.slave_receive, smith.slave_send) == (
         pass_through.slave_start, pass_through.slave_receive, pass_through.slave_send,
     )  # fmt: skip
     assert smith.master_energy_account is smith.slave_energy_account is no_energy_account
-    assert not (smith.uses_waves or smith.uses_energy or smith.local_loop)
+    assert not (smith.uses_waves or smith.uses_energy or smith.local_loop or smith.passive)
+    assert smith.link_loop
+
+
+def test_a_law_says_whether_it_closes_a_loop_what_it_promises_and_what_it_must_know() -> None:
+    assert {name for name, law in KNOWN_LAWS.items() if not law.link_loop} >= {"model_mediated", "tactile"}
+    assert {name for name, law in OWN_LAWS.items() if law.passive} == {"wave", "passivity"}
+    assert LAWS["model_mediated"].must_know == ("cantilever_stiffness_n_per_m",)
+    unknown = replace(LAWS["wave"], must_know=("mood",))
+    with pytest.raises(ValueError, match="its settings have no mood, which must_know names"):
+        checked_law("wave", unknown)
 
 
 def test_law_without_a_step_is_not_made() -> None:
@@ -76,7 +89,7 @@ def test_the_law_keeps_the_rules_that_the_rig_relies_on(name: str) -> None:
     # the corners of the ranges have tests of their own
     rules = [rule for rule in RULES if rule.name != "gives numbers at the corners of every range"]
     assert {rule.name: faults for rule in rules if (faults := list(rule.broken_by(name)))} == {}
-    assert len(rules) == 8
+    assert len(rules) == 9
 
 
 class Bench:

@@ -263,5 +263,6 @@ def test_retune_keeps_tip_and_impulse() -> None:
     state = master_start(PARAMS, HandSample(5e-3, 0.0, 0.0, True))._replace(impulse_m=2e-3)
     other = WaveConfig(impedance_n_s_per_m=50.0, position_scale=3e-6).to_params(T)
     after = retune(PARAMS, other, state)
-    assert after.impulse_m * 50.0 == pytest.approx(2e-3 * B, rel=1e-14, abs=0.0)
+    # at the tip's scale, where the slave hears it
+    assert after.impulse_m * 50.0 * 3e-6 == pytest.approx(2e-3 * B * PARAMS.mass.position_scale, rel=1e-14, abs=0.0)
     assert 3e-6 * 5e-3 + after.mass.tip_offset_m == pytest.approx(1.5e-6 * 5e-3, rel=1e-13, abs=0.0)

@@ -1,7 +1,11 @@
 """Every network that comes with the project has the statistics that its file states, by the link's own engine."""
 
 import math
+import os
+import subprocess
+import sys
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,3 +141,17 @@ def test_a_network_whose_messages_are_drawn_one_by_one_says_so_in_its_sentence(n
     way = parse_settings({"profile": name}).forward
     says = "drawn by itself" in PROFILES[name].about or "no memory known" in PROFILES[name].about
     assert says or not drawn_by_itself(way)
+
+
+def test_a_folder_of_the_environment_has_networks_too(tmp_path: Path) -> None:
+    own = (NETWORK_DIRECTORY / "lte.yaml").read_text(encoding="utf-8")
+    (tmp_path / "my_line.yaml").write_text(own, encoding="utf-8")
+    # a name of the package is not replaced
+    (tmp_path / "dsl.yaml").write_text(own, encoding="utf-8")
+    code = (
+        "from services.delay_node.profiles import PROFILES, profile_named\n"
+        "print(profile_named('my_line').about == PROFILES['lte'].about, PROFILES['dsl'].about == PROFILES['lte'].about)"
+    )
+    environment = {**os.environ, "TELENANO_NETWORKS": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False"]

@@ -449,13 +449,13 @@ def test_messages_of_another_version_are_named_before_they_are_played(tmp_path: 
     writer = RecordingWriter.create(NODE, RecorderConfig(directory=tmp_path))
     hand = writer.channel("haptic/state", HAND, "master")
     for seq in range(3):
-        newer = haptic_state(seq).model_copy(update={"v": 4})
+        newer = haptic_state(seq).model_copy(update={"v": 5})
         writer.write(hand, EPOCH_NS + seq, EPOCH_NS + seq, seq, encode(newer))
     writer.finish()
     recording = Recording(writer.path)
     (text,) = refused_messages(recording, Playback(recording, lambda channel: True, Span()))
     assert text.startswith("every reader of this version refuses what is played on haptic/state: haptic/state, seq 0:")
-    assert "schema version 4" in text
+    assert "schema version 5" in text
 
 
 def test_what_a_played_node_lacks_is_named(tmp_path: Path, book: AddressBook) -> None:

@@ -249,7 +249,7 @@ def header(**changes: Any) -> bytes:
         ([b"haptic/state", b"\x93\x01\x02\x03"], "malformed"),
         ([b"haptic/state", b"\x91" * 2000], "malformed"),
         ([b"haptic/state", bytes(MAX_MESSAGE_BYTES + 1)], "oversized"),
-        ([b"haptic/state", header(v=4)], "newer_version"),
+        ([b"haptic/state", header(v=5)], "newer_version"),
         ([b"haptic/state", header(v=0)], "schema"),
         ([b"haptic/state", header(seq=-1)], "schema"),
         ([b"haptic/state", header(seq=True)], "schema"),

@@ -94,6 +94,15 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ("? [a]\n: 1", "is not valid YAML: .*unhashable key"),
         ("a: " + "[" * 600, "is not valid YAML: it is nested too deeply"),
         ("a: \x00", "is not valid YAML"),
+        ("duration_s: 012", "is not valid YAML: 012 in line 1 is no number of base 10: write 12, or '012' for a text"),
+        ("a: 1\nseed: -0100", "is not valid YAML: -0100 in line 2 is no number of base 10: write -100"),
+        ("d: 1:30", "is not valid YAML: 1:30 in line 1 is no number of base 10: write 90 for so many seconds"),
+        ("d: [1:02:03.5]", "is not valid YAML: 1:02:03.5 in line 1 is no number of base 10: write 3723.5"),
+        ("d: 0x1F", "is not valid YAML: 0x1F in line 1 is no number of base 10: write 31, or '0x1F' for a text"),
+        ("d: 0o17", "is not valid YAML: 0o17 .*: write 15"),
+        ("d: 0b11", "is not valid YAML: 0b11 .*: write 3"),
+        ("d: [007, 008]", "is not valid YAML: 007 .*: write 7"),
+        ("d: 00.5", "is not valid YAML: 00.5 .*: write 0.5"),
     ],
 )
 def test_what_is_not_a_mapping_in_yaml_is_refused_with_its_file(tmp_path: Path, text: str, message: str) -> None:

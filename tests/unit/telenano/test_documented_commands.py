@@ -48,6 +48,7 @@ def arguments_in(line: str) -> Iterator[list[str]]:
 # names of packages of the reader's own, and what takes their place here
 PLACEHOLDERS = {
     "$(cat out/line/way.json)": "{order: link}",
+    "$(cat out/line/way_back.json)": "{delay_s: 0.01}",
     "my_law": "position_force",
     "{kind: my_hand, tremor_n: 0.1}": "{kind: force_profile}",
     "program=my_circle": "program=curve",

@@ -17,7 +17,7 @@ from services.delay_node.profiles import PROFILES
 from telenano_experiments.benchmark.plan import TASKS, VERSION, Plan
 from telenano_experiments.benchmark.run import MEASURES, Outcome, rounded
 
-# A run is held when its verdict is one of these.
+# A run is held when it came to rest, with the force that it should have, and unstruck.
 HELD = ("stable",)
 # energy below this was made by the loop and not left by rounding [mJ]
 LEAST_MJ = -1e-3

@@ -20,7 +20,7 @@ from services.runtime.settings.config import validate
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Series, Trajectory, build_rig, simulate
 from telenano_experiments.benchmark.etvo import Offsets, etvo
-from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task, is_random
+from telenano_experiments.benchmark.plan import SWING_HZ, TASKS, Run, Task
 
 # Every figure of the result has so many digits: those after them are beyond what a model means.
 DIGITS = 9
@@ -53,7 +53,7 @@ MEASURES: dict[str, Measure] = {
 
 
 class Outcome(NamedTuple):
-    """A run, its verdict with the reason in words, and its measures; None is one that this run has not."""
+    """A run, its verdict or how it came to rest wrongly, the reason in words, and its measures, None if it has none."""
 
     cell: Run
     verdict: str
@@ -78,13 +78,11 @@ def run(run: Run) -> Outcome:
     course = course_of(run, points, end_s)
     scales = scales_of(run.cell.controller())
     held = course_until(course, held_s)
-    # the verdict allows for chance where there is any: the loss of the cell stands for all that is random in the link
-    chance = {"loss": 1e-9 if is_random(run.network) else 0.0}
-    result = judged(run.cell.model_copy(update=chance), held)
+    result = judged(run.cell, held)
     found = {**dict.fromkeys(MEASURES), **_held(result, held, scales, TASKS[run.task])}
     if TASKS[run.task].follows and _followed(course):
         found |= _swung(course, begin_s, scales, TASKS[run.task])
-    return Outcome(run, result.verdict, result.reason, {name: rounded(value) for name, value in found.items()})
+    return Outcome(run, result.outcome, result.reason, {name: rounded(value) for name, value in found.items()})
 
 
 def course_of(run: Run, points: Sequence[tuple[float, float]], end_s: float) -> Trajectory:

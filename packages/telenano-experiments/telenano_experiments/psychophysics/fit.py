@@ -10,6 +10,7 @@ Intervals by profile likelihood had the threshold of short staircases in 84 to 8
 width be narrow, and so the threshold certain. That width is what the prior takes away.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -30,6 +31,10 @@ _CUT_OFF = 0.05
 # The grid closes in on what is no further below the maximum, in units of the logarithm of the posterior.
 _KEPT = 10.0
 _LEAST = 1e-300
+# A track tells little whose interval reaches further to either side than this share of its threshold.
+_LITTLE_SHARE = 0.5
+# An observer is said to learn from this score on, which one who does not learn has in 1 of 100 tracks.
+_LEARNS = 2.33
 # Intervals of fewer answers were not tried with simulated observers.
 LEAST_TRIALS = 12
 
@@ -48,7 +53,7 @@ class Estimate(NamedTuple):
         proportion: The share of correct answers at the threshold.
         trials: How many answers there were.
         method: How the interval was found.
-        note: A sentence where the interval is not to be relied on, else empty.
+        note: Why the interval or the threshold is not to be relied on, or tells little; else empty.
     """
 
     threshold: float | None
@@ -140,9 +145,52 @@ def posterior(
     lapse = float(total(total(total(density * grid.lapses))) / whole)
     is_bounded = [part < _CUT_OFF * float(share.max()) for part in (share[0], share[-1])]
     least, greatest = low if is_bounded[0] else None, high if is_bounded[1] else None
-    short = f"an interval of {len(given)} trials is not to be relied on; it was tried with {LEAST_TRIALS} and more"
-    note = short if len(given) < LEAST_TRIALS else ""
+    centre = parts[0] - (0.0 if proportion is None else width * model.distance_of(proportion, lapse))
+    notes = [_short(len(given)), _little(level, least, greatest), _learning(given, model, (centre, width, lapse))]
+    note = "; ".join(filter(None, notes))
     return Estimate(level, least, greatest, confidence, width, lapse, middle, len(given), note=note)
+
+
+def _short(trials: int) -> str:
+    if trials >= LEAST_TRIALS:
+        return ""
+    return f"an interval of {trials} trials is not to be relied on; it was tried with {LEAST_TRIALS} and more"
+
+
+def _little(level: float, low: float | None, high: float | None) -> str:
+    """Say that a track tells little, where its interval is wide beside its threshold, or open."""
+    if low is None or high is None:
+        return "this track tells little: the answers do not bound the threshold at both ends"
+    share = 0.5 * (high - low) / abs(level) if level else math.inf
+    if share <= _LITTLE_SHARE:
+        return ""
+    return (
+        f"this track tells little: its interval is the threshold within {100.0 * share:.0f} %; more trials, or QUEST+,"
+        " make it narrower"
+    )
+
+
+def _learning(answers: Sequence[Answer], model: Psychometric, function: tuple[float, float, float]) -> str:
+    """Say that answers get better along a track, by the score of a trend beside the function that was fitted.
+
+    sum (y - p)(n - mean n) / sqrt(sum p (1 - p)(n - mean n)^2), for answers y at the shares p of trials n, is a
+    standard normal number for an observer who does not change, however the levels are chosen.
+    """
+    if len(answers) < LEAST_TRIALS:
+        return ""
+    places = model.on_axis([level for level, _ in answers])
+    threshold, width, lapse = map(np.asarray, function)
+    shares = model.share(places, threshold, width, lapse)
+    right = np.array([correct for _, correct in answers], dtype=float)
+    order = np.arange(len(answers)) - 0.5 * (len(answers) - 1)
+    variance = float(total(shares * (1.0 - shares) * order * order))
+    score = float(total((right - shares) * order)) / math.sqrt(variance) if variance > 0.0 else 0.0
+    if score < _LEARNS:
+        return ""
+    return (
+        f"the answers get better along the track (score {score:.1f}): the observer learns, and the threshold is that of"
+        " no moment; give practice before, or leave out the first trials"
+    )
 
 
 class _Grid:

@@ -3,7 +3,8 @@
 The laws are tuned by one rule (`tuning`), and run in lockstep on the network with several seeds and four
 hands: one of constant force, and a soft, an ordinary and a stiff arm that go where they would press with the same force
 if hand and sample were one. Each is tried with the force clamp off and on. A law is suited if every one of these runs
-is stable by `analysis.verdict`. Those that are suited are ranked by a price, the sum of
+is stable by `analysis.verdict` and came to rest with the force that it should, unstruck. Those that are suited are
+ranked by a price, the sum of
 
 - the share of the force that the worst of the arms lacks or has too much at the tip in a hold,
 - the share by which the greatest force at the tip exceeds the hand's, and
@@ -105,7 +106,7 @@ class Candidate:
 
     @property
     def failed(self) -> list[CellResult]:
-        return [result for result in self.results if result.verdict != "stable"]
+        return [result for result in self.results if result.outcome != "stable"]
 
     @property
     def free_n_s_per_m(self) -> float:

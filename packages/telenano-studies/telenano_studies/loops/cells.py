@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from analysis.verdict import STRUCK_FORCES as STRUCK_FORCES
-from analysis.verdict import Circumstances, judge, struck
+from analysis.holds import STRUCK_FORCES as STRUCK_FORCES
+from analysis.holds import FactKind, judge_holds
 from proto.errors import ConfigError, known_names
 from services.afm_node.config import SAMPLES, AfmConfig
 from services.afm_node.physics.cantilever import Plant
@@ -30,13 +30,14 @@ from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, SafetyParams
 from services.afm_node.section_config import CantileverConfig, SafetyConfig
 from services.controller.config import LAWS, ControllerConfig
 from services.delay_node.config import LinkSettings, parse_settings
-from services.haptic_node.config import HapticConfig
+from services.haptic_node.config import HapticConfig, LimitsConfig
 from services.haptic_node.operator_config import ARMS
 from services.numerics.source_digest import source_digest
 from services.runtime.settings.config import Settings, merge, nested, validate
 from services.runtime.settings.option import Option
 from studies.loops.link import Schedule, schedule_of
 from studies.loops.lockstep import Rig, Series, Trajectory, build_rig, simulate, time_to_place_s
+from studies.loops.simulation import instrument_of, known_of, programme_of
 from telenano_studies import option_values
 from telenano_studies.loops.body import body_params
 from telenano_studies.loops.linear_loop import Hand as Hand
@@ -80,6 +81,8 @@ _LIMITS = SafetyParams(**SafetyConfig().model_dump())
 # the first part of a hold is the answer to the step before it
 _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
+# A tip of which one of these is true came to rest, and not as the hand meant it to.
+WRONG_RESTS: tuple[FactKind, ...] = ("nothing_moved", "off_force", "struck")
 
 
 class Conditions(Settings):
@@ -263,7 +266,7 @@ class CellResult:
     greatest alpha_f F_s of the session [N]. In the later half of the hold, on average: tip_n, alpha_f F_s [N]; hand_n,
     F_m [N]; apart_m, how far the hand is ahead of the tip, x_m - x_s / alpha_p [m]. hand_work_j: work of the hand [J].
     guarded_share: part of the session in which a guard had taken over: the instrument did not follow, or the motor was
-    off.
+    off. facts: what else is true of the hold, by `analysis.holds.FactKind`.
     """
 
     cell: Cell
@@ -281,6 +284,13 @@ class CellResult:
     apart_m: float | None = None
     hand_work_j: float | None = None
     guarded_share: float | None = None
+    facts: tuple[str, ...] = ()
+
+    @property
+    def outcome(self) -> str:
+        """The verdict, or, where the cell came to rest in another way than it should, the fact that says how."""
+        wrong = next((fact for fact in self.facts if fact in WRONG_RESTS), "stable")
+        return wrong if self.verdict == "stable" else self.verdict
 
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain data; `from_dict` is the inverse."""
@@ -288,7 +298,8 @@ class CellResult:
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> "CellResult":
-        return cls(**{**data, "cell": Cell.model_validate_json(json.dumps(data["cell"]))})
+        own = {"cell": Cell.model_validate_json(json.dumps(data["cell"])), "facts": tuple(data.get("facts", ()))}
+        return cls(**{**data, **own})
 
 
 class Energies(NamedTuple):
@@ -375,49 +386,32 @@ def _network_schedule(network: str, seed: int, ticks: int, period_s: float, *, p
     return schedule_of(parse_settings({"profile": network, "seed": seed}), ticks, period_s, play_out=play_out)
 
 
-def judged(cell: Cell, course: Trajectory, *, noisy: bool = False) -> CellResult:
-    """Return the verdict on a session of this cell, with its figures.
-
-    Args:
-        cell: The cell.
-        course: Its session.
-        noisy: Whether the link of the session was random although the cell's is not.
-    """
-    scales = scales_of(cell.controller())
+def judged(cell: Cell, course: Trajectory) -> CellResult:
+    """Return the verdict on a session of this cell, with its figures."""
+    controller = cell.controller()
+    scales = scales_of(controller)
     start_s, end_s = cell.hold_s()
     # a pause in the commands makes the instrument hold for a moment; what ends the session is the retraction
     lost = (course.instrument_mode != MODE_FOLLOW) & (course.instrument_mode != MODE_HOLD)
     ended = int(np.argmax(lost)) if lost.any() else len(lost)
+    force = scales.force_scale * course.tip_force_n
+    tip = instrument_of(course, scales.position_scale, knows_contact=cell.environment == "tip_sample")
+    deadlines_s = (SafetyConfig().command_deadline_s, LimitsConfig().command_deadline_s)
+    known = programme_of(course, None, known_of(controller, cell.round_trip_s + controller.period_s, *deadlines_s))
+    late = course.hand_force_n[int(np.searchsorted(course.time_s, 0.5 * (start_s + end_s))) : ended]
+    span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
+    (found,) = judge_holds(course.time_s, course.hand_force_n, course.time_s, force, tip, known, (span,))
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))
     if ended < len(lost):
         # A run that a guard ended early is judged from the beginning of the hold.
         first = int(np.searchsorted(course.time_s, start_s))
     hold = slice(min(first, ended), ended)
     later = slice((hold.start + hold.stop) // 2, hold.stop)
-    last = slice(hold.stop - (hold.stop - hold.start) // 4, hold.stop)
-    # the instrument stands still while no command comes, and withdraws when that lasts
-    starved = 0 < ended < len(lost) and course.instrument_mode[ended - 1] == MODE_HOLD
-    force = scales.force_scale * course.tip_force_n
-    found = judge(
-        course.time_s[hold],
-        force[hold],
-        _LEVELS_N[cell.environment][-1],
-        Circumstances(
-            guarded=ended < len(lost),
-            noisy=noisy or cell.has_random_link or bool(cell.disturbances),
-            touching=float(course.in_contact[later].mean()) if later.stop > later.start else None,
-            expected_n=float(course.hand_force_n[later].mean()) if later.stop > later.start else None,
-            touching_at_end=float(course.in_contact[last].mean()) if last.stop > last.start else None,
-            guard=f"the instrument withdrew at {course.time_s[ended]:.3f} s because no command came" if starved else "",
-            starved=bool(starved),
-        ),
-    )
     peak_n = float(force[:ended].max(initial=0.0))
-    found = struck(found, peak_n, _LEVELS_N[cell.environment][-1])
     pressed = force[hold] > 0.0
     return CellResult(
         cell,
-        found.kind,
+        found.verdict,
         found.growth_per_s,
         found.peak_to_peak_n,
         1.0 - float(course.in_contact[hold].mean()) if ended > first else 1.0,
@@ -429,6 +423,7 @@ def judged(cell: Cell, course: Trajectory, *, noisy: bool = False) -> CellResult
         *_held(course, scales, later),
         float(course.hand_energy_j[-1] - course.hand_energy_j[0]),
         float(np.mean((course.instrument_mode != MODE_FOLLOW) | ~course.hand_following)),
+        tuple(fact.kind for fact in found.facts),
     )
 
 

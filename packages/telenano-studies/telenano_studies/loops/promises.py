@@ -14,6 +14,7 @@ import statistics
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from services.controller.config import OWN_LAWS
 from telenano_studies.loops.cells import Cell, CellResult, Environment, Hand
 from telenano_studies.loops.links import Uneven
 from telenano_studies.loops.sweep import Sweep
@@ -36,7 +37,7 @@ UNEVEN_MS = (15.0, 30.0, 60.0, 120.0)
 _JITTER = 0.25
 LEAST_J = -1e-6
 # the laws that promise passivity over any link
-PASSIVE_LAWS = ("wave", "passivity")
+PASSIVE_LAWS = tuple(name for name, law in OWN_LAWS.items() if law.passive)
 _INTENDED_N: dict[str, float] = {"spring": 1.0, "tip_sample": 2.0}
 
 
@@ -44,7 +45,8 @@ class Outcome(NamedTuple):
     """What became of a law at a round trip [ms]: runs, those with energy >= LEAST_J and the least [J], and stable ones.
 
     share, least_share: median and least force at the tip over the intended one, and apart_m, the median of how far the
-    hand is ahead of the tip [m], of the runs that were stable; None where none was. failed: verdicts of the others.
+    hand is ahead of the tip [m], of the runs that were stable and came to rest as they should; None where none was.
+    failed: what became of the others.
     """
 
     law: str
@@ -115,12 +117,12 @@ def outcomes(
 
 
 def _row(law: str, hand: str, round_trip_ms: float, results: Sequence[CellResult]) -> Outcome:
-    stable = [result for result in results if result.verdict == "stable"]
+    stable = [result for result in results if result.outcome == "stable"]
     shares = [(result.tip_n or 0.0) / _INTENDED_N[result.cell.environment] for result in stable]
     failed: dict[str, int] = {}
     for result in results:
-        if result.verdict != "stable":
-            failed[result.verdict] = failed.get(result.verdict, 0) + 1
+        if result.outcome != "stable":
+            failed[result.outcome] = failed.get(result.outcome, 0) + 1
     return Outcome(
         law=law,
         hand=hand,

@@ -29,11 +29,10 @@ _RATES_PER_S = (-10.0, -1.0, 0.0, 1.0, 10.0)
 
 VERDICT_WORDS = (
     "Stable: the motion of the tip's force dies out while the hand's force stands still, or is smaller than a"
-    " twentieth of it, and the tip touches and presses with what the hand presses with, to a tenth. Limit cycle: the"
-    " motion neither grows nor dies out (over a link with jitter or loss, a motion that the link's randomness keeps up"
-    " is one too, and so is one that a disturbance drives). Diverged: a mode of it grows. Drifting: the force goes on"
-    " in one direction. Released: neither hand nor tip presses. Wrong force, contact lost, guarded: it stands still,"
-    " but not as it should. The growth rate is that of the mode that decides."
+    " twentieth of it. Limit cycle: the motion neither grows nor dies out (over a link with jitter or loss, a motion"
+    " that the link's randomness keeps up is one too, and so is one that a disturbance drives). Diverged: a mode of it"
+    " grows. Contact lost: the tip left the surface and stays away. Guarded: the instrument withdrew. Cannot say: the"
+    " hold is too short, or noise hides it. The growth rate is that of the mode that decides."
 )
 SAMPLE_PERIOD = (
     "The sample period adds its own delay. A constant delay of the link acts in whole samples, and the zero-order hold "

@@ -17,6 +17,8 @@ from numpy.lib import format as npy
 
 from presets.regular_files import open_regular
 from proto.errors import ConfigError, probably_meant
+from recording.text_tables import as_number, read_table
+from recording.units import unit_of
 from services.afm_node.physics.sample.surface import MOST_PIXELS, Surface, checked
 from services.runtime.untrusted.file_readers import read_by_package
 
@@ -25,6 +27,18 @@ _LONGEST_GSF_HEADER = 1 << 16
 _NPY_HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 # metres in a unit of length, as files write it
 METRES = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9, "pm": 1e-12, "Å": 1e-10}
+_LENGTH = (("m", 1.0),)
+_TEXTS = (".txt", ".csv", ".tsv", ".asc")
+# what the head of a matrix says: a side with its unit, and the unit of the values
+_SAID = {
+    "width": r"(?i)\bwidth\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
+    "height": r"(?i)\bheight\s*[:=]\s*([\d.,eE+-]+)\s*(\S+)",
+    "values": r"(?i)\b(?:value|z)[ -]*units?\s*[:=]\s*(\S+)",
+}
+# Two columns of more rows are a curve or a spectrum.
+_LONGEST_OF_TWO = 8
+# Heights in metres are below it; greater values are of another unit.
+_HIGHEST_M = 1e-4
 # samples that are made, and no files
 SHAPES = ("flat", "dots", "grating")
 _HEIGHT_NAMES = re.compile(r"height|topo|\bz\b|z_?sensor", re.IGNORECASE)
@@ -49,15 +63,15 @@ def read_surface(
     Args:
         path: The file.
         channel: A part of the name of one of several channels; None takes the first that is a height.
-        size_m: The side of a square map in a .npy file [m], which does not say it itself; its heights are metres.
+        size_m: The width of a map in a .npy file (square, heights in metres) or a text table that lacks it [m].
         may_lack: Whether heights may be missing; they are NaN then.
 
     Raises:
         ConfigError: The file cannot be used; the message names it and what is wrong with it.
     """
     read = _READERS.get(path.suffix.lower(), _read_by_package)
-    if size_m is not None and path.suffix.lower() != ".npy":
-        raise ConfigError(f"{path}: says its own size; a size is given for .npy files only")
+    if size_m is not None and path.suffix.lower() not in (".npy", *_TEXTS):
+        raise ConfigError(f"{path}: says its own size; a size is given for .npy files and text tables only")
     try:
         found = _chosen(read(path, size_m), channel)
         scale = _metres(found.unit_z, f"the heights of channel {found.name}")
@@ -115,6 +129,40 @@ def _read_npy(path: Path, size_m: float | None) -> list[_Channel]:
         file.seek(0)
         values = npy.read_array(file, allow_pickle=False)
     return [_Channel("heights", values, size_m, size_m, "m", "m")]
+
+
+def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
+    """Read a matrix of heights in text: rows from the top down; a head may say its sizes and the unit of its values."""
+    try:
+        table = read_table(path)
+    except ConfigError:
+        # a format of its own, which a package may know
+        return _read_by_package(path, size_m)
+    if len(table.columns) == 2 and len(table.lines) > _LONGEST_OF_TWO:
+        raise ValueError(f"is a table of two columns and {len(table.lines)} rows, and no matrix of heights")
+    values = np.array([table.numbers(column) for column in table.columns]).T[::-1]
+    _check_pixels(values.shape)
+    said = {key: found[0] for key, words in _SAID.items() if (found := re.findall(words, "\n".join(table.head)))}
+    sides: list[float | None] = []
+    for key in ("width", "height"):
+        number, word = as_number(said[key][0]) if key in said else None, said.get(key, ("", ""))[1]
+        unit = unit_of(word)
+        if number is not None and (unit is None or unit.powers != _LENGTH):
+            raise ValueError(f"its head gives the {key} in {word!r}, which is no unit of length")
+        sides.append(None if number is None or unit is None else number * unit.factor)
+    width = sides[0] if size_m is None else size_m
+    if width is None:
+        raise ValueError(
+            "is a matrix of heights without a size: give its width (--size), or write `# Width: 1 µm` above"
+        )
+    # without a side of its own the pixels are square
+    depth = sides[1] if size_m is None and sides[1] is not None else width * len(values) / len(values[0])
+    unit = unit_of(said["values"]) if "values" in said else None
+    if "values" in said and (unit is None or unit.powers != _LENGTH):
+        raise ValueError(f"its head gives its values in {said['values']!r}, which is no unit of length")
+    if unit is None and not np.nanmax(np.abs(values)) < _HIGHEST_M:
+        raise ValueError("its values are no heights in m: write their unit above them, as in `# Value units: nm`")
+    return [_Channel("heights", values * (unit.factor if unit else 1.0), width, depth, "m", "m")]
 
 
 def _check_pixels(shape: tuple[int, ...]) -> None:
@@ -177,4 +225,8 @@ def _read_by_package(path: Path, size_m: float | None) -> list[_Channel]:
     ]
 
 
-_READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {".npy": _read_npy, ".gsf": _read_gsf}
+_READERS: dict[str, Callable[[Path, float | None], list[_Channel]]] = {
+    ".npy": _read_npy,
+    ".gsf": _read_gsf,
+    **dict.fromkeys(_TEXTS, _read_text),
+}

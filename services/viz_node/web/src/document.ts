@@ -15,6 +15,8 @@ export interface Hold {
   hand_force_n: number;
   verdict: string;
   reason: string;
+  /** What else is true of it, such as that the tip was struck. */
+  facts?: readonly { kind: string; value: number; text: string }[];
   growth_per_s: number | null;
   peak_to_peak_n: number;
   /** Of a swing that stands in the place of a hold, where a person is the hand [Hz]. */

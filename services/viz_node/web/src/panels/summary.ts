@@ -27,7 +27,12 @@ const VERDICTS = { good: "good", warn: "warn", bad: "error" };
 /** Whether a verdict is good, bad, or none that says so. */
 export function kindOf(verdict: string): "good" | "warn" | "bad" {
   if (verdict === "stable") return "good";
-  return ["settling", "drifting", "cannot_say", "released"].includes(verdict) ? "warn" : "bad";
+  return ["cannot_say", "no_data", "released"].includes(verdict) ? "warn" : "bad";
+}
+
+/** The facts of a hold that somebody has to know of who sees that it is stable. */
+export function warnings({ facts }: Pick<Hold, "facts">): string[] {
+  return (facts ?? []).filter(({ kind }) => !["arrived_late", "contact_by_force"].includes(kind)).map(({ text }) => text);
 }
 
 /** A number with two decimals, and without a sign where it is none of them. */
@@ -42,7 +47,7 @@ export function rangeText([least, greatest]: readonly [number, number]): string 
 
 /** The holds that say something, and how many of the others there are of each kind. */
 export function sorted(holds: readonly Hold[]): { notable: Hold[]; others: Hold[]; words: string } {
-  const isQuiet = ({ verdict, frequency_hz }: Hold): boolean => (verdict === "stable" || verdict === "released") && !frequency_hz;
+  const isQuiet = (hold: Hold): boolean => (hold.verdict === "stable" || hold.verdict === "released") && !hold.frequency_hz && !warnings(hold).length;
   const others = holds.filter(isQuiet);
   if (others.length <= MOST_QUIET) return { notable: [...holds], others: [], words: "" };
   const count = (kind: string): string => {
@@ -101,8 +106,9 @@ export class SummaryPanel implements Panel {
   /** A hold, which is a way to its place. */
   private rowOf(hold: Hold): HTMLElement {
     const to = make("button", { type: "button", class: "plain", title: "Go there", onclick: () => this.cockpit.document.seek(hold.from_s) }, hold.from_s.toFixed(2));
-    const kind = hold.verdict === "released" ? "" : kindOf(hold.verdict).replace("good", "");
+    const told = hold.verdict === "released" ? [] : warnings(hold);
+    const kind = hold.verdict === "released" ? "" : kindOf(hold.verdict).replace("good", told.length ? "warn" : "");
     const swing = hold.peak_to_peak_n < 0.001 ? "0" : `${+hold.peak_to_peak_n.toPrecision(2)}`;
-    return make("tr", { class: kind, title: hold.reason }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, `${hold.verdict.replaceAll("_", " ")}${hold.frequency_hz ? `, ${+hold.frequency_hz.toPrecision(2)} Hz` : ""}`));
+    return make("tr", { class: kind, title: [hold.reason, ...(hold.facts ?? []).map(({ text }) => text)].join("; ") }, make("td", {}, to), make("td", {}, `${+hold.hand_force_n.toPrecision(3)}`), make("td", {}, swing), make("td", {}, `${hold.verdict.replaceAll("_", " ")}${hold.frequency_hz ? `, ${+hold.frequency_hz.toPrecision(2)} Hz` : ""}${told.length ? `, ${told.join(", ")}` : ""}`));
   }
 }

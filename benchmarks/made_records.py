@@ -1,0 +1,76 @@
+"""Records of which the true mean is 0, for a table of how often an interval of a mean covers.
+
+Nothing here knows an estimator: noise is shaped in the frequency domain over 20 s or more, or filtered, and a window is
+cut out at a random place, so that the slow parts of a longer record are missing in it.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from scipy import signal
+
+Records = npt.NDArray[np.float64]
+Maker = Callable[[np.random.Generator, int, int], Records]
+# The samples of a hand [1/s], and the record of which a window is a part [s].
+RATE_HZ, WHOLE_S = 1000.0, 20.0
+
+
+def white(random: np.random.Generator, count: int, samples: int) -> Records:
+    """Return records of white noise, shape (count, samples)."""
+    return random.normal(size=(count, samples))
+
+
+def power_law(exponent: float) -> Maker:
+    """Return a maker of noise of 1/f^exponent down to a cycle in the whole record."""
+
+    def made(random: np.random.Generator, count: int, samples: int) -> Records:
+        whole = max(round(WHOLE_S * RATE_HZ), 2 * samples)
+        frequency = np.fft.rfftfreq(whole, 1.0 / RATE_HZ)
+        size = np.zeros(frequency.size)
+        size[1:] = frequency[1:] ** (-0.5 * exponent)
+        rows = np.empty((count, samples))
+        for row in rows:
+            phase = random.normal(size=frequency.size) + 1j * random.normal(size=frequency.size)
+            noise = np.fft.irfft(size * phase, whole)
+            first = random.integers(0, whole - samples + 1)
+            row[:] = noise[first : first + samples] / noise.std()
+        return rows
+
+    return made
+
+
+def hand(corner_hz: float = 2.0, order: int = 1) -> Maker:
+    """Return a maker of the force of a hand: noise behind a low-pass of Butterworth."""
+
+    def made(random: np.random.Generator, count: int, samples: int) -> Records:
+        b, a = signal.butter(order, 2.0 * corner_hz / RATE_HZ)
+        before = round(10.0 / corner_hz * RATE_HZ)
+        rows = signal.lfilter(b, a, random.normal(size=(count, samples + before)), axis=1)[:, before:]
+        return np.asarray(rows / rows.std())
+
+    return made
+
+
+def tremor(middle_hz: float = 9.0, width_hz: float = 1.0, beside: float = 0.3) -> Maker:
+    """Return a maker of a tremor: noise in a band, with white noise beside it, as a part of its deviation."""
+
+    def made(random: np.random.Generator, count: int, samples: int) -> Records:
+        edges = np.array([middle_hz - 0.5 * width_hz, middle_hz + 0.5 * width_hz]) * 2.0 / RATE_HZ
+        b, a = signal.butter(1, edges, "bandpass")
+        before = round(5.0 * RATE_HZ)
+        rows = signal.lfilter(b, a, random.normal(size=(count, samples + before)), axis=1)[:, before:]
+        return np.asarray(rows / rows.std() + beside * random.normal(size=rows.shape))
+
+    return made
+
+
+RECORDS: dict[str, Maker] = {
+    "white": white,
+    "1/f": power_law(1.0),
+    "1/f^1.5": power_law(1.5),
+    "1/f^2": power_law(2.0),
+    "hand, 2 Hz": hand(),
+    "hand, 2 Hz, 2nd order": hand(order=2),
+    "tremor, 9 Hz": tremor(),
+}

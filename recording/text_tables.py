@@ -1,0 +1,391 @@
+"""Text tables of other programs: curves, spectra, records, delays and maps, with the unit that a head gives a column.
+
+A table is rows of numbers, separated by tabs, semicolons, commas or blanks, below a head that may name the columns and
+their units. A comma is the decimal one where a tab or semicolon separates. Comments (#, %, //, *) and a mark of the
+order of bytes are left out. Whatever is taken in another way than it stands there is among the remarks.
+"""
+
+import csv
+import math
+import re
+from array import array
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from presets.regular_files import read_regular
+from proto.errors import ConfigError
+from recording.units import Unit, unit_of
+
+Array = npt.NDArray[np.float64]
+
+# a record of some seconds at some MHz, as text
+LARGEST_BYTES = 256_000_000
+_MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "nat", "none", "null", "-", "--", "inf", "-inf", "+inf"))
+_NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?")
+_COMMENT = re.compile(r"\s*(?:#|%|//|\*|!)+\s*")
+_ROW_NAMES = re.compile(r"(?i)\s*(?:columns?|fields?|names?|units?|headers?)\s*[:=]\s*")
+# words in the brackets of a name that are no unit
+_DIRECTIONS = re.compile(
+    r"(?i)(?:fwd|bwd|forward|backward|avg|filt|raw|trace|retrace|approach|retract|extend|rel|abs(?:olute)?|"
+    r"meas(?:ured)?|piezo|sensor|\d+)"
+)
+# units at the end of a name behind a low line, which are often written small
+_SUFFIXES = {
+    **{unit: unit for unit in ("s", "ms", "us", "ns", "m", "mm", "um", "nm", "pm", "Hz", "kHz", "MHz", "V", "mV", "N")},
+    **{"hz": "Hz", "khz": "kHz", "v": "V", "mv": "mV", "uv": "uV", "µs": "us", "µm": "um", "nN": "nN", "pN": "pN"},
+    **{"nn": "nN", "pn": "pN", "un": "uN", "uN": "uN", "percent": "%"},
+}
+_SEPARATORS = ("\t", ";", "", ",")
+_LONGEST_NUMBER = 64
+# A line of a head that is longer says no units: to look for them takes the square of its length.
+_LONGEST_LINE = 4000
+# Lines of a head, before the first row of numbers.
+_LONGEST_HEAD = 4000
+
+
+class Column(NamedTuple):
+    """A column: title as it stands, name without the unit, unit as it stands ("": none), line of the head (0: none).
+
+    values: as they stand, nan where missing, shape (n,); bad: line and text of the first that is no number.
+    """
+
+    title: str
+    name: str
+    unit: str
+    line: int
+    values: Array
+    bad: tuple[int, str] | None = None
+
+    @property
+    def known(self) -> Unit | None:
+        """The unit, None where none is named or it is not known."""
+        return unit_of(self.unit)
+
+
+class TextTable(NamedTuple):
+    """A table: name of the file, columns, lines of the rows, lines of the head, what separates, and remarks.
+
+    ends_whole: whether its last line has an end; without one its last number may have lost digits.
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    lines: npt.NDArray[np.int64]
+    head: tuple[str, ...]
+    separator: str
+    decimal_comma: bool
+    remarks: tuple[str, ...]
+    ends_whole: bool = True
+
+    def find(self, *beginnings: str) -> Column | None:
+        """Return the first column whose name begins with a word, in the order of the words, whatever its capitals."""
+        columns = ((word, column) for word in beginnings for column in self.columns)
+        return next((column for word, column in columns if column.name.lower().startswith(word)), None)
+
+    def in_si(self, column: Column, wanted: Sequence[str], given: str = "", option: str = "") -> Array | None:
+        """Return the values of a column in SI units; None where neither its head nor `given` names a unit.
+
+        Args:
+            column: One of this table.
+            wanted: Units of which it must have the kind, such as ("m",).
+            given: Its unit in the place of that in the head.
+            option: How a person gives it, for the message.
+
+        Raises:
+            ConfigError: A cell is no number, or the unit is not known or of another kind; the message names the line.
+        """
+        numbers = self.numbers(column)
+        word = given or column.unit
+        if not word:
+            return None
+        unit, kinds = unit_of(word), [unit_of(one) for one in wanted]
+        where = (
+            f"{option} {given}" if given else f"{self.name}, line {column.line}: the unit {word!r} of {column.title!r}"
+        )
+        remedy = f"; {option} gives another" if option and not given else ""
+        if unit is None:
+            raise ConfigError(f"{where}: is not known; known are such as {', '.join(wanted)}, with a prefix{remedy}")
+        if unit.powers not in [kind.powers for kind in kinds if kind]:
+            raise ConfigError(f"{where}: is of another kind than {' or '.join(wanted)}, which is needed here{remedy}")
+        return numbers * unit.factor
+
+    def numbers(self, column: Column) -> Array:
+        """Return the values of a column as they stand.
+
+        Raises:
+            ConfigError: A cell is no number; the message names the line.
+        """
+        if column.bad:
+            line, text = column.bad
+            raise ConfigError(f"{self.name}, line {line}: {text[:40]!r} is no number")
+        return column.values
+
+    def units_in_head(self, *wanted: str) -> set[str]:
+        """Return the words of the head, as they stand, that are units of one of these kinds."""
+        kinds = [kind.powers for kind in map(unit_of, wanted) if kind]
+        text = "\n".join(line for line in self.head if len(line) <= _LONGEST_LINE)
+        words = re.findall(r"\[([^\]\n]+)\]|\(([^()\n]+)\)|([^\s,;]+)", text)
+        spaced = re.findall(r"\S+ ?/ ?(?:√|sqrt|root|rt) ?\(?Hz\)?|\S+ per (?:sqrt|root) ?\(?Hz\)?", text)
+        found = {word.strip(" :,;'\"") for group in words for word in group if word} | set(spaced)
+        found |= {word.removeprefix("(").removesuffix(")") for word in found if word.count("(") != word.count(")")}
+        return {word for word in found if (unit := unit_of(word)) and unit.powers in kinds}
+
+
+def read_table(path: Path) -> TextTable:
+    """Return the table in a text file.
+
+    Raises:
+        ConfigError: The file cannot be read or holds no table; the message names it, and the line.
+    """
+    try:
+        content = read_regular(path, LARGEST_BYTES)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return parse_table(content, str(path))
+
+
+def parse_table(content: bytes, name: str) -> TextTable:
+    """Return the table in the bytes of a text file, which is called by this name; ConfigError as `read_table`."""
+    text, remarks = _decoded(content, name), []
+    rows = text.splitlines()
+    if not any(map(str.strip, rows)):
+        raise ConfigError(f"{name}: is empty")
+    first, separator = _first_row(rows, name)
+    fold = _Folding(separator)
+    width, ends_whole = fold.width_of(islice(rows, first, first + 50)), text.endswith(("\n", "\r"))
+    # rows of numbers with another width, such as a count of points, belong to the head
+    while width and fold.split(rows[first])[1] != width:
+        first += 1
+    width = width or fold.split(rows[first])[1]
+    head, titles = _titles(rows[:first], width, separator)
+    columns = [array("d") for _ in range(width)]
+    lines = array("q")
+    bad: dict[int, tuple[int, str]] = {}
+    for number, row in enumerate(rows[first:], start=first + 1):
+        if not row.strip() or (_COMMENT.match(row) and not fold.is_numeric(row)):
+            continue
+        cells, count = fold.split(row)
+        numbers = [fold.number(cell, number) for cell in cells]
+        if (count < width or None in numbers) and number == len(rows) and not ends_whole:
+            remarks.append("its last line has no end and is no whole row; it is left out")
+            continue
+        if all(value is None or math.isnan(value) for value in numbers) and None in numbers:
+            raise ConfigError(f"{name}, line {number}: is no line of numbers, after {len(lines)} that are")
+        if count > width or (count < width and not separator):
+            raise ConfigError(f"{name}, line {number}: has {count} columns, where the others have {width}")
+        for place in range(width):
+            value = numbers[place] if place < count else math.nan
+            if value is None:
+                bad.setdefault(place, (number, cells[place]))
+                value = math.nan
+            columns[place].append(value)
+        lines.append(number)
+    if fold.commas and fold.points:
+        raise ConfigError(
+            f"{name}: line {fold.commas} has a decimal comma and line {fold.points} a point; write one of them, and"
+            " nothing between thousands"
+        )
+    # a sentence above the table names no column
+    is_named = bool(head) and (separator in head[-1] or len(head[-1].split()) == 1)
+    names = len(_split_head(head[-1], separator)) if is_named else 0
+    if separator == "," and not fold.points and (0 < 2 * names == width or (not names and width in (4, 6))):
+        raise ConfigError(
+            f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the commas are"
+            " decimal ones, separate the columns by semicolons or tabs"
+        )
+    if fold.commas:
+        remarks.append("its commas are decimal ones")
+    found = [
+        Column(title, *_named(title, unit), line, np.frombuffer(values, np.float64), bad.get(place))
+        for place, ((title, unit, line), values) in enumerate(zip(titles, columns, strict=True))
+    ]
+    while len(found) > 1 and not found[-1].title and np.isnan(found[-1].values).all():
+        found.pop()
+    missing = sum(int(np.isnan(column.values).sum()) for column in found if not column.bad)
+    if missing:
+        remarks.append(f"{missing} of {len(found) * len(lines)} cells have no number")
+    return TextTable(
+        name, tuple(found), np.frombuffer(lines, np.int64), tuple(head), separator, bool(fold.commas), tuple(remarks),
+        ends_whole,
+    )  # fmt: skip
+
+
+def as_number(cell: str) -> float | None:
+    """Return the number in a cell with a decimal point or comma, nan for a word that says it is missing, else None."""
+    if "_" in cell or len(cell) > _LONGEST_NUMBER:
+        return None
+    if not _NUMBER.fullmatch(cell):
+        cell = cell.strip().strip('"').replace("\u2212", "-")
+        if cell.lower() in _MISSING:
+            return math.nan
+        if not _NUMBER.fullmatch(cell):
+            return None
+    value = float(cell.replace(",", ".").replace("d", "e").replace("D", "e"))
+    return value if math.isfinite(value) else math.nan
+
+
+class _Folding:
+    """Splits the lines of a file by what separates its columns, and notes which decimal marks it has."""
+
+    def __init__(self, separator: str) -> None:
+        self._separator = separator
+        # the first line with a decimal comma, and with a decimal point
+        self.commas, self.points = 0, 0
+
+    def split(self, row: str) -> tuple[list[str], int]:
+        """Return the cells of a row, and how many they are."""
+        cells = _split(row, self._separator)
+        return cells, len(cells)
+
+    def number(self, cell: str, line: int) -> float | None:
+        value = as_number(cell)
+        if value is not None:
+            if "," in cell and not self.commas:
+                self.commas = line
+            if "." in cell and not self.points:
+                self.points = line
+        return value
+
+    def is_numeric(self, row: str) -> bool:
+        return all(as_number(cell) is not None for cell in self.split(row)[0])
+
+    def width_of(self, rows: Iterator[str]) -> int:
+        """Return how many columns most of these rows have."""
+        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row)[0]] if _is_data(cells)]
+        return max(set(counts), key=lambda count: (counts.count(count), count), default=0)
+
+
+def _decoded(content: bytes, name: str) -> str:
+    try:
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+            return content.decode("utf-16")
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # what programs of an older Windows write, with its own signs for µ and ²
+        text = content.decode("cp1252", "replace")
+    if "\0" in text:
+        raise ConfigError(f"{name}: is no text: it has zero bytes")
+    return text
+
+
+def _split(row: str, separator: str) -> list[str]:
+    if not separator:
+        return row.split()
+    if '"' in row and row.count('"') % 2 == 0 and len(row) < csv.field_size_limit():
+        cells = next(csv.reader([row.strip("\r\n")], delimiter=separator))
+    else:
+        cells = row.strip("\r\n ").split(separator)
+    return [cell.strip() for cell in cells]
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    numbers = [as_number(cell) for cell in cells]
+    return None not in numbers and not all(math.isnan(value) for value in numbers if value is not None)
+
+
+def _first_row(rows: Sequence[str], name: str) -> tuple[int, str]:
+    """Return the place of the first row of numbers, and what separates its columns."""
+    for place, row in enumerate(rows[:_LONGEST_HEAD]):
+        for separator in _SEPARATORS:
+            if separator and separator not in row:
+                continue
+            cells = _split(row, separator)
+            # 1,5 alone may be two columns; with another beside it, it is not
+            if _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
+                return place, separator
+    # A column of texts, such as the name of a machine, beside columns of numbers: below a head without a number.
+    for place, row in enumerate(rows[1:_LONGEST_HEAD], start=1):
+        for separator in _SEPARATORS:
+            cells, above = _split(row, separator), _split(rows[place - 1], separator)
+            numbers = [as_number(cell) for cell in cells]
+            has_number = any(value is not None and not math.isnan(value) for value in numbers)
+            if len(cells) == len(above) > 1 and has_number and all(as_number(cell) is None for cell in above):
+                return place, separator
+    raise ConfigError(f"{name}: has no line of numbers in its first {min(len(rows), _LONGEST_HEAD)} lines")
+
+
+def _bare(row: str) -> str:
+    """Return a line of a head without the mark of a comment, and without a word such as `units:`, before it."""
+    comment = _COMMENT.match(row)
+    row = row[comment.end() :] if comment else row
+    word = _ROW_NAMES.match(row)
+    return row[word.end() :] if word else row
+
+
+def _split_head(row: str, separator: str) -> list[str]:
+    row = _bare(row)
+    if separator:
+        return _split(row, separator)
+    joined = re.sub(r"\s+(?=[\[(])", "\x00", row)
+    return [word.replace("\x00", " ") for word in re.sub(r"\s+/\s+", "\x01", joined).split()]
+
+
+def _titles(rows: Sequence[str], width: int, separator: str) -> tuple[list[str], list[tuple[str, str, int]]]:
+    """Return the head, and title, unit of a row of units, and line of each column."""
+    head = [row.strip() for row in rows if row.strip()]
+    numbered = [(number, row) for number, row in enumerate(rows, start=1) if row.strip()]
+    fitting = []
+    for number, row in numbered[-1:-6:-1]:
+        if len(row) > _LONGEST_LINE * width:
+            break
+        plain = _bare(row)
+        ways = (
+            _split_head(row, separator),
+            *(_split(plain, mark) for mark in "\t;,"),
+            re.split(r"\s{2,}", plain.strip()),
+        )
+        fits = [way for way in ways if len(way) == width] or [
+            full for way in ways if len(full := list(filter(None, way))) == width
+        ]
+        if not fits:
+            break
+        fitting.append((number, [cell.strip().strip("\"'").replace("\x01", " / ") for cell in fits[0]]))
+    if not fitting:
+        return head, [("", "", 0)] * width
+    line, titles = fitting[0]
+    units = [title.strip("[](){} ") for title in titles]
+    if len(fitting) > 1 and any(map(unit_of, units)) and all(unit_of(word) or word in ("", "-", "#") for word in units):
+        return head, [(title, unit, line) for title, unit in zip(fitting[1][1], units, strict=True)]
+    return head, [(title, "", line) for title in titles]
+
+
+def _named(title: str, unit: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit as it stands."""
+    if unit:
+        return title, unit
+    if unit_of(title):
+        return "", title
+    for mark in (r"\s+in\s+", r",\s*", r"\s+/\s+", r":\s*"):
+        parts = re.split(mark, title, maxsplit=1)
+        if len(parts) == 2 and parts[0] and unit_of(parts[1]):
+            return parts[0], parts[1]
+    rest, found = _bracketed(title)
+    while found and _DIRECTIONS.fullmatch(found):
+        rest, found = _bracketed(rest)
+    if found:
+        return rest, found
+    for parts in (title.split("/", 1), title.rsplit(None, 1)):
+        if len(parts) == 2 and parts[0] and unit_of(parts[1]) and not parts[1].isdigit():
+            return parts[0], parts[1]
+    name, mark, suffix = title.rpartition("_")
+    if mark and suffix in _SUFFIXES:
+        return name, _SUFFIXES[suffix]
+    if mark and suffix == "n" and re.match(r"(?i)f(orce)?_|load", title):
+        return name, "N"
+    return title, ""
+
+
+def _bracketed(title: str) -> tuple[str, str]:
+    """Return what stands before the last pair of brackets of a title, and in it; empty where it does not end so."""
+    title, depth = title.strip(), 0
+    for place in range(len(title) - 1, -1, -1):
+        depth += (title[place] in ")]}") - (title[place] in "([{")
+        if depth == 0:
+            inner = title[place + 1 : -1].strip()
+            return (title[:place].strip(), inner) if inner else (title, "")
+    return title, ""

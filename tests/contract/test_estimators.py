@@ -1,0 +1,127 @@
+"""Each estimator of docs/fit.md refuses, or says, what does not fit: one table of what each of them is given."""
+
+import importlib
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from proto.errors import TelenanoError
+from services.afm_node.config import AfmConfig
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "fit.md"
+
+
+def _function(name: str) -> Callable[..., object]:
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+
+
+def _thermal(width_m: float) -> object:
+    own = importlib.import_module("telenano_calibration.own_calibration")
+    frequency = 20.0 * np.arange(1, 12_000)
+    x = frequency / 70e3
+    mean = 1e-30 + 2.0 * 1.7e-21 / (math.pi * 70e3 * 150.0 * ((1.0 - x**2) ** 2 + (x / 150.0) ** 2))
+    density = mean * np.random.default_rng(1).gamma(100, 0.01, len(mean))
+    known = own.Thermal(1.0, 300.0, 1.0, width_m, 225e-6, averages=100.0)
+    return own.stiffness_of_spectrum(frequency, density, known)
+
+
+def sader() -> None:
+    raise TelenanoError(str(_thermal(width_m=300e-6).agreement))  # type: ignore[attr-defined]
+
+
+def sensitivity() -> None:
+    way = np.linspace(0.0, 400e-9, 400)
+    _function("telenano_calibration.own_calibration:sensitivity_of_curve")(way, (way / 1e-7) ** 2)
+
+
+def line() -> None:
+    counts = [0.0, 1.0, 2.5, 3.0]
+    _function("telenano_calibration.line_fit:fit_line")("load cell", counts, [1e-3] * 4, [0.0, 1.0, 2.0, 3.0])
+
+
+def adhesion() -> None:
+    force_curve = _function("telenano_microscopy.force_curve:force_curve")
+    config = AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": 8.0}})
+    curve = force_curve(config, 20e-9, 20e-9)
+    half = curve.retract  # type: ignore[attr-defined]
+    pushed = replace(half, force_n=np.abs(half.force_n) + 1e-9)
+    _function("telenano_microscopy.adhesion_fit:fit_adhesion")(replace(curve, retract=pushed), config)  # type: ignore[type-var]
+
+
+def psychometric() -> None:
+    model = importlib.import_module("telenano_experiments.psychophysics.function").Psychometric()
+    found = _function("telenano_experiments.psychophysics.fit:fit")([(float(n), True) for n in range(20)], model)
+    raise TelenanoError(f"threshold {found.threshold}, low {found.low}, high {found.high}")  # type: ignore[attr-defined]
+
+
+def delay() -> None:
+    log = importlib.import_module("telenano_networks.line_log")
+    draw = np.random.default_rng(1)
+    t = 0.1 * np.arange(6000)
+    level = 0.03 + 0.02 * draw.random(60)[(t // 15.0).astype(int)]
+    table = _function("telenano_networks.line_fit:accept")(
+        log.LineLog((log.Segment(t, level + draw.gamma(2.0, 0.002, 6000)),), round_trip=True)
+    )
+    raise TelenanoError(f"apart in {[row.what for row in table if not row.agrees]}")  # type: ignore[attr-defined]
+
+
+def clocks() -> None:
+    draw = np.random.default_rng(1)
+    bound = [(n * 10**9, int(draw.exponential(1e6))) for n in range(1, 60)]
+    below = [(n * 10**9, -int(draw.exponential(1e6))) for n in range(1, 60)]
+    raise TelenanoError(f"drift {_function('recording.clock_line:fitted')(bound, below).drift}")  # type: ignore[attr-defined]
+
+
+# what is refused or said of what does not fit, by the name in the table of the page
+ESTIMATORS: dict[str, tuple[Callable[[], None], str]] = {
+    "stiffness by Sader's method": (sader, "a lever of this size cannot have it"),
+    "sensitivity by a curve": (sensitivity, "the line of contact is bent"),
+    "handle and stage": (line, "of the span off the line"),
+    "radius and work of adhesion": (adhesion, "points in contact before a pull-off"),
+    "psychometric function": (psychometric, "threshold None, low None, high None"),
+    "delay of a line": (delay, "apart in .*correlation at 1 s"),
+    "clocks of two sites": (clocks, r"drift 0\.0"),
+}
+
+
+def listed() -> dict[str, str]:
+    part = PAGE.read_text(encoding="utf-8").partition("## When an estimate is refused")[2].partition("\n## ")[0]
+    return {row[0]: row[1] for row in re.findall(r"^\| ([^|]+) \| `([^`]+)` \|", part, re.MULTILINE)}
+
+
+def test_the_page_lists_each_estimator_and_each_is_there() -> None:
+    assert set(listed()) == {"stiffness by thermal noise", *ESTIMATORS}
+    for name in listed().values():
+        assert callable(_function(name)), name
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_what_does_not_fit_is_refused_or_said(name: str) -> None:
+    run, reason = ESTIMATORS[name]
+    with pytest.raises(TelenanoError, match=reason):
+        run()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_spectrum_that_is_no_resonance_is_refused_and_a_tone_is_left_out(seed: int) -> None:
+    own = importlib.import_module("telenano_calibration.own_calibration")
+    draw = np.random.default_rng(seed)
+    frequency = 20.0 * np.arange(1, 12_000)
+    known = own.Thermal(1.0, 300.0, 1.0, averages=100.0)
+    # a peak with the flanks of no spring
+    flanks = 1e-28 / (1.0 + np.abs(frequency / 70e3 - 1.0) / 0.003) ** 1.2
+    with pytest.raises(TelenanoError):
+        own.stiffness_of_spectrum(frequency, (flanks + 1e-31) * draw.gamma(100, 0.01, len(frequency)), known)
+    x = frequency / 70e3
+    mean = 2.0 * 1.7e-21 / (math.pi * 70e3 * 150.0 * ((1.0 - x**2) ** 2 + (x / 150.0) ** 2)) + 1e-30
+    density = mean * draw.gamma(100, 0.01, len(frequency))
+    density[int(draw.integers(2700, 4500))] += 0.3 * 1.7e-21 / 20.0
+    found = own.stiffness_of_spectrum(frequency, density, known)
+    assert found.lines_left_out >= 1
+    assert found.stiffness_n_per_m == pytest.approx(1.380649e-23 * 300.0 / 1.7e-21, rel=0.06)

@@ -1,0 +1,112 @@
+"""Text tables as many programs write them: drawn files have one meaning each, which the reader must find or refuse."""
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+
+from proto.errors import ConfigError
+from recording.text_tables import parse_table
+from recording.units import unit_of
+
+# name, unit as written, and its factor to SI
+UNITS = [
+    ("frequency", "kHz", 1e3), ("z", "µm", 1e-6), ("z", "\u03bcm", 1e-6), ("height", "Å", 1e-10), ("U", "mV", 1e-3),
+    ("PSD", "V^2/Hz", 1.0), ("noise", "pm/√Hz", 1e-12), ("ASD", "uV/sqrt(Hz)", 1e-6), ("F", "nN", 1e-9),
+    ("t", "ms", 1e-3),
+    ("share", "%", 0.01), ("slope", "nm/V", 1e-9), ("k", "N/m", 1.0), ("noise", "fm per root Hz", 1e-15),
+]  # fmt: skip
+FORMS = ("{} [{}]", "{} ({})", "{} / {}", "{}, {}", "{} in {}")
+BEFORE = ("", "# made by a program\n", "Points 512\nMade on 2026-11-26\n\n", "% k = 0,35 N/m\n// by hand\n")
+# separator, decimal mark, encoding, end of a line
+WRITTEN = (
+    ("\t", ".", "utf-8", "\n"), ("\t", ",", "utf-8", "\r\n"), (";", ",", "utf-8-sig", "\n"), (";", ".", "utf-8", "\n"),
+    (",", ".", "utf-8", "\r\n"), ("  ", ".", "utf-8", "\n"), ("\t", ",", "utf-16", "\n"), (";", ",", "cp1252", "\r\n"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("written", "before"), list(product(WRITTEN, BEFORE)))
+def test_a_table_has_the_values_and_units_that_were_written(written: tuple[str, str, str, str], before: str) -> None:
+    separator, mark, encoding, end = written
+    draw = np.random.default_rng([WRITTEN.index(written), BEFORE.index(before)])
+    for _ in range(20):
+        chosen = [UNITS[n] for n in draw.integers(len(UNITS), size=draw.integers(1, 5))]
+        form = FORMS[draw.integers(2 if separator == "  " else len(FORMS) - (separator == ","))]
+        form = "{} [{}]" if separator in ("  ", ",") and "," in form else form
+        if separator == "  ":
+            chosen = [one for one in chosen if " " not in one[1]] or [UNITS[0]]
+        values = 10.0 ** draw.uniform(-12, 6, (30, len(chosen))) * draw.choice((-1.0, 1.0), (30, len(chosen)))
+        lost = draw.random(values.shape) < 0.05
+        words = [
+            ["NaN" if gone else repr(float(v)) for v, gone in zip(*row, strict=True)]
+            for row in zip(values, lost, strict=True)
+        ]
+        words[0] = [repr(float(v)) for v in values[0]]
+        lost[0] = False
+        text = "".join(separator.join(row).replace(".", mark) + "\n" for row in words)
+        head = separator.join(form.format(name, unit) for name, unit, _ in chosen)
+        content = f"{before}{head}\n{text}"
+        try:
+            raw = content.replace("\n", end).encode(encoding)
+        except UnicodeEncodeError:
+            # an older Windows has no root and no Greek letter
+            continue
+        if len(chosen) == 1 and mark == ",":
+            # 1,5 alone may be two columns
+            continue
+        table = parse_table(raw, "t")
+        assert len(table.columns) == len(chosen)
+        for column, (name, unit, factor), truth, gone in zip(table.columns, chosen, values.T, lost.T, strict=True):
+            assert column.name == name
+            found = table.in_si(column, (unit,))
+            assert found is not None
+            np.testing.assert_allclose(found, np.where(gone, math.nan, truth * factor), rtol=1e-12)
+        assert any("decimal" in remark for remark in table.remarks) == (mark == "," and any("," in w for w in text))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "t: is empty"),
+        ("  \n\n", "t: is empty"),
+        ("a\0b", "is no text: it has zero bytes"),
+        ("by hand\nno number\n", "has no line of numbers in its first 2 lines"),
+        ("60000,250,1,2E-27\n60001,500,1,3E-27\n", "line 1: has 4 columns separated by commas and no decimal point"),
+        ("f;d\n1,5;2\n1.5;2\n", "line 2 has a decimal comma and line 3 a point"),
+        ("a\tb\n1\t2\nretract\n1\t2\n", "line 3: is no line of numbers, after 1 that are"),
+        ("1 2\n3 4 5\n6 7\n", "line 2: has 3 columns, where the others have 2"),
+    ],
+)
+def test_what_is_no_table_or_could_be_two_is_refused_with_its_line(text: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        parse_table(text.encode(), "t")
+
+
+@pytest.mark.parametrize(
+    ("head", "wanted", "reason"),
+    [
+        ("z [furlong]", "m", r"t, line 1: the unit 'furlong' of 'z \[furlong\]': is not known; known are such as m"),
+        ("z [V]", "m", "line 1: the unit 'V' of .*: is of another kind than m"),
+        ("f (mhz)", "Hz", "line 1: the unit 'mhz'"),
+    ],
+)
+def test_a_unit_that_is_named_and_not_known_is_refused_with_its_line(head: str, wanted: str, reason: str) -> None:
+    table = parse_table(f"{head}\n1.5\n2.5\n".encode(), "t")
+    with pytest.raises(ConfigError, match=reason):
+        table.in_si(table.columns[0], (wanted,), "", "")
+    assert table.in_si(table.columns[0], ("m",), "nm") is not None
+
+
+def test_a_word_among_numbers_is_refused_where_its_column_is_used() -> None:
+    table = parse_table(b"t_s,x_m,host\n1,2,a\n2,loud,b\n", "t")
+    assert table.in_si(table.columns[0], ("s",)) is not None
+    with pytest.raises(ConfigError, match="t, line 3: 'loud' is no number"):
+        table.in_si(table.columns[1], ("m",))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "foo", "a.u.", "dB", "mhz", "V/", "/Hz", "V^99", "m" * 100, "Hz Hz foo", "counts"]
+)
+def test_what_is_no_unit_is_none(text: str) -> None:
+    assert unit_of(text) is None

@@ -1,0 +1,30 @@
+"""The project's judge on a part of the labelled courses; the whole is `python tests/verdicts/confusion.py`."""
+
+import confusion
+import pytest
+from confusion import answer
+from courses import course
+from judge import judge_course
+
+# as many courses as a few seconds of a processor judge
+PART = range(60)
+
+
+def shares(seeds: range) -> dict[str, confusion.Share]:
+    answers = [answer(judge_course, course(seed)) for seed in seeds]
+    return {one.name: one for one in confusion.limited_shares(answers)}
+
+
+def test_no_course_of_a_part_is_said_to_do_what_it_does_not() -> None:
+    found = shares(PART)
+    assert not found["settling called a cycle or growth"].such
+    assert not found["growing called stable"].such
+
+
+@pytest.mark.check("judges a thousand labelled courses")
+def test_few_courses_are_judged_wrongly() -> None:
+    found = shares(range(1000))
+    # of 343 that settle one is 0.3 %, and of 103 that grow one is 1 %
+    assert len(found["settling called a cycle or growth"].such) <= 1
+    assert len(found["growing called stable"].such) <= 1
+    assert found["cannot say"].value < 0.1
