@@ -67,7 +67,7 @@ LAZY_COMMANDS = {
 # The order of the list of commands; those of packages of the project stand in it where they are installed.
 GROUPS = {
     "Run": ("up", "session", "estop", "replay", "node"),
-    "Look": ("status", "view", "topic", "link", "bridge"),
+    "Look": ("status", "view", "topic", "link", "bridge", "inspect"),
     "Record and report": ("record", "bag", "report", "budget", "compare"),
     "Study": ("experiment", "study", "benchmark", "law", "curve", "scan", "sample", "particles", "push", "assemble",
               "calibrate", "reproduce"),

@@ -215,7 +215,8 @@ def test_what_an_interruption_makes_the_tip_do_is_not_the_laws(at_s: float, leng
 
 
 def test_a_machine_that_is_late_is_named_and_blamed() -> None:
-    kicks = HAND_N + swing(2.0, 2.3, 0.0, 0.2) + swing(3.3, 3.6, 0.0, 0.2) + swing(4.0, 4.4, 0.0, 0.2)
+    # 0.8 N from peak to peak, well above what is small beside 1 N
+    kicks = HAND_N + swing(2.0, 2.3, 0.0, 0.4) + swing(3.3, 3.6, 0.0, 0.4) + swing(4.0, 4.4, 0.0, 0.4)
     late = Programme(late=[Late(2.0, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
     hold = judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument(), late)[0]
     assert hold.verdict == "cannot_say"

@@ -35,6 +35,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
         "age_ms.*.p50": (0.01, 100.0), "ratio.zeromq.p50": (1.0, 50.0), "parts_us.*.decode": (0.5, 1000.0),
         "processor_percent.haptic_node@master": (1.0, 100.0), "start_s.*": (0.2, 60.0),
     },
+    "mean_intervals.py": {"white.*.known": (0.5, 1.0), "white.*.covered": (0.7, 1.0)},
     "network.py": {"round_trip_p50_ms.*": (0.01, 100.0), "curve_to_plain.cpu": (0.3, 5.0)},
     "observers.py": {"median.*.p50_ms": (0.05, 500.0), "median.*.hand_hz": (100.0, 1100.0)},
     "particles.py": {"ratio.*": (0.3, 30.0), "times_real_time.*": (1.0, 1e6)},

@@ -117,7 +117,7 @@ def course_until(course: Trajectory, end_s: float) -> Trajectory:
     count = int(np.searchsorted(course.time_s, end_s - 1e-9))
     columns: dict[str, Any] = {field.name: getattr(course, field.name) for field in fields(course)}
     for name, column in columns.items():
-        columns[name] = None if column is None else column[:count]
+        columns[name] = column[:count] if isinstance(column, np.ndarray) else column
     return Trajectory(**columns)
 
 
