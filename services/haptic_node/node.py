@@ -257,7 +257,8 @@ class HapticNode(DeviceNode):
             reference_m=to_site_frame(applied.position_reference_m),
             mode=safety.MODE_NAMES[applied.mode],
             estop=applied.estop_latched,
-            armed=applied.armed,
+            # a device that is refused, such as one with a lost encoder, is no hand to follow either
+            armed=applied.armed and tick.said.get("device") != "lost",
             limited=applied.reason in _LIMITS or _device_limited(reading),
             session_s=tick.session_s,
             answered_seq=command.hand_seq,

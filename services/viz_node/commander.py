@@ -47,11 +47,12 @@ class RigCommander:
         if command not in _NAMES:
             raise ConfigError(f"{command}: is not a command of a session")
         wanted = Command(_NAMES[command], target, parameters=parameters)
-        given: dict[str, Any] = {"is_wanted": is_wanted, "issued_ns": issued_ns, "by": by}
         if (wanted.name, target) == ("arm", _EVERYBODY):
-            answers = arm_devices(self._site_file, "master", lambda event: None, **given)
+            answers = arm_devices(self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by)
         else:
-            answers = send_control(wanted, self._site_file, "master", lambda event: None, **given)
+            answers = send_control(
+                wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by
+            )
         return {src: (event.kind, event.text) for src, event in answers.items()}
 
     def estop(self, by: str) -> dict[str, tuple[str, str]]:

@@ -40,6 +40,7 @@ FOREIGN = {
     "_cache_file": "numba",
     "_getvalue": "numba",
     "_instance": "zenoh-ros2-sdk",
+    "_load_index": "numba",
     "_py_file": "numba",
     "_py_func": "numba",
 }

@@ -41,22 +41,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "outage that holds": {"outage": {"schedule": [[0.1, 0.04]], "period_s": 0.3, "mode": "hold"}},
     "a share of the messages": {"apply_probability": 0.5, "loss": {"probability": 0.4}},
 }
-# What the other kinds do to a message is drawn; what these do follows from its time and from those before it.
-_DRAWN_BY_NOTHING = {
-    "delay_s",
-    "delay_trace",
-    "loss_trace",
-    "rate",
-    "queue",
-    "delivery_trace",
-    "slots",
-    "outage",
-}
-
-
-def is_random(kind: dict[str, Any]) -> bool:
-    """Return whether a kind draws what becomes of a message."""
-    return not kind.keys() <= _DRAWN_BY_NOTHING
 
 
 def write_traces(folder: Path) -> None:
@@ -94,14 +78,13 @@ def scenario_over(cell: Cell, direction: dict[str, Any]) -> dict[str, Any]:
     return {**scenario, "delay_node": {"seed": 5, "forward": direction, "backward": {"delay_s": ONE_WAY_S}}}
 
 
-def outcomes(cell: Cell, recording: Path, kind: dict[str, Any]) -> tuple[CellResult, CellResult]:
+def outcomes(cell: Cell, recording: Path) -> tuple[CellResult, CellResult]:
     """Return what became of a cell in a recording over a kind of link, and in lockstep over the link that it had."""
     rig = rig_of(cell, cell.hand_points())
     settle = settle_ticks(cell, rig.period_s)
     ticks = settle + round(cell.hold_s()[1] / rig.period_s)
     expected = simulate(rig, recorded_schedule(recording, settle, ticks, rig.period_s), settle)
-    noisy = is_random(kind)
-    return judged(cell, read_course(recording), noisy=noisy), judged(cell, expected, noisy=noisy)
+    return judged(cell, read_course(recording)), judged(cell, expected)
 
 
 def fault_of(found: CellResult, expected: CellResult) -> str:

@@ -27,6 +27,6 @@ def test_the_virtual_rig_and_lockstep_agree(tmp_path: Path, kind: str) -> None:
     rig.run_until(STARTED_S)
     rig.command("start", "haptic_node")
     rig.run_until(STARTED_S + cell.hold_s()[1] + 0.01)
-    found, expected = outcomes(cell, rig.finish(), KINDS[kind])
+    found, expected = outcomes(cell, rig.finish())
     assert fault_of(found, expected) == ""
     assert min(found.lowest_energy_j, expected.lowest_energy_j) > -1e-6

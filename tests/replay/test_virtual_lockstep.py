@@ -44,6 +44,7 @@ from services.controller.config import OWN_LAWS as LAWS
 from services.controller.config import ControllerConfig
 from services.controller.law import LONGEST_BRIDGED_PERIODS
 from services.controller.slave_half import SlaveController
+from services.haptic_node.node import HapticNode
 from studies.loops.link import schedule_of
 from studies.loops.lockstep import Trajectory, simulate
 
@@ -86,6 +87,13 @@ class ConstantRig(VirtualRig):
 
     lost: Collection[int] = ()
     _armed = False
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # The hand of a lockstep is armed from the first tick on.
+        hand = self.loops["haptic_node@master"].node
+        assert isinstance(hand, HapticNode)
+        hand._memory.guard = hand._memory.guard._replace(armed=True)
 
     def carry(self, topic: str, message: Message) -> None:
         """Bring a message to its readers, and arm the AFM 1 ns before the command that follows the first position."""

@@ -32,7 +32,7 @@ def on_the_bus(rig: Any, cell: Cell, kind: dict[str, Any]) -> tuple[CellResult, 
     document = scenario_over(cell, direction_of(kind, rig.folder))
     scenario.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     rig.run(scenario=str(scenario))
-    return outcomes(cell, rig.out / RECORDING_NAME, kind)
+    return outcomes(cell, rig.out / RECORDING_NAME)
 
 
 def held_up(rig: Any) -> str:

@@ -6,13 +6,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 ROOMS = ("services", "telenano", "analysis", "studies", "recording", "packages", "benchmarks")
 # What makes a command or a force: a client on the bus, the client that holds the hand for a command, and a page's hand.
-MAKERS = ("CommandClient", "send_control", "RigHand")
+MAKERS = ("CommandClient", "send_control", "send_controls", "arm_devices", "RigHand")
 
 # Without a name of its page `send_control` takes the hand for the command, or looks whether the process still has it.
 HOLDS = "send_control"
 WAYS = {
-    ("services/console/command_client.py", "CommandClient"): "send_control, which holds the hand around it",
-    ("services/console/command_client.py", "send_control by"): "the same, with the hand held",
+    ("services/console/command_client.py", "CommandClient"): "send_controls, which holds the hand around it",
+    ("services/console/command_client.py", "send_controls by"): "the same, with the hand held",
     ("services/console/coupling.py", "send_control by"): "the hub's desk for a page; without a name send_control",
     ("services/console/live_program.py", "send_control"): HOLDS,
     (
@@ -21,6 +21,8 @@ WAYS = {
     ): "the session itself: it arms at its beginning and stops at its end",
     ("services/launcher/far_recording.py", "CommandClient"): "a recorder that is asked for its file, and nothing moves",
     ("services/viz_node/commander.py", "send_control by"): "the hub's desk",
+    ("services/viz_node/commander.py", "arm_devices by"): "the hub's desk",
+    ("telenano/cli/commands/session.py", "arm_devices"): HOLDS,
     ("services/viz_node/node.py", "RigHand"): "the hub's desk",
     ("telenano/cli/commands/session.py", "send_control"): HOLDS,
     ("telenano/cli/estop_command.py", "send_control"): "nothing: an emergency stop asks nobody",

@@ -65,7 +65,6 @@ def recovers(ends: Pair, attacked: str) -> None:
     victim, peer = (ends.master, ends.slave) if attacked == "master" else (ends.slave, ends.master)
     for side in ends.sides:
         side.end._agreement.forget(side.clock.monotonic_ns())
-        side.end._admit()
     ends.turns(200)
     assert victim.end.receiving == "datagram"
     assert peer.end.receiving == "datagram"
