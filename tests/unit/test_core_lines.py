@@ -29,7 +29,8 @@ def excess(lines: int, most: int) -> str:
         return ""
     return (
         f"the core has {lines} lines of code, {lines - most} more than core-code-lines-at-most of pyproject.toml "
-        "allows: take as many out elsewhere in the core, or put what is new into a package in packages/; never raise the number"
+        "allows: take as many out elsewhere in the core, or put what is new into a package in packages/; never raise "
+        "the number"
     )
 
 
