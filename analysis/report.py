@@ -52,7 +52,7 @@ from recording.multi_file import RecordingSource, open_recordings
 from recording.site_clock import Timeline
 from recording.whole_files import whole_results
 from services.afm_node.section_config import SafetyConfig
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.haptic_node.config import LimitsConfig, recorded_hand
 from services.haptic_node.operator_config import ForceProfileConfig, InteractiveConfig
 from services.runtime.loop import loop_age
@@ -295,7 +295,7 @@ def _rest_force(document: Scenario, found: Mapping[str, Any], origin: str) -> Ca
     """Return what the law rests at; None where it does not say, or was changed while the session ran."""
     if len(found["law"]) != 1 or any("controller" in change for change in found["changed"]):
         return None
-    rest_force = LAWS[found["law"][0]].rest_force
+    rest_force = KNOWN_LAWS[found["law"][0]].rest_force
     section = {**document.controller_in_force, "law": found["law"][0]}
     params = validate(ControllerConfig, section, origin, "controller").params()
     return None if rest_force is None else partial(rest_force, params)
