@@ -38,7 +38,7 @@ from services.afm_node.physics.disturbed import noisy_params
 from services.afm_node.physics.over_surface import over_surface
 from services.afm_node.physics.step import AfmParams
 from services.afm_node.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES, SafetyParams
-from services.controller.config import LAWS, ControllerConfig
+from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import EVEN, LinkSettings, network_name
 from services.haptic_node.config import SIMULATED_IMPEDANCE, HapticConfig
 from services.runtime.settings.config import merge, nested, read_yaml, validate
@@ -246,7 +246,7 @@ def programme_of(course: Trajectory, safety: SafetyParams | None, known: Program
 
 def known_of(controller: ControllerConfig, transit_s: float, *deadlines_s: float) -> Programme:
     """Return what a law and a link tell of a session: what the law rests at, how long a command is on its way [s]."""
-    rest_force = LAWS[controller.law].rest_force
+    rest_force = KNOWN_LAWS[controller.law].rest_force
     own = None if rest_force is None else functools.partial(rest_force, controller.params())
     return Programme(deadline_s=max(deadlines_s), transit_s=transit_s, rest_force=own)
 

@@ -117,14 +117,17 @@ def test_the_verdicts_are_those_of_the_document_of_the_laws():
 
 @pytest.mark.check("runs rows of the benchmark whole")
 def test_a_word_does_not_hide_the_force_that_it_stands_beside():
-    """A late message that leaves 2.3 mN is no growth, and what came to rest after 20 N was not held."""
+    """A late message that leaves 2.3 mN is no growth, and what came to rest after 5 N was not held."""
     quiet = run(run_of("passivity", "track", "wifi", "reacting", 7))
     assert quiet.verdict == "stable"
     assert quiet.measures["peak_force_n"] < 1.0
-    struck = run(run_of("smith", "hold", "satellite"))
+    withdrawn = run(run_of("smith", "hold", "satellite"))
+    assert withdrawn.verdict == "guarded"
+    assert "force_limit" in withdrawn.reason
+    assert withdrawn.measures["peak_force_n"] > 20.0
+    struck = run(run_of("smith", "touch", "transatlantic"))
     assert struck.verdict == "struck"
-    assert "times the force of the hand" in struck.reason
-    assert struck.measures["peak_force_n"] > STRUCK_FORCES * TASKS["hold"].force_n
+    assert struck.measures["peak_force_n"] > STRUCK_FORCES * TASKS["touch"].force_n
     (row,) = rows_of([struck])
     assert (row.held, row.verdicts) == (0, {"struck": 1})
 

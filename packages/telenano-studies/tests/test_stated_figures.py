@@ -95,7 +95,10 @@ def test_a_smith_predictor_strikes_the_springs_from_the_delays_of_the_page_on() 
     assert stated is not None
     for stiffness, text in zip((10.0, 20.0, 38.0), stated[1].split("/"), strict=True):
         delays_ms = (50.0, float(text) - 1.0, float(text), 500.0)
-        assert [verdict_on_a_spring("smith", stiffness, d) for d in delays_ms] == [*["stable"] * 2, *["struck"] * 2]
+        spring: dict[str, Any] = {"law": "smith", "environment": "spring", "stiffness_n_per_m": stiffness}
+        results = [run_cell(Cell(**spring, round_trip_ms=delay_ms)) for delay_ms in delays_ms]
+        assert {result.verdict for result in results} == {"stable"}
+        assert ["struck" in result.facts for result in results] == [False, False, True, True]
 
 
 def test_the_price_of_the_damping_is_that_of_the_document() -> None:

@@ -43,7 +43,8 @@ def held(law: str, stiffness: float, direction: dict[str, Any], hand: str = "for
 @pytest.mark.parametrize(("stiffness", "slot_s"), [(40.0, 0.06), (80.0, 0.03), (80.0, 0.06), (150.0, 0.06)])
 def test_slots_make_no_energy_and_press_no_harder_than_the_hand(law: str, stiffness: float, slot_s: float) -> None:
     result = held(law, stiffness, {"slots": {"min_interval_s": slot_s}})
-    assert result.verdict == "stable"
+    # slots beyond the deadline of 50 ms interrupt the loop for as long as the session lasts
+    assert result.verdict in (("stable", "cannot_say") if slot_s > 0.05 else ("stable",))
     assert result.lowest_energy_j > LEAST_J
     assert result.peak_n is not None
     assert result.peak_n < 1.1
@@ -70,21 +71,25 @@ AT_LIMIT = {"wave": 175.0, "passivity": 315.0, "model_mediated": 157.0}
 def test_messages_of_a_burst_that_come_one_by_one_make_no_energy(
     law: str, apart_us: int, stiffness: float | None, pause_ms: int
 ) -> None:
-    wave_j = -4e-6 if stiffness else -1e-5
+    # `model_mediated` lets the hand go in a pause of more than 50 ms, and what the tip then does no hand has paid
+    least_j = {"wave": -8e-6, "passivity": LEAST_J, "model_mediated": -2e-4}
+    if stiffness is None or stiffness > 100.0:
+        least_j = {"wave": -1.8e-5, "passivity": LEAST_J, "model_mediated": -6e-4}
     stiffness = stiffness or AT_LIMIT[law]
     # as a node gets them that waits for them: at 80 N/m, 20 us apart, wave made -21 mJ and passivity -11 mJ, and
     # model_mediated -60 mJ after pauses of 240 ms
     cell = Cell(law=law, environment="spring", round_trip_ms=80.0, stiffness_n_per_m=stiffness)
     rig = rig_of(cell, cell.hand_points(), settle_s(cell) + cell.hold_s()[1])
-    settle = settle_ticks(cell, rig.period_s)
-    ticks = settle + round(cell.hold_s()[1] / rig.period_s)
-    result = judged(cell, simulate(rig, bursts(ticks, pause_ms, 1000 * apart_us), settle))
-    # `model_mediated` lets the hand go in a pause of more than 50 ms, and what the tip then does no hand has paid
-    assert result.lowest_energy_j > {"wave": wave_j, "passivity": LEAST_J, "model_mediated": -2e-4}[law]
-    assert result.peak_n is not None
     # after a pause of the guard the base lags by what counts as followed, which it makes up for at once
     lag_n = scales_of(cell.controller()).force_scale * stiffness * FOLLOWED_M if pause_ms > 50 else 0.0
-    assert result.peak_n < 1.02 + lag_n
+    # when the session begins within a pause decides how much is made
+    for begin_ms in (0, pause_ms // 3, 2 * pause_ms // 3):
+        settle = settle_ticks(cell, rig.period_s) + begin_ms
+        ticks = settle + round(cell.hold_s()[1] / rig.period_s)
+        result = judged(cell, simulate(rig, bursts(ticks, pause_ms, 1000 * apart_us), settle))
+        assert result.lowest_energy_j > least_j[law]
+        assert result.peak_n is not None
+        assert result.peak_n < 1.02 + lag_n
 
 
 def hand_at_hz(law: str, frequency_hz: float) -> float:

@@ -105,8 +105,8 @@ def test_a_call_is_plain_python_until_a_loop_of_calls_pays_for_compiling_and_wha
     (imported, digest), said = calls(lockstep.PLAIN_TICKS, 1)
     assert (imported, said) == ("False", "")
     assert not list(tmp_path.rglob("*.nbi"))
-    # 300 ticks before the session, and 300 of it: the third call compiles
-    looped, said = calls(1200, 3)
+    # 100 ticks before the session, and 300 of it: the third call compiles
+    looped, said = calls(800, 3)
     assert looped == ["False", digest, "False", digest, "True", digest]
     assert said.count("compiling models") == said.count("\n") == 1
     assert calls(lockstep.PLAIN_TICKS, 1) == (["True", digest], "")
