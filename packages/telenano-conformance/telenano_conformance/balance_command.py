@@ -1,8 +1,6 @@
 """`telenano law balance`: the energy that a law makes at its two ports, by kind of transition."""
 
-import multiprocessing
-import os
-from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 from typing import Annotated, Any
 
 import typer
@@ -39,17 +37,13 @@ def law_balance(
             raise ConfigError(f"--kind {unknown[0]}: known are {', '.join(_ALL)}")
         for name in laws:
             known_law(name)
-        jobs = [(name, one, seed, cases, longest) for name in laws for one in kinds]
-        # a process that forks while others of its threads hold locks may stand for ever
-        context = multiprocessing.get_context("spawn")
         found: list[Row] = []
         if not as_json:
             typer.echo(_head(laws))
-        with ProcessPoolExecutor(max_workers=os.cpu_count(), mp_context=context) as pool:
-            for job, balances in zip(jobs, pool.map(_run, jobs), strict=True):
-                found.append((job[0], job[1], balances))
-                if not as_json:
-                    typer.echo(_line(_facts(*found[-1]), laws))
+        for name, one in product(laws, kinds):
+            found.append((name, one, _run(name, one, seed, cases, longest)))
+            if not as_json:
+                typer.echo(_line(_facts(*found[-1]), laws))
     broken = [row for row in found if states_passivity(known_law(row[0])) and not row[2][0].is_kept]
     if as_json:
         print_json({"tolerance_j": TOLERANCE_J, "kept": not broken, "rows": [_facts(*row) for row in found]})
@@ -59,8 +53,7 @@ def law_balance(
         raise typer.Exit(1)
 
 
-def _run(job: tuple[str, str, int, int, float]) -> list[Balance]:
-    name, kind, seed, cases, longest_s = job
+def _run(name: str, kind: str, seed: int, cases: int, longest_s: float) -> list[Balance]:
     try:
         return worst_balances(known_law(name), [kind], seed=seed, cases=cases, longest_s=longest_s)[kind]
     except (ArithmeticError, ValueError) as error:

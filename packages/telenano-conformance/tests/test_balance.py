@@ -38,6 +38,8 @@ MOST_N = 12.0
 CAP_J = 5e-3
 # 9 mJ in the spring, more than is granted at each start
 LEAK_M = 6e-3
+# 1.5 pm of the base in a period, so that it is at an end of travel of nanometres within seconds
+SINKS_M = 1e-6
 LONGEST_S = 20.0
 
 
@@ -126,13 +128,13 @@ def law_of(mutant: str = "") -> Law:
     def leaks(port: Port, what: str, happens: bool) -> Port:
         return stretched(port, LEAK_M) if mutant == what and happens else port
 
-    def wound(port: Port, end: str, unreal_j: float) -> Port:
-        """Send the work over a way that the device did not go: what a mutant does at an end of travel."""
-        return port._replace(wound_j=port.wound_j + max(unreal_j, 0.0)) if mutant == f"end of travel: {end}" else port
+    def wound(port: Port, unreal_j: float) -> Port:
+        """Send the work over a way that the device did not go: what a mutant does at the end of the hand's travel."""
+        return port._replace(wound_j=port.wound_j + max(unreal_j, 0.0)) if mutant == "end of travel: hand" else port
 
     def unwound(port: Port, signal: PortSignal, side: float) -> Port:
         more_j = max(signal.energy_j - port.heard_j, 0.0)
-        if not mutant.startswith("end of travel") or not more_j:
+        if mutant != "end of travel: hand" or not more_j:
             return port
         stretch = side * math.sqrt(port.stretch_m**2 + 2.0 * more_j / port.stiffness)
         return port._replace(stretch_m=stretch, heard_j=signal.energy_j)
@@ -157,7 +159,7 @@ def law_of(mutant: str = "") -> Law:
         work = hand.force_n * (hand.position_m - state.place_m)
         port = counted(params, state, hand.position_m, work, counts=counts)
         if counts:
-            port = wound(port, "hand", hand.force_n * (state.asked_m - hand.position_m))
+            port = wound(port, hand.force_n * (state.asked_m - hand.position_m))
         port = unwound(port, signal, 1.0 if hand.force_n > 0.0 else -1.0)
         port = leaks(port, "let go", hand.force_n == 0.0 and state.force_n != 0.0)
         port = leaks(port, "off", state.seen and not hand.following)
@@ -181,7 +183,8 @@ def law_of(mutant: str = "") -> Law:
 
     def slave_start(params: Params, tip: TipMeasurement) -> Port:
         port = begun(tip.base_position_m / params.position_scale, params.stiffness_n_per_m)
-        port = port._replace(force_n=-params.force_scale * tip.force_n, seen=tip.following)
+        # until the first signal has come the half is in a silence, which is none that begins
+        port = port._replace(force_n=-params.force_scale * tip.force_n, seen=tip.following, silent=True)
         return leaks(port, "instrument lost", happens=tip.following)
 
     def slave_receive(
@@ -192,8 +195,14 @@ def law_of(mutant: str = "") -> Law:
         state = unwound(state, signal, -1.0)
         port = leaks(state, "silence forward", silent and not state.silent and tip.following)
         if not coupled:
-            return port._replace(silent=silent), SlaveReference(tip.base_position_m if tip.following else 0.0, True)
+            asked = tip.base_position_m if tip.following else 0.0
+            port = port._replace(asked_m=asked / params.position_scale, silent=silent)
+            return port, SlaveReference(asked, True)
         way = planned(params, port, -params.force_scale * tip.force_n, dt)
+        if mutant == "end of travel: base" and tip.force_n == 0.0:
+            # in the air the base sinks, which takes no work, since the springs alone would not come to an end of travel
+            way -= SINKS_M
+            port = port._replace(stretch_m=port.stretch_m + SINKS_M)
         asked = tip.base_position_m + params.position_scale * way
         return port._replace(asked_m=asked / params.position_scale, silent=silent), SlaveReference(asked, True)
 
@@ -205,8 +214,7 @@ def law_of(mutant: str = "") -> Law:
         port = counted(params, state, place, work, counts=counts)
         port = port._replace(force_n=force, seen=tip.following)
         port = leaks(port, "arm", not state.seen and tip.following and tip.in_contact)
-        if counts:
-            port = wound(port, "base", force * (state.asked_m - place))
+        port = leaks(port, "end of travel: base", counts and abs(state.asked_m - place) > 0.5 * SINKS_M)
         return port, tip_signal(tip, tip.base_position_m, tip.force_n, energy_j=port.wound_j)
 
     def retune(old: Params, new: Params, state: Port) -> Port:
@@ -250,7 +258,9 @@ def test_springs_and_dampers_make_no_energy(kind: str) -> None:
         assert one.is_kept and one.unstated_j >= -TOLERANCE_J, one.sentence()
 
 
-@pytest.mark.check("three hundred draws of all kinds, up to four minutes long each, take minutes")
+# three hundred draws of all kinds, up to four minutes long each, take a quarter of an hour of a processor
+@pytest.mark.endurance
+@pytest.mark.timeout(7200)
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 @given(kind=st.sampled_from((*KINDS, MIXED)), case=st.integers(0, 2**31), limit_s=st.floats(0.02, 1.0))
 def test_springs_and_dampers_make_no_energy_in_any_draw(kind: str, case: int, limit_s: float) -> None:
@@ -269,8 +279,9 @@ def test_a_law_that_leaks_at_one_transition_is_found_there(mutant: str) -> None:
 
 
 @pytest.mark.check("each mutant runs through twenty draws of nothing but holds")
-@pytest.mark.parametrize("mutant", [one for one in MUTANTS if one not in ("let go", "quantised force")])
+@pytest.mark.parametrize("mutant", [one for one in MUTANTS if one not in ("let go", "quantised force", "arm")])
 def test_a_leak_at_a_transition_is_none_where_there_is_no_such_transition(mutant: str) -> None:
+    # every order arms the instrument at its start, in some draws within the sample: that is a transition of its own
     assert found_at(mutant, "hold", most=20) is None
 
 
@@ -304,7 +315,7 @@ def test_the_bench_is_at_the_door_for_packages() -> None:
         testing.balancing  # noqa: B018
 
 
-@pytest.mark.check("the command starts a process for each processor")
+@pytest.mark.check("the command starts twice and runs two orders")
 def test_the_command_runs_the_draws_of_the_kinds_that_it_is_given() -> None:
     said = run_command("wave", "--cases", "1", "--longest", "5", "--kind", "hold", "--kind", "off", "--json")
     assert said.returncode == 0
