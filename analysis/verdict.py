@@ -98,7 +98,7 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | 
             break
         fit = fitted(tail, period_s, floor)
         if _explains(fit, hand_force_n):
-            found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step), float(time_s[-1]))._replace(noise_n=noise)
+            found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step), float(time_s[-1]), tail, noise)
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
             if found.kind == "stable" and share < 1.0 and _recurs(_sizes(values, noise), small):
@@ -124,7 +124,9 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
     return True
 
 
-def _by_modes(fit: Fit, length_s: float, least_n: tuple[float, float], end_s: float) -> Verdict:
+def _by_modes(
+    fit: Fit, length_s: float, least_n: tuple[float, float], end_s: float, values: Series, noise_n: float
+) -> Verdict:
     """Judge by the modes of a stretch [s] that they explain; least_n: what is small, and what rounding makes [N]."""
     small_n, rounded_n = least_n
     growing: list[Mode] = []
@@ -166,24 +168,25 @@ def _by_modes(fit: Fit, length_s: float, least_n: tuple[float, float], end_s: fl
     if growing and max(mode.end_n for mode in growing) >= most_n:
         mode = max(growing, key=lambda one: one.end_n)
         words = f"a motion of {_words(mode, length_s)} grows by {mode.growth_per_s:.3g}/s"
-        return Verdict("diverged", mode.growth_per_s, size, fit.noise_n, words)
+        return Verdict("diverged", mode.growth_per_s, size, noise_n, words)
     if lasting:
         mode = max(lasting, key=lambda one: one.end_n)
-        words = f"a motion of {_words(mode, length_s)} neither grows nor dies out"
-        return Verdict("limit_cycle", mode.growth_per_s, size, fit.noise_n, words)
+        # harmonics make the motion another than its largest mode
+        cycle = math.ceil(len(values) / (length_s * min(one.frequency_hz for one in lasting)))
+        size = _moved(values[-cycle:], noise_n)
+        words = f"a motion of {size:.3g} N from peak to peak at {mode.frequency_hz:.3g} Hz neither grows nor dies out"
+        return Verdict("limit_cycle", mode.growth_per_s, size, noise_n, words)
     if unsure:
         mode = max(unsure, key=lambda one: one.end_n)
-        return Verdict("cannot_say", mode.growth_per_s, size, fit.noise_n, _undecided(mode, length_s, fit))
+        return Verdict("cannot_say", mode.growth_per_s, size, noise_n, _undecided(mode, length_s, fit))
     rate = max((mode.growth_per_s for mode in left if mode.end_n > 0.0), default=None)
     rest_s = end_s - length_s + max((_until(mode, small_n) for mode in left), default=0.0)
     rest_from_s = min(rest_s, end_s) if size <= small_n else None
     if size <= _FLOOR_SHARE * small_n / SMALL_SHARE or rate is None:
-        return Verdict("stable", rate, size, fit.noise_n, "at rest", rest_from_s)
+        return Verdict("stable", rate, size, noise_n, "at rest", rest_from_s)
     if rate < 0.0:
-        return Verdict(
-            "stable", rate, size, fit.noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}", rest_from_s
-        )
-    return Verdict("stable", rate, size, fit.noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
+        return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}", rest_from_s)
+    return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
 
 
 def _rises(fit: Fit, mode: Mode, change: float) -> bool:

@@ -168,3 +168,14 @@ def test_the_hand_has_to_press() -> None:
     assert LEAST_SAMPLES == 24
     with pytest.raises(ValueError, match=r"-1\.0 N"):
         judge(TIME_S, TIME_S, -1.0)
+
+
+@pytest.mark.parametrize("noise_n", [0.0, 0.01])
+@pytest.mark.parametrize("harmonic", [0.0, 0.2, -0.15])
+def test_a_cycle_goes_as_far_as_all_its_lines_together(harmonic: float, noise_n: float) -> None:
+    wave = 2.0 + np.sin(2.0 * np.pi * 3.0 * TIME_S) + harmonic * np.sin(2.0 * np.pi * 9.0 * TIME_S)
+    found = judge(TIME_S, wave + noise(noise_n, len(TIME_S), 3), 2.0)
+    assert found.kind == "limit_cycle"
+    # what noise can reach is taken off
+    assert found.peak_to_peak_n == pytest.approx(np.ptp(wave), abs=0.005 + 10.0 * noise_n)
+    assert f"a motion of {found.peak_to_peak_n:.3g} N from peak to peak at 3 Hz" in found.reason
