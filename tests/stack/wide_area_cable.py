@@ -296,7 +296,9 @@ def draws(law: str, delay_ms: float, loss: float, first_hold_s: float | None = N
         chosen["haptic_node.operator"], duration_s = programme(first_hold_s)
     for seed in range(SEEDS if loss else 1):
         settings = {**chosen, "delay_node.seed": seed}
-        run = simulate_scenario("fig12", law=law, delay_ms=delay_ms, duration_s=duration_s, settings=settings)
+        run = simulate_scenario(
+            "fig12", law=law, round_trip_ms=2.0 * delay_ms, duration_s=duration_s, settings=settings
+        )
         verdicts.append(run.verdict)
     return verdicts
 

@@ -104,9 +104,12 @@ def test_a_disturbed_cell_is_judged_and_its_seed_decides_it() -> None:
         )
     ]  # fmt: skip
     quiet, noisy, other = (run_cell(cell) for cell in cells)
-    # a swing that lasts is one, whoever drives it
-    assert (quiet.verdict, noisy.verdict) == ("stable", "limit_cycle")
-    assert quiet.peak_to_peak_n < 0.01 < noisy.peak_to_peak_n
-    assert noisy.peak_to_peak_n != other.peak_to_peak_n
+    # the noise of this read-out hides what the ground moves, and is no motion of the loop
+    assert quiet.verdict == "stable"
+    assert {noisy.verdict, other.verdict} <= {"stable", "cannot_say"}
+    assert quiet.peak_n is not None
+    assert noisy.peak_n is not None
+    assert noisy.peak_n > quiet.peak_n + 0.1
+    assert noisy.peak_n != other.peak_n
     again = course_of(cells[1], cells[1].hand_points(), 2.0)
     assert np.array_equal(again.tip_force_n, course_of(cells[1], cells[1].hand_points(), 2.0).tip_force_n)
