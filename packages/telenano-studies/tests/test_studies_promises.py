@@ -213,7 +213,8 @@ def test_passivity_holds_and_makes_no_energy_at_the_device(stiffness: float, lin
 def test_smith_goes_in_by_what_the_hand_does_in_a_round_trip(round_trip_ms: float, greatest_n: float) -> None:
     found = run_cell(Cell(law="smith", environment="tip_sample", stiffness_n_per_m=40.0, round_trip_ms=round_trip_ms))
     # the tip settles, and met the sample with more than twice the force of the hand
-    assert found.verdict == "struck"
+    assert found.verdict == "stable"
+    assert "struck" in found.facts
     assert found.peak_n == pytest.approx(greatest_n, rel=0.05, abs=0.0)
 
 
