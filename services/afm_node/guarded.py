@@ -96,9 +96,7 @@ class Step:
             "meniscus": sample.meniscus,
             "mode": safety.MODE_NAMES[self.allowed.mode],
             "limited": self.allowed.limited != 0,
-            "armed": self.follows
-            or self.allowed.mode == safety.MODE_HOLD
-            or safety.is_wished(self.allowed.mode, self.allowed.reason),
+            "armed": safety.is_armed(self.allowed.mode, self.allowed.reason),
             "placed": memory.placed,
             "step_s": self.elapsed_s,
             **self.said,

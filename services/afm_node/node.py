@@ -359,5 +359,4 @@ class AfmNode(DeviceNode):
                 "base_position_m": base_m,
             }
             self.event("mode", "info", text, placed=True, **facts)
-        is_armed = mode in (safety.MODE_FOLLOW, safety.MODE_HOLD) or safety.is_wished(mode, reason)
-        memory.places = memory.places and is_armed and not memory.placed
+        memory.places = memory.places and safety.is_armed(mode, reason) and not memory.placed

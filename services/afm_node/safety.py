@@ -156,6 +156,11 @@ def is_wished(mode: int, reason: int) -> bool:
     return mode == MODE_RETRACTED and reason == REASON_ARMED
 
 
+def is_armed(mode: int, reason: int) -> bool:
+    """Return whether the tip was armed, and that has not ended: it follows, is held, or waits for a command."""
+    return mode in (MODE_FOLLOW, MODE_HOLD) or is_wished(mode, reason)
+
+
 @compiled
 def is_placed(allowed: SafetyOutputs) -> bool:
     """Return whether the commanded base has reached its reference after every limit: no speed limit holds it back.
