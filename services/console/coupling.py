@@ -20,6 +20,7 @@ from proto.nodes import TIP, name_of
 from services.console.command_client import send_control
 from services.numerics.frames import to_paper_axis
 from services.runtime.bus.address_book import load_site
+from services.runtime.loop.arming import ARM_TIP
 from services.runtime.loop.commands import Command
 from services.runtime.wiring.observer import RIG_HINT, Observer, require_rig
 
@@ -115,7 +116,7 @@ def couple(rig: RunningRig) -> str:
     stays = "the tip stays withdrawn until it is armed"
     states.require(lambda: states.hand_still.for_s(_REST_S), _REST_PATIENCE_S, f"a hand at rest; {stays}")
     try:
-        rig.send(Command("arm", name_of(TIP), (TIP,), placed=True), _RETRACT_S)
+        rig.send(ARM_TIP, _RETRACT_S)
     except RigError as error:
         raise RigError(f"not coupled anew: {error}; {stays}") from error
     states.require(
