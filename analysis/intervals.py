@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 # a normal number is within so many standard deviations 95 times in 100
 DEVIATIONS = 1.959964
@@ -15,9 +16,7 @@ def half_width(deviation: float, count: int, confidence: float = 0.95) -> float:
         count: How many values there are, 2 or more.
         confidence: How often an interval is meant to have the true mean in it.
     """
-    from scipy.stats import t
-
-    return float(t.ppf(0.5 + 0.5 * confidence, count - 1) * deviation / math.sqrt(count))
+    return student(count - 1, confidence) * deviation / math.sqrt(count)
 
 
 def with_error(value: float, interval: Sequence[float] | None) -> str:
@@ -45,7 +44,35 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return (middle - half if successes else 0.0), (middle + half if successes < trials else 1.0)
 
 
-def student(freedom: int) -> float:
-    """Return Student's t that 2.5 % exceed, within 1 % from 7 degrees of freedom on (Abramowitz and Stegun 26.7.5)."""
-    z = DEVIATIONS
-    return z + (z**3 + z) / (4.0 * freedom) + (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / (96.0 * freedom**2)
+@lru_cache(maxsize=1024)
+def student(freedom: int, confidence: float = 0.95) -> float:
+    """Return Student's t: a share `confidence` of the distribution lies between -t and t.
+
+    The share is the finite series of M. Abramowitz and I. Stegun (26.7.3 and 26.7.4) in theta = atan(t/sqrt(freedom)),
+    and t is found by bisection: a rig has no SciPy.
+
+    Args:
+        freedom: The degrees of freedom, 1 or more.
+        confidence: The share, 0 to below 1.
+
+    Raises:
+        ValueError: There is no such distribution or share.
+    """
+    if freedom < 1 or not 0.0 <= confidence < 1.0:
+        raise ValueError(f"Student's t of {freedom} degrees of freedom and a share of {confidence} does not exist")
+    low, high = 0.0, 0.5 * math.pi
+    while low < (theta := 0.5 * (low + high)) < high:
+        low, high = (theta, high) if _share_within(theta, freedom) < confidence else (low, theta)
+    return math.sqrt(freedom) * math.tan(low)
+
+
+def _share_within(theta: float, freedom: int) -> float:
+    """Return the share of Student's distribution within sqrt(freedom) tan(theta) of its middle."""
+    cosine, is_odd = math.cos(theta), freedom % 2
+    term = cosine if is_odd else 1.0
+    total = term if freedom > 1 else 0.0
+    for power in range(2 + is_odd, freedom - 1, 2):
+        term *= (power - 1.0) / power * cosine * cosine
+        total += term
+    series = math.sin(theta) * total
+    return 2.0 / math.pi * (theta + series) if is_odd else series

@@ -41,7 +41,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from analysis.intervals import student
+from analysis.intervals import DEVIATIONS, student
 
 Series = npt.NDArray[np.float64]
 CONFIDENCE = 0.95
@@ -113,7 +113,7 @@ def _posterior(parts: Series) -> tuple[Series, Series, Series, float]:
     unsettled = float(weights[models.is_open].sum())
     kept = ~models.is_open & (weights > 1e-9)
     # Student's are taken for normal ones that are as much wider as their interval is.
-    wider = student(n - 1) / student(10**9)
+    wider = student(n - 1) / DEVIATIONS
     widths = wider * np.sqrt(squares / ((n - 1) * ones))
     settled = max(float(weights[kept].sum()), 1e-300)
     return weights[kept] / settled, (across / ones)[kept], widths[kept], unsettled

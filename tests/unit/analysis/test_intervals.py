@@ -1,8 +1,9 @@
 """Figures as texts, with their errors."""
 
 import pytest
+from scipy.stats import t
 
-from analysis.intervals import with_error
+from analysis.intervals import student, with_error
 
 
 @pytest.mark.parametrize(
@@ -19,3 +20,15 @@ def test_a_figure_is_told_to_the_digits_that_its_error_leaves(
     value: float, interval: list[float] | None, text: str
 ) -> None:
     assert with_error(value, interval) == text
+
+
+@pytest.mark.parametrize("confidence", [0.5, 0.95, 0.999])
+def test_students_t_is_that_of_scipy(confidence: float) -> None:
+    for freedom in (*range(1, 40), 127, 128, 5000):
+        assert student(freedom, confidence) == pytest.approx(t.ppf(0.5 + 0.5 * confidence, freedom), rel=1e-9)
+
+
+@pytest.mark.parametrize(("freedom", "confidence"), [(0, 0.95), (3, 1.0), (3, -0.1)])
+def test_a_distribution_that_does_not_exist_has_no_students_t(freedom: int, confidence: float) -> None:
+    with pytest.raises(ValueError, match="does not exist"):
+        student(freedom, confidence)

@@ -37,6 +37,24 @@ import telenano.cli.root, telenano.cli.commands.up
 print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules if name.startswith("telenano_")})))
 """
 
+# A report of a recording where only what a lock of deploy/ names can be imported.
+REPORTED = """
+import re, sys
+from importlib.metadata import packages_distributions
+lock, recording, out = sys.argv[1:]
+plain = lambda name: re.sub("[-_.]+", "-", name).lower()
+locked = {plain(line.split("==")[0]) for line in open(lock) if "==" in line} | {"telenano"}
+absent = {top for top, owners in packages_distributions().items() if not {plain(owner) for owner in owners} & locked}
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in absent:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Refuse())
+from pathlib import Path
+from analysis.report import write_report
+print(write_report(Path(recording), Path(out))["verdict"])
+"""
+
 
 def told(package: str) -> str:
     return f"{package}: {extras.how_to_add_package(package)}"
@@ -60,6 +78,15 @@ def test_no_node_imports_a_package_that_its_section_does_not_name() -> None:
     done = subprocess.run([sys.executable, "-c", IMPORTED], capture_output=True, text=True, check=True)
     # Every law that is installed has a section in `controller`, and a rig can change to it while it runs.
     assert json.loads(done.stdout) == ["telenano_laws"]
+
+
+@pytest.mark.parametrize("lock", ["session", "rig"])
+def test_a_session_is_reported_with_what_its_image_and_the_demo_have(lock: str, tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[3]
+    words = (root / f"deploy/locks/{lock}.lock", root / "presets/demo.mcap", tmp_path)
+    done = subprocess.run([sys.executable, "-c", REPORTED, *map(str, words)], capture_output=True, text=True)
+    assert (done.stdout.strip(), done.stderr) == ("stable", "")
+    assert (tmp_path / "fig12.png").exists()
 
 
 @pytest.mark.usefixtures("bare")
