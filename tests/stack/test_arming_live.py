@@ -86,10 +86,15 @@ def test_a_click_just_after_a_connection_never_arms_a_tip_alone(rig: Rig) -> Non
 
 
 def armed(rig: Rig, *target: str) -> str:
-    """Arm until no stop can be younger than the wish, as a delayed command has to take it, and return its words."""
+    """Arm until the tip has gone back and no stop can be younger than the wish, and return the command's words.
+
+    A delayed command has to take a stop that came meanwhile for a younger one, and a tip that still goes back from a
+    stop refuses to be armed.
+    """
     for _ in range(5):
         found = rig.telenano("session", "arm", *target)
-        if " is void: an emergency stop came to " not in found.stderr:
+        is_void = " is void: an emergency stop came to " in found.stderr
+        if not is_void and "not armed: still_retracting" not in found.stdout:
             break
     assert found.returncode == 0, found.stdout + found.stderr
     return found.stdout
