@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
 from analysis.swings import Swing, swings_of
-from analysis.verdict import ERROR_SHARE, LEFT_SHARE, SMALL_SHARE, Kind, Verdict, judge
+from analysis.verdict import ERROR_SHARE, LEFT_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
 Series = npt.NDArray[np.float64]
 FactKind = Literal[
@@ -321,6 +321,11 @@ class _Session(NamedTuple):
     greatest_n: float
 
     @property
+    def step_n(self) -> float:
+        """The step of the tip's read-out [N]: one that rounds does so throughout, in motion and at rest."""
+        return rounding_of(self.tip_n)
+
+    @property
     def small_n(self) -> float:
         return SMALL_SHARE * self.greatest_n
 
@@ -504,12 +509,13 @@ def _judge_span(session: _Session, start_s: float, end_s: float, force_n: float)
     tip_n = _without_hand(session, start_s, end_s)
     part = session.at(start_s, end_s)
     rest_n = session.rest_n(force_n)
-    verdict = judge(session.tip_s[part], tip_n, session.greatest_n, rest_n)
+    verdict = judge(session.tip_s[part], tip_n, session.greatest_n, rest_n, session.step_n)
     late = session.late_in(start_s, end_s)
     if not late or verdict.kind == "stable":
         return verdict
     part = session.at(start_s, late[0].start_s)
-    before = judge(session.tip_s[part], tip_n[: part.stop - part.start], session.greatest_n, rest_n)
+    before_n = tip_n[: part.stop - part.start]
+    before = judge(session.tip_s[part], before_n, session.greatest_n, rest_n, session.step_n)
     if before.kind in ("diverged", "limit_cycle"):
         return before
     if before.kind == "stable" and late[0].start_s - start_s > (1.0 - LEFT_SHARE) * (end_s - start_s):
@@ -647,7 +653,7 @@ def _judge_swing(session: _Session, swing: Swing) -> Hold:
     part = session.at(swing.start_s, at_s)
     hand = (session.hand_s >= swing.start_s) & (session.hand_s <= swing.end_s)
     force = float(session.hand_n[hand].mean()) if hand.any() else 0.0
-    found = judge(session.tip_s[part], session.tip_n[part], session.greatest_n)
+    found = judge(session.tip_s[part], session.tip_n[part], session.greatest_n, step_n=session.step_n)
     if why:
         found = _guarded(session, Episode("away", at_s, swing.end_s, why), found)
     words = f"{swing.peak_to_peak_n:.3g} N from peak to peak at {swing.frequency_hz:.3g} Hz"

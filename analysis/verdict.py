@@ -61,7 +61,9 @@ class Verdict(NamedTuple):
     rest_from_s: float | None = None
 
 
-def judge(time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | None = None) -> Verdict:
+def judge(
+    time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | None = None, step_n: float | None = None
+) -> Verdict:
     """Judge the motion of an episode.
 
     Args:
@@ -69,6 +71,8 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | 
         force_n: alpha_f F_s at those times [N], shape (n,).
         hand_force_n: What is large beside it [N], > 0: the hand's greatest force.
         rest_n: The force that the law rests at [N], None if it does not say: an approach to it is one.
+        step_n: The step of a read-out that rounds [N], as `rounding_of` finds it in the whole recording, 0 of one that
+            does not; None finds it in the episode, where a motion between two values looks the same.
 
     Raises:
         ValueError: The hand's force is not positive.
@@ -84,7 +88,7 @@ def judge(time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | 
         words = f"{len(time_s)} samples were taken of it: {LEAST_SAMPLES} or more would decide"
         return Verdict("cannot_say", None, size, 0.0, words)
     values, period_s = _even(time_s, force_n)
-    step = _step(values)
+    step = rounding_of(values) if step_n is None else step_n
     # one step of a read-out that rounds is no motion
     small, floor = max(SMALL_SHARE * hand_force_n, 1.5 * step), _FLOOR_SHARE * hand_force_n
     noise = max(noise_floor(values), step / math.sqrt(12.0))
@@ -252,7 +256,7 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
     return Verdict("limit_cycle", rate, size, noise_n, words)
 
 
-def _step(values: Series) -> float:
+def rounding_of(values: Series) -> float:
     """Return the step of a read-out that rounds [N]; 0 of one that does not."""
     steps = np.abs(np.diff(values))
     moved = steps[steps > 0.0]

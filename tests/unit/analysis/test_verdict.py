@@ -179,3 +179,11 @@ def test_a_cycle_goes_as_far_as_all_its_lines_together(harmonic: float, noise_n:
     # what noise can reach is taken off
     assert found.peak_to_peak_n == pytest.approx(np.ptp(wave), abs=0.005 + 10.0 * noise_n)
     assert f"a motion of {found.peak_to_peak_n:.3g} N from peak to peak at 3 Hz" in found.reason
+
+
+@pytest.mark.parametrize("size_n", [0.07, 0.2, 0.4])
+def test_a_motion_between_two_forces_is_at_rest_only_in_a_read_out_that_rounds_throughout(size_n: float) -> None:
+    values = 1.0 + np.where(TIME_S % 0.2 < 0.1, size_n, 0.0)
+    assert judge(TIME_S, values, 1.0, step_n=0.0).kind == "limit_cycle"
+    if size_n < 0.3:
+        assert judge(TIME_S, values, 1.0, step_n=size_n).kind == "stable"
