@@ -16,6 +16,7 @@ Where a person is the hand, its force swings with the loop, and an oscillation l
 tip's force (`analysis.swings`) is judged in the place of one.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Literal, NamedTuple
@@ -24,8 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
+from analysis.modes import rms
 from analysis.swings import Swing, swings_of
-from analysis.verdict import ERROR_SHARE, LEFT_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
+from analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
 Series = npt.NDArray[np.float64]
 FactKind = Literal[
@@ -45,7 +47,7 @@ FactKind = Literal[
 SHORTEST_HOLD_S = 0.5
 # change of the hand's force, as a share of its greatest [1]: sensors of hands tell no less
 STEADY_SHARE = 0.01
-# greatest force at the tip, in forces of the hand [1]: an undamped spring met by a step goes to twice its force
+# greatest force at the tip, or trembling there, in those of the hand [1]: an undamped spring goes to twice a step
 STRUCK_FORCES = 2.0
 # how far hand and tip may rest apart, at the hand's scale [m]: three times the way of 1 N on 20 N/m
 PARTED_M = 1e-3
@@ -153,6 +155,10 @@ class Late(NamedTuple):
     start_s: float
     by_s: float
     who: Literal["machine", "link"] = "machine"
+
+    def span_s(self, transit_s: float) -> tuple[float, float]:
+        """Return from when to when [s] the tip shows it; what a link lacks is missed up to the transit before."""
+        return self.start_s, self.start_s + self.by_s + (transit_s if self.who == "link" else 0.0)
 
 
 class Lack(NamedTuple):
@@ -479,49 +485,57 @@ def hold_forces(
 def _judged_contact(
     session: _Session, contacts: Sequence[Episode], episodes: Sequence[Episode], force_n: float
 ) -> tuple[Episode | None, Verdict]:
-    """Return the episode that a hold is judged by, and the verdict: the first contact, before anything interrupted it.
+    """Return the episode that a hold is judged by, and the verdict: the longest contact that nothing disturbs.
 
-    Where that is shorter than a hold, a later one may say that the loop came to rest again, but never that it does not:
-    what moves after an interruption is its consequence.
+    Growth and decay belong to the loop at any time, and so does rest. A motion that goes on after an interruption, or
+    after machine or link were late, may have been brought about by it, and is a limit cycle only where the motion
+    before does not say otherwise.
     """
-    # what is shorter than any hold says nothing, unless there is nothing else
-    of_length = [one for one in contacts if one.end_s - one.start_s >= SHORTEST_HOLD_S]
-    if contacts:
-        one = of_length[0] if of_length else max(contacts, key=lambda each: each.end_s - each.start_s)
-        verdict = _judge_span(session, one.start_s, one.end_s, force_n)
-        if one is not contacts[0] and verdict.kind != "stable":
-            why = next(each.why for each in contacts if each.why)
-            words = f"after {why}, {verdict.reason}: a hold that nothing interrupts would decide"
-            return one, verdict._replace(kind="cannot_say", reason=words)
-        if one.why and verdict.kind == "cannot_say":
-            words = f"before {one.why}, {verdict.reason}: a hold that nothing interrupts would decide"
-            verdict = verdict._replace(reason=words)
-        return one, verdict
-    opened = next((one.why for one in episodes if one.kind == "open"), "")
-    if opened:
-        return None, Verdict("cannot_say", None, 0.0, 0.0, f"{opened}: a hold that nothing interrupts would decide")
-    words = "the tip had not reached the surface by the end of the hold: a longer hold would decide"
-    return None, Verdict("cannot_say", None, 0.0, 0.0, words)
+    if not contacts:
+        opened = next((one.why for one in episodes if one.kind == "open"), "")
+        words = "the tip had not reached the surface by the end of the hold: a longer hold would decide"
+        words = f"{opened}: a hold that nothing interrupts would decide" if opened else words
+        return None, Verdict("cannot_say", None, 0.0, 0.0, words)
+    parts: list[Episode] = []
+    for one in contacts:
+        late = [each.span_s(session.known.transit_s) for each in session.late_in(one.start_s, one.end_s)]
+        parts += [one._replace(start_s=start, end_s=end) for start, end in outside((one.start_s, one.end_s), late)]
+    part = max(parts or contacts, key=lambda each: each.end_s - each.start_s)
+    undisturbed = bool(parts) and part.end_s - part.start_s >= SHORTEST_HOLD_S
+    verdict = _judge_motion(session, part, force_n)
+    late_words = _late_words(session.late_in(contacts[0].start_s, contacts[-1].end_s))
+    causes = [*dict.fromkeys(one.why for one in contacts if one.why)] + ([late_words] if late_words else [])
+    if verdict.kind == "stable" and causes:
+        for other in parts:
+            if other is not part and 2.0 * (other.end_s - other.start_s) > part.end_s - part.start_s:
+                again = _judge_motion(session, other, force_n)
+                verdict = again._replace(kind="cannot_say") if again.kind == "diverged" else verdict
+    if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and undisturbed):
+        return part, verdict
+    if verdict.kind == "limit_cycle" and undisturbed:
+        before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
+        first = part.start_s == contacts[0].start_s
+        if first or (before and _judge_motion(session, before[0], force_n).kind != "stable"):
+            return part, verdict
+    words = f"{verdict.reason}, from {part.start_s:.3f} s to {part.end_s:.3f} s; {', '.join(causes)}"
+    return part, verdict._replace(kind="cannot_say", reason=f"{words}: a hold that nothing interrupts would decide")
 
 
-def _judge_span(session: _Session, start_s: float, end_s: float, force_n: float) -> Verdict:
-    """Judge the motion of a span; where the machine was late and it is not at rest, that before the first time."""
-    tip_n = _without_hand(session, start_s, end_s)
-    part = session.at(start_s, end_s)
-    rest_n = session.rest_n(force_n)
-    verdict = judge(session.tip_s[part], tip_n, session.greatest_n, rest_n, session.step_n)
-    late = session.late_in(start_s, end_s)
-    if not late or verdict.kind == "stable":
+def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
+    """Judge the motion of a span, without what follows the hand's trembling.
+
+    What moves less than STRUCK_FORCES times as far as the hand may be the answer of a loop that is stable.
+    """
+    own = session.at(part.start_s, part.end_s)
+    tip_n = _without_hand(session, part.start_s, part.end_s)
+    verdict = judge(session.tip_s[own], tip_n, session.greatest_n, session.rest_n(force_n), session.step_n)
+    if verdict.kind not in ("diverged", "limit_cycle"):
         return verdict
-    part = session.at(start_s, late[0].start_s)
-    before_n = tip_n[: part.stop - part.start]
-    before = judge(session.tip_s[part], before_n, session.greatest_n, rest_n, session.step_n)
-    if before.kind in ("diverged", "limit_cycle"):
-        return before
-    if before.kind == "stable" and late[0].start_s - start_s > (1.0 - LEFT_SHARE) * (end_s - start_s):
-        # what follows is too short to show more than the consequence
-        return before
-    words = f"{verdict.reason}, while {_late_words(late)}: a run in which nothing is late would decide"
+    hand_n = session.hand_n[slice(*np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist())]
+    own_n = 2.0 * math.sqrt(2.0) * rms(hand_n - float(np.cumsum(hand_n)[-1]) / len(hand_n)) if len(hand_n) else 0.0
+    if verdict.peak_to_peak_n > STRUCK_FORCES * own_n:
+        return verdict
+    words = f"{verdict.reason}, and the hand trembles by {own_n:.2g} N: a hand that rests would decide"
     return verdict._replace(kind="cannot_say", reason=words)
 
 

@@ -219,6 +219,11 @@ def test_a_machine_that_is_late_is_named_and_blamed() -> None:
     kicks = HAND_N + swing(2.0, 2.3, 0.0, 0.4) + swing(3.3, 3.6, 0.0, 0.4) + swing(4.0, 4.4, 0.0, 0.4)
     late = Programme(late=[Late(2.0, 0.03), Late(3.3, 0.02), Late(4.0, 0.025)])
     hold = judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument(), late)[0]
+    # what the machine brings about dies out each time
+    assert (hold.verdict, hold.has("machine_late")) == ("stable", True)
+    # what goes on from such a moment may have been brought about by it
+    goes_on = HAND_N + swing(2.0, 4.5, 0.0, 0.4)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, goes_on, instrument(), late)[0]
     assert hold.verdict == "cannot_say"
     assert "the machine was late by 30 ms, 3 times" in hold.reason
     assert judge_holds(TIME_S, HAND_N, TIME_S, kicks, instrument())[0].verdict == "limit_cycle"
