@@ -14,11 +14,11 @@ from telenano_networks.line_fit import (
     SHARES,
     accept,
     ages_s,
-    correlation_time_s,
     fit,
     generated,
     intervals,
     lost_runs,
+    memory_of,
     parameters,
     statistics,
 )
@@ -108,8 +108,16 @@ def test_the_correlation_of_scores_is_found_from_that_of_the_delays() -> None:
     for time_s in (0.01, 0.05, 0.5, 5.0):
         wanted = math.expm1(spread**2 * math.exp(-period_s / time_s)) / math.expm1(spread**2)
         # the quantiles are linear between the shares
-        assert correlation_time_s(wanted, quantiles_s, period_s) == pytest.approx(time_s, rel=0.02)
-    assert correlation_time_s(0.01, quantiles_s, period_s) == correlation_time_s(math.nan, quantiles_s, period_s) == 0.0
+        assert memory_of(np.array([1]), [wanted], quantiles_s, period_s) == (pytest.approx(time_s, rel=0.02), 0.0, 0.0)
+    for none in (0.01, math.nan):
+        assert memory_of(np.array([1]), [none], quantiles_s, period_s) == (0.0, 0.0, 0.0)
+    # a part that lasts for 2 s, and the rest for less than a period
+    lags = 2 ** np.arange(9)
+    scores = 0.3 * np.exp(-lags * period_s / 2.0)
+    wanted = (np.expm1(spread**2 * scores) / math.expm1(spread**2)).tolist()
+    time_s, second_s, share = memory_of(lags, wanted, quantiles_s, period_s)
+    assert (time_s, share) == (pytest.approx(2.0, rel=0.2), pytest.approx(0.7, abs=0.03))
+    assert second_s < period_s
 
 
 def test_a_resample_is_tallied_as_the_log_of_its_blocks() -> None:
