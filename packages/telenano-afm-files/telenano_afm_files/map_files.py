@@ -174,9 +174,7 @@ def _corrected(found: Imported, wanted: Wanted) -> Imported:
         return found
     whole = found.map
     if whole.quantity not in ("force", "voltage"):
-        raise MapError(
-            f"--correct {wanted.correct}: is for a force or a deflection, and its values are a {whole.quantity}"
-        )
+        raise MapError(f"--correct {wanted.correct}: is for a force or a deflection, not for a {whole.quantity}")
     count = max(int(wanted.free_share * len(whole.z_m)), 2)
     unit = SI_UNITS[whole.quantity]
     heights = whole.z_m - math.fsum(whole.z_m[-count:].tolist()) / count

@@ -229,8 +229,8 @@ def test_an_option_takes_off_what_a_grid_has_in_free_air_and_turns_its_sign(tmp_
     noise = draw.normal(0.0, 2e-3 * span_n, force.shape)
     axes = {name: 1e-8 * np.arange(n) for name, n in (("x", 3), ("y", 4))}
     np.savez(
-        tmp_path / "grid.npz", value=sign * (force + noise), z=z, **axes, unit="N", sign=1, length_unit="m", axis="base",
-        stiffness_n_per_m=1.0, source="made",
+        tmp_path / "grid.npz", value=sign * (force + noise), z=z, **axes, unit="N", sign=1, length_unit="m",
+        axis="base", stiffness_n_per_m=1.0, source="made",
     )  # fmt: skip
     found = import_map(tmp_path / "grid.npz", Wanted({"sign": int(sign)}, correct="tilt" if tilted else "offset"))
     assert np.abs(found.map.values[0] - true).max() < 0.03 * span_n
