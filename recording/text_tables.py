@@ -151,7 +151,7 @@ def read_table(path: Path) -> TextTable:
 
 def parse_table(content: bytes, name: str) -> TextTable:
     """Return the table in the bytes of a text file, which is called by this name; ConfigError as `read_table`."""
-    text, remarks = _decoded(content, name), []
+    text, remarks = decoded(content, name), []
     rows = text.splitlines()
     if not any(map(str.strip, rows)):
         raise ConfigError(f"{name}: is empty")
@@ -191,8 +191,8 @@ def parse_table(content: bytes, name: str) -> TextTable:
             " nothing between thousands"
         )
     # a sentence above the table names no column
-    is_named = bool(head) and (separator in head[-1] or len(head[-1].split()) == 1)
-    names = len(_split_head(head[-1], separator)) if is_named else 0
+    last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
+    names = len(_split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
     if separator == "," and not fold.points and (0 < 2 * names == width or (not names and width in (4, 6))):
         raise ConfigError(
             f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the commas are"
@@ -260,7 +260,8 @@ class _Folding:
         return max(set(counts), key=lambda count: (counts.count(count), count), default=0)
 
 
-def _decoded(content: bytes, name: str) -> str:
+def decoded(content: bytes, name: str) -> str:
+    """Return the text of a file in UTF-8, in UTF-16 with its mark, or of an older Windows; ConfigError for no text."""
     try:
         if content.startswith((b"\xff\xfe", b"\xfe\xff")):
             return content.decode("utf-16")

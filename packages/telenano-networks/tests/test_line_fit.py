@@ -237,6 +237,20 @@ def test_a_clock_that_stepped_anywhere_in_the_log_is_refused(tmp_path: Path, aft
         read_log([path])
 
 
+@pytest.mark.parametrize(
+    ("heading", "is_trip"),
+    [("rtt_ms", True), ("avg_rtt (ms)", True), ("latency_rtt_ms", True), ("srtt_ms", True), ("2-way delay [ms]", True),
+     ("Round Trip Time [ms]", True), ("ping [ms]", True), ("delay_ms", False), ("owd [ms]", False),
+     ("latency (ms)", False)],
+)  # fmt: skip
+def test_a_heading_says_whether_its_delays_are_round_trips(heading: str, is_trip: bool, tmp_path: Path) -> None:
+    rows = "".join(f"{0.2 * n:.1f},{40 + n % 7}\n" for n in range(600))
+    (tmp_path / "log.csv").write_text(f"ts_s,{heading}\n{rows}", encoding="utf-8")
+    log = read_log([tmp_path / "log.csv"])
+    assert log.round_trip is is_trip
+    assert any("round trips" in cut for cut in log.cuts) is is_trip
+
+
 def test_a_line_that_changes_now_and_then_is_no_clock_that_stepped(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     level = ("20", "24", "21", "28", "20", "26")
