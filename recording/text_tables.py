@@ -193,7 +193,8 @@ def parse_table(content: bytes, name: str) -> TextTable:
     # a sentence above the table names no column
     last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
     names = len(_split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
-    if separator == "," and not fold.points and (0 < 2 * names == width or (not names and width in (4, 6))):
+    # no program writes 05 for a whole number: it is behind a decimal comma
+    if separator == "," and not fold.points and (0 < 2 * names == width or (not names and (fold.zeros or width == 4))):
         raise ConfigError(
             f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the commas are"
             " decimal ones, separate the columns by semicolons or tabs"
@@ -236,6 +237,8 @@ class _Folding:
         self._separator = separator
         # the first line with a decimal comma, and with a decimal point
         self.commas, self.points = 0, 0
+        # whether a whole number begins with a 0
+        self.zeros = False
 
     def split(self, row: str) -> tuple[list[str], int]:
         """Return the cells of a row, and how many they are."""
@@ -249,6 +252,7 @@ class _Folding:
                 self.commas = line
             if "." in cell and not self.points:
                 self.points = line
+            self.zeros = self.zeros or (cell[:1] == "0" and cell[1:].isdecimal())
         return value
 
     def is_numeric(self, row: str) -> bool:

@@ -68,8 +68,8 @@ def import_map(
         typer.Option(
             "--correct",
             help="Take off what free air has: the mean of each curve there (offset), with a slope that all have "
-            "(tilt), or nothing. Without it curves lose their offset and a plain grid nothing. To turn all values, give "
-            "--set sign=-1.",
+            "(tilt), or nothing. Without it curves lose their offset and a plain grid nothing. "
+            "--set sign=-1 turns all values.",
         ),
     ] = None,
     baseline: Annotated[

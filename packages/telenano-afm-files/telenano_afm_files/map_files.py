@@ -99,6 +99,8 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
     try:
         if not path.is_dir():
             open_regular(path).close()
+            if path.stat().st_size == 0:
+                raise MapError("is empty")
         members = {name: value for name, value in wanted.given.items() if name not in ASKED}
         found = _import(path, wanted._replace(given=members), watch)
         found = _corrected(found, wanted)

@@ -3,8 +3,8 @@
 The lines are those of the `ping` of Linux, BusyBox, BSD, macOS and Windows, and of `fping`; what they call the time is
 that of any language (`time=42 ms`, `Zeit=42ms`). `ping -D` prints the time of each answer, and so does what puts a date
 in front of each line. Without them the packets are taken as sent at even distances, of which the last lines say how
-long all of them took. Windows prints no numbers: each line between its head and its statistics is a packet, and one without
-a time is a lost one.
+long all of them took. Windows prints no numbers: each line between its head and its statistics is a packet, and one
+without a time is a lost one.
 
 What was lost before the first answer and after the last one is counted as well, by the numbers that other lines name
 (`no answer yet for icmp_seq=7`) and by how many packets were transmitted. A new run in the same file, by its head or by
