@@ -69,7 +69,7 @@ class Jitter(Settings):
         "under the same settings alike [s]; 0: `correlation` of successive messages holds",
     )
     second_correlation_time_s: Seconds = Field(
-        default=0.0, description="another such time, of a part of the scores of its own [s]"
+        default=0.0, description="another such time, of a part of the scores [s]"
     )
     second_correlation_share: Probability = Field(
         default=0.0, description="share of the variance of the normal scores that lasts over second_correlation_time_s"

@@ -30,7 +30,7 @@ WRITTEN = (
 def test_a_table_has_the_values_and_units_that_were_written(written: tuple[str, str, str, str], before: str) -> None:
     separator, mark, encoding, end = written
     draw = np.random.default_rng([WRITTEN.index(written), BEFORE.index(before)])
-    for _ in range(20):
+    for _ in range(6):
         chosen = [UNITS[n] for n in draw.integers(len(UNITS), size=draw.integers(1, 5))]
         form = FORMS[draw.integers(2 if separator == "  " else len(FORMS) - (separator == ","))]
         form = "{} [{}]" if separator in ("  ", ",") and "," in form else form
