@@ -26,8 +26,10 @@ _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9
 SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
 # A correlation of neighbours below this is none, and none is higher.
 _LEAST_CORRELATION, _MOST_CORRELATION = 0.05, 0.9999
-# Below this share there is no second time: the one is that of the correlation of neighbours then.
+# Below this share there is no second time.
 _LEAST_SHARE = 0.03
+# Nor is there where the time that neighbours give misses the correlations by less (root mean square).
+_LITTLE = 0.03
 # Times in which what lasts may fall to 1/e: from so many periods up to so many of the longest lag.
 _SHORTEST_TIME, _LONGEST_TIME = 0.3, 10.0
 # The second time is shorter by so many times at least, and one of so many is tried.
@@ -216,9 +218,9 @@ def memory_of(
     """Return the time in which the correlation of normal scores falls to 1/e, a second such time [s], and its share.
 
     The times t1 and t2 and the share b are those with which (1 - b) exp(-t/t1) + b exp(-t/t2) is nearest to the
-    correlations of the scores at all lags, that of neighbours counting as much as the others together. Without any
-    correlation, and without a second time, the times are 0. What lasts for less than a period is taken to last for
-    0.3 of it, because nothing in the log tells.
+    correlations of the scores at all lags, that of neighbours counting as much as the others together. Where the one
+    time that neighbours give is as near, there is no second one. Without any correlation the time is 0. What lasts for
+    less than a period is taken to last for 0.3 of it, because nothing in the log tells.
 
     Args:
         lags: Distances in messages, the first of which is 1, shape (n,).
@@ -231,6 +233,10 @@ def memory_of(
         return 0.0, 0.0, 0.0
     scores, steps = correlation_of_scores(np.asarray(wanted)[known], quantiles_s), lags[known]
     weights = np.where(steps == 1, max(1.0, len(steps) - 1.0), 1.0)
+    one = float(np.clip(scores[0], 1e-9, _MOST_CORRELATION))
+    of_neighbours = _rounded(-period_s / math.log(one)) if wanted[0] >= _LEAST_CORRELATION else 0.0
+    if math.sqrt(float((one**steps - scores) ** 2 @ weights / weights.sum())) <= _LITTLE or len(steps) < 3:
+        return of_neighbours, 0.0, 0.0
     times = np.geomspace(_SHORTEST_TIME, _LONGEST_TIME * steps[-1], 150)
     courses = np.exp(-steps / times[:, None])
     best = (math.inf, 0.0, 0.0, 0.0)
@@ -244,11 +250,9 @@ def memory_of(
         place = int(np.argmin(costs))
         best = min(best, (float(costs[place]), float(times[place]), second, 1.0 - float(shares[place])))
     _, first, second, share = best
-    if _LEAST_SHARE < share < 1.0 - _LEAST_SHARE and len(steps) > 2:
+    if _LEAST_SHARE < share < 1.0 - _LEAST_SHARE:
         return _rounded(period_s * first), _rounded(period_s * second), _rounded(share)
-    if not wanted[0] >= _LEAST_CORRELATION:
-        return 0.0, 0.0, 0.0
-    return _rounded(-period_s / math.log(min(float(scores[0]), _MOST_CORRELATION))), 0.0, 0.0
+    return of_neighbours, 0.0, 0.0
 
 
 def correlation_of_scores(wanted: Column, quantiles_s: Column) -> Column:
