@@ -151,7 +151,7 @@ def read_table(path: Path) -> TextTable:
 
 def parse_table(content: bytes, name: str) -> TextTable:
     """Return the table in the bytes of a text file, which is called by this name; ConfigError as `read_table`."""
-    text, remarks = _decoded(content, name), []
+    text, remarks = decoded(content, name), []
     rows = text.splitlines()
     if not any(map(str.strip, rows)):
         raise ConfigError(f"{name}: is empty")
@@ -159,9 +159,9 @@ def parse_table(content: bytes, name: str) -> TextTable:
     fold = _Folding(separator)
     width, ends_whole = fold.width_of(islice(rows, first, first + 50)), text.endswith(("\n", "\r"))
     # rows of numbers with another width, such as a count of points, belong to the head
-    while width and fold.split(rows[first])[1] != width:
+    while width and len(fold.split(rows[first])) != width:
         first += 1
-    width = width or fold.split(rows[first])[1]
+    width = width or len(fold.split(rows[first]))
     head, titles = _titles(rows[:first], width, separator)
     columns = [array("d") for _ in range(width)]
     lines = array("q")
@@ -169,8 +169,8 @@ def parse_table(content: bytes, name: str) -> TextTable:
     for number, row in enumerate(rows[first:], start=first + 1):
         if not row.strip() or (_COMMENT.match(row) and not fold.is_numeric(row)):
             continue
-        cells, count = fold.split(row)
-        numbers = [fold.number(cell, number) for cell in cells]
+        cells = fold.split(row)
+        count, numbers = len(cells), [fold.number(cell, number) for cell in cells]
         if (count < width or None in numbers) and number == len(rows) and not ends_whole:
             remarks.append("its last line has no end and is no whole row; it is left out")
             continue
@@ -191,9 +191,10 @@ def parse_table(content: bytes, name: str) -> TextTable:
             " nothing between thousands"
         )
     # a sentence above the table names no column
-    is_named = bool(head) and (separator in head[-1] or len(head[-1].split()) == 1)
-    names = len(_split_head(head[-1], separator)) if is_named else 0
-    if separator == "," and not fold.points and (0 < 2 * names == width or (not names and width in (4, 6))):
+    last = next((row for row in reversed(head) if not fold.is_numeric(row)), "")
+    names = len(_split_head(last, separator)) if last and (separator in last or len(last.split()) == 1) else 0
+    # no program writes 05 for a whole number: it is behind a decimal comma
+    if separator == "," and not fold.points and (0 < 2 * names == width or (not names and (fold.zeros or width == 4))):
         raise ConfigError(
             f"{name}, line {first + 1}: has {width} columns separated by commas and no decimal point: if the commas are"
             " decimal ones, separate the columns by semicolons or tabs"
@@ -236,31 +237,31 @@ class _Folding:
         self._separator = separator
         # the first line with a decimal comma, and with a decimal point
         self.commas, self.points = 0, 0
+        # whether a whole number begins with a 0
+        self.zeros = False
 
-    def split(self, row: str) -> tuple[list[str], int]:
-        """Return the cells of a row, and how many they are."""
-        cells = _split(row, self._separator)
-        return cells, len(cells)
+    def split(self, row: str) -> list[str]:
+        return _split(row, self._separator)
 
     def number(self, cell: str, line: int) -> float | None:
         value = as_number(cell)
         if value is not None:
-            if "," in cell and not self.commas:
-                self.commas = line
-            if "." in cell and not self.points:
-                self.points = line
+            self.commas = self.commas or line * ("," in cell)
+            self.points = self.points or line * ("." in cell)
+            self.zeros = self.zeros or (cell[:1] == "0" and cell[1:].isdecimal())
         return value
 
     def is_numeric(self, row: str) -> bool:
-        return all(as_number(cell) is not None for cell in self.split(row)[0])
+        return all(as_number(cell) is not None for cell in self.split(row))
 
     def width_of(self, rows: Iterator[str]) -> int:
         """Return how many columns most of these rows have."""
-        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row)[0]] if _is_data(cells)]
+        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row)] if _is_data(cells)]
         return max(set(counts), key=lambda count: (counts.count(count), count), default=0)
 
 
-def _decoded(content: bytes, name: str) -> str:
+def decoded(content: bytes, name: str) -> str:
+    """Return the text of a file in UTF-8, in UTF-16 with its mark, or of an older Windows; ConfigError for no text."""
     try:
         if content.startswith((b"\xff\xfe", b"\xfe\xff")):
             return content.decode("utf-16")

@@ -68,6 +68,12 @@ class Jitter(Settings):
         description="time in which the correlation of the normal scores falls to 1/e, whatever is sent, for all topics "
         "under the same settings alike [s]; 0: `correlation` of successive messages holds",
     )
+    second_correlation_time_s: Seconds = Field(
+        default=0.0, description="another such time, of a part of the scores [s]"
+    )
+    second_correlation_share: Probability = Field(
+        default=0.0, description="share of the variance of the normal scores that lasts over second_correlation_time_s"
+    )
     pareto_shape: float = Field(
         default=3.0,
         gt=2.0,
@@ -276,6 +282,9 @@ class Impairment(Settings):
             yield "jitter.table_file", "distribution 'table' needs a file of samples or jitter.quantiles, and not both"
         if self.jitter.correlation > 0.0 and self.jitter.correlation_time_s > 0.0:
             yield "jitter.correlation", "is per message, jitter.correlation_time_s over time; set one of them"
+        times = (self.jitter.correlation_time_s, self.jitter.second_correlation_time_s)
+        if self.jitter.second_correlation_share > 0.0 and 0.0 in times:
+            yield "jitter.second_correlation_share", "needs correlation_time_s and second_correlation_time_s above 0"
         if self.jitter.distribution == "table" and self.jitter.scale_s == 0.0:
             yield "jitter.scale_s", "is 0, by which every sample of the table is multiplied; 1 where they are seconds"
         if self.jitter.second_share > 0.0 and self.jitter.second_scale_s == 0.0:

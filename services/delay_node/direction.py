@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from services.delay_node.config import DirectionSettings, LinkSettings
 from services.delay_node.fate import Direction, DirectionStats, Fate, Figures, Release, delayed
-from services.delay_node.models.jitter import JitterSource
+from services.delay_node.models.jitter import RandomDelay
 from services.delay_node.models.outages import Outages
 from services.delay_node.models.queueing import ServedQueue, Waiting
 from services.delay_node.pipeline import Files, InFlight, Pipeline, PipelineState, TopicPipeline, read_files
@@ -419,7 +419,7 @@ class DirectionEngine:
         self._fates.append(_fate(self._direction, message)._replace(dropped=cause))
 
 
-def _random_delay_ns(fixed_ns: int, jitter: JitterSource | None, now_ns: int) -> int:
+def _random_delay_ns(fixed_ns: int, jitter: RandomDelay | None, now_ns: int) -> int:
     # No network delivers before it has received: a delay that a wide jitter takes below zero stays at zero.
     return fixed_ns if jitter is None else min(max(0, round(fixed_ns + jitter(now_ns))), _LONGEST_DELAY_NS)
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 
 from proto.errors import ConfigError
-from services.delay_node.config import DirectionSettings, Impairment, LinkSettings, Outage, Slots
+from services.delay_node.config import DirectionSettings, Impairment, Jitter, LinkSettings, Outage, Slots
 from services.delay_node.fate import Direction
 from services.delay_node.models.events import Corruptor, Overtaking
-from services.delay_node.models.jitter import JitterSource
+from services.delay_node.models.jitter import JitterSource, RandomDelay
 from services.delay_node.models.loss import GilbertElliottChain, MarkovLossChain
 from services.delay_node.models.outages import NO_SESSION_NS, Outages
 from services.delay_node.models.queueing import DeliveryServer, RateServer, ServedQueue, Server, SlotGate
@@ -75,7 +75,7 @@ class SharedModels(NamedTuple):
     queue: "ServedQueue[InFlight] | None"
     slot_gate: SlotGate | None
     outages: Outages | None
-    lasting_jitter: JitterSource | None  # one whose correlation is over time belongs to the line
+    lasting_jitter: RandomDelay | None  # one whose correlation is over time belongs to the line
 
 
 class TopicPipeline(NamedTuple):
@@ -93,8 +93,8 @@ class TopicPipeline(NamedTuple):
     corruptor: Corruptor | None
     duplicates: Occurrence | None
     overtakes: Overtaking | None
-    jitter: JitterSource | None
-    copy_jitter: JitterSource | None
+    jitter: RandomDelay | None
+    copy_jitter: RandomDelay | None
 
     def next_number(self) -> int:
         """Return the number of a message that arrives now, 0 where none counts; reliable ones do not count."""
@@ -404,14 +404,22 @@ class Pipeline:
             return None
         return self._kept((topic, "overtaking"), s.reordering, lambda: Overtaking(happens, s.reordering.gap))
 
-    def _lasting_jitter(self, pattern: str, s: Impairment, files: Files, now_ns: int) -> JitterSource | None:
+    def _lasting_jitter(self, pattern: str, s: Impairment, files: Files, now_ns: int) -> RandomDelay | None:
         if s.jitter.scale_s == 0.0 or s.jitter.correlation_time_s == 0.0:
             return None
-        draw = self._stream("shared", "jitter", pattern)
-        definition = (s.jitter, files.samples)
-        return self._kept(("shared", "jitter", pattern), definition, lambda: JitterSource(*definition, draw, now_ns))
+        share, time_s = s.jitter.second_correlation_share, s.jitter.second_correlation_time_s
 
-    def _jitter(self, topic: str, which: str, shared: SharedModels) -> JitterSource | None:
+        def source(name: str, settings: Jitter) -> JitterSource:
+            draw = self._stream("shared", name, pattern)
+            definition = (settings, files.samples)
+            return self._kept(("shared", name, pattern), definition, lambda: JitterSource(*definition, draw, now_ns))
+
+        first = source("jitter", s.jitter)
+        if share == 0.0:
+            return first
+        return first.beside(source("second jitter", s.jitter.model_copy(update={"correlation_time_s": time_s})), share)
+
+    def _jitter(self, topic: str, which: str, shared: SharedModels) -> RandomDelay | None:
         settings, samples = shared.settings.jitter, shared.files.samples
         if settings.scale_s == 0.0 or shared.lasting_jitter is not None:
             return shared.lasting_jitter

@@ -90,4 +90,9 @@ class CorrelatedUniform:
         fresh = self._inverse(u)
         # The first score has no predecessor: it comes from the stationary distribution itself.
         self.score = fresh if self.score is None else self._rho * self.score + self._fresh * fresh
-        return min(max(0.5 * math.erfc(-self.score / math.sqrt(2.0)), SMALLEST), LARGEST)
+        return share_below(self.score)
+
+
+def share_below(score: float) -> float:
+    """Return the share of normal scores below this one, within (0, 1)."""
+    return min(max(0.5 * math.erfc(-score / math.sqrt(2.0)), SMALLEST), LARGEST)

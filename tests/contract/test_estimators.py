@@ -60,14 +60,32 @@ def psychometric() -> None:
     raise TelenanoError(f"threshold {found.threshold}, low {found.low}, high {found.high}")  # type: ignore[attr-defined]
 
 
+def phase() -> None:
+    draw = np.random.default_rng(1)
+    amplitude = 0.5 + 0.01 * draw.random(4000)
+    _function("telenano_afm_files.amplitude_phase:amplitude_phase")(amplitude, 120.0 + draw.standard_normal(4000))
+
+
+def particle() -> None:
+    find = importlib.import_module("telenano_assembly.find")
+    shape = importlib.import_module("services.afm_node.physics.particles.tip_shape")
+    step_m = 62.5e-9
+    x, y = np.meshgrid(step_m * np.arange(-24, 24), step_m * np.arange(-24, 24))
+    # a block with a flat top and upright sides
+    block = np.where((np.abs(x) < 8e-7) & (np.abs(y) < 3e-7), 400e-9, 0.0)
+    noise = np.random.default_rng(1).normal(0.0, 1e-9, block.shape)
+    found = find.find_particles(block + noise, step_m, step_m, shape.tip_shape(10e-9, 0.26))
+    raise TelenanoError(f"clusters {[one.is_cluster for one in found]}")
+
+
 def delay() -> None:
     log = importlib.import_module("telenano_networks.line_log")
     draw = np.random.default_rng(1)
     t = 0.1 * np.arange(6000)
-    level = 0.03 + 0.02 * draw.random(60)[(t // 15.0).astype(int)]
-    table = _function("telenano_networks.line_fit:accept")(
-        log.LineLog((log.Segment(t, level + draw.gamma(2.0, 0.002, 6000)),), round_trip=True)
-    )
+    # half of the messages are lost for half a minute, now and then
+    faded = (t % 150.0 > 60.0) & (t % 150.0 < 90.0)
+    delay_s = np.where(faded & (draw.random(6000) < 0.5), np.nan, 0.03 + draw.gamma(2.0, 0.002, 6000))
+    table = _function("telenano_networks.line_fit:accept")(log.LineLog((log.Segment(t, delay_s),), round_trip=True))
     raise TelenanoError(f"apart in {[row.what for row in table if not row.agrees]}")  # type: ignore[attr-defined]
 
 
@@ -85,7 +103,9 @@ ESTIMATORS: dict[str, tuple[Callable[[], None], str]] = {
     "handle and stage": (line, "of the span off the line"),
     "radius and work of adhesion": (adhesion, "points in contact before a pull-off"),
     "psychometric function": (psychometric, "threshold None, low None, high None"),
-    "delay of a line": (delay, "apart in .*correlation at 1 s"),
+    "loss of a tapping contact by phase and amplitude": (phase, "1 spans of"),
+    "place and radius of a particle in an image": (particle, "clusters .*True"),
+    "delay of a line": (delay, "apart in .*10-s windows"),
     "clocks of two sites": (clocks, r"drift 0\.0"),
 }
 

@@ -10,13 +10,13 @@ import typer
 
 from telenano.extend.commands import ConfigError, JsonOption, print_document, report_errors
 from telenano.extend.readers import FileReader, read_in_child, read_regular
-from telenano.extend.tables import Column, TextTable, parse_table, unit_of
+from telenano.extend.tables import Column, TextTable, decoded, parse_table, unit_of
 
 _LARGEST_BYTES = 256_000_000
 # A text has none of these bytes in its begin.
 _BINARY = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f]")
 _BEGIN = 4096
-_PING = re.compile(r"\bicmp_seq[= ]\d|\bTTL=\d+\s*$", re.MULTILINE)
+_PING = re.compile(r"\b(?:icmp_)?seq[= ]\d| : \[\d+\], (?:\d+ bytes|timed out)|\bTTL=\d+\s*$", re.MULTILINE)
 _DELAY = re.compile(r"(?i)sent|send|received|recv|delay|latency|rtt|ping")
 _DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", "": "blanks"}
@@ -47,7 +47,7 @@ def inspected(path: Path) -> dict[str, Any]:
     is_wide = content.startswith((b"\xff\xfe", b"\xfe\xff"))
     if _BINARY.search(content[:_BEGIN]) and not is_wide:
         return _of_instrument(path)
-    if _PING.search(content[:200_000].decode("utf-8", "replace")):
+    if _PING.search(decoded(content[:200_000], str(path))):
         return {"format": "what ping printed", "takes_it": f"telenano link fit {path}"}
     try:
         table = parse_table(content, str(path))

@@ -38,6 +38,14 @@ class Level(StrEnum):
     COMMON = "common"
 
 
+class Correction(StrEnum):
+    """What is taken off the curves of a map, by their part in free air."""
+
+    NOTHING = "nothing"
+    OFFSET = "offset"
+    TILT = "tilt"
+
+
 class Quantity(StrEnum):
     """What a map is converted to."""
 
@@ -55,10 +63,24 @@ def import_map(
     points: Annotated[
         int, typer.Option("--points", min=0, max=4096, help="Points of the height; 0: as the curves have.")
     ] = 0,
+    correct: Annotated[
+        Correction | None,
+        typer.Option(
+            "--correct",
+            help="Take off what free air has: the mean of each curve there (offset), with a slope that all have "
+            "(tilt), or nothing. Without it curves lose their offset and a plain grid nothing. "
+            "--set sign=-1 turns all values.",
+        ),
+    ] = None,
     baseline: Annotated[
-        float,
-        typer.Option("--baseline", min=0.0, max=50.0, help="Share of the approach whose mean force is taken as 0 [%]."),
-    ] = 10.0,
+        float | None,
+        typer.Option(
+            "--baseline",
+            min=0.0,
+            max=50.0,
+            help="Share of the heights that is free air, farthest from the sample [%]; 10, of a tilt 25 without it.",
+        ),
+    ] = None,
     converted: Annotated[
         Quantity | None, typer.Option("--as", help="Make the force of a frequency shift, by Sader and Jarvis.")
     ] = None,
@@ -68,7 +90,10 @@ def import_map(
     with report_errors(as_json):
         if out.suffix.lower() != ".npz":
             raise ConfigError(f"--out {out}: must be a .npz")
-        found = _read(file, members, channel, level.value, points, baseline, as_json, converted=converted is not None)
+        found = _read(
+            file, members, channel, as_json, level=level.value, points=points, converted=converted is not None,
+            correct=None if correct is None else correct.value, baseline=None if baseline is None else 0.01 * baseline,
+        )  # fmt: skip
         write_map(out, found.map)
     print_document({**_about(found), "file": str(out)}, str(out), as_json=as_json)
 
@@ -78,7 +103,7 @@ def info(
 ) -> None:
     """Show what a recorded map is, or what it lacks to be felt."""
     with report_errors(as_json):
-        found = _read(file, members, channel, Level.EACH.value, 0, 10.0, as_json)
+        found = _read(file, members, channel, as_json)
     print_document(_about(found), str(file), as_json=as_json)
 
 
@@ -86,19 +111,17 @@ def _read(
     file: Path,
     members: list[str] | None,
     channel: str | None,
-    level: str,
-    points: int,
-    baseline: float,
     as_json: bool,
     *,
     converted: bool = False,
+    **further: Any,
 ) -> Imported:
     given = flag_overrides(members or ())
     known = (*MEMBERS, *ASKED) if converted else MEMBERS
     if unknown := sorted(set(given) - set(known)):
         raise ConfigError(f"--set {unknown[0]}: is no member of a map; these are {', '.join(known)}")
     with progress(file.name, 1.0, shown=not as_json) as show:
-        return read_map_of(file, Wanted(given, channel, level, points, 0.01 * baseline, converted), show)
+        return read_map_of(file, Wanted(given, channel, converted=converted, **further), show)
 
 
 def _about(found: Imported) -> dict[str, Any]:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.commands import ConfigError
-from telenano.extend.maps import UNITS, Array, ForceMap, MapError, checked_map, read_members
+from telenano.extend.maps import SI_UNITS, UNITS, Array, ForceMap, MapError, checked_map, read_members
 from telenano.extend.readers import open_regular, read_in_child
 from telenano_afm_files.bruker import is_nanoscope
 from telenano_afm_files.nanonis import backward_of, sweep_of, unit_of
@@ -35,6 +35,8 @@ _CURVE_SUFFIXES = (
     ".h5", ".tab",
 )  # fmt: skip
 MAP_SUFFIXES = (".npz", ".3ds", ".dat", *_CURVE_SUFFIXES)
+# Share of the heights, farthest from the sample, whose mean, and whose slope, is that of free air.
+_BASELINE = {"offset": 0.1, "tilt": 0.25}
 # Of the span of the mean force: more than this far from the sample is no noise.
 _FREE_SHARE = 0.05
 Watch = Callable[[float], None]
@@ -44,16 +46,24 @@ class Wanted(NamedTuple):
     """What a person says of a file: members of a map that it lacks, and how its curves are brought onto one grid.
 
     given: members of a map; channel: a part of the name of a channel, for .3ds; level: `each` or `common`;
-    points: of the height, 0 for those of the curves; baseline: share of the approach, farthest from the sample, whose
-    mean force is taken as 0; converted: to the force that a frequency shift is of (`sader_jarvis`).
+    points: of the height, 0 for those of the curves; correct: what free air has, and no force, is taken off: `offset`
+    (the mean of each curve there; curves without a word), `tilt` (that, and a slope that all curves have), or `nothing`
+    (a plain grid without a word); baseline: share of the heights that is free air, farthest from the sample, None for
+    0.1 and for 0.25 of a tilt; converted: to the force that a frequency shift is of (`sader_jarvis`).
     """
 
     given: Mapping[str, Any]
     channel: str | None = None
     level: str = "each"
     points: int = 0
-    baseline: float = 0.1
+    correct: str | None = None
+    baseline: float | None = None
     converted: bool = False
+
+    @property
+    def free_share(self) -> float:
+        """The share of the heights that is free air."""
+        return _BASELINE["tilt" if self.correct == "tilt" else "offset"] if self.baseline is None else self.baseline
 
 
 class Imported(NamedTuple):
@@ -89,8 +99,11 @@ def import_map(path: Path, wanted: Wanted, watch: Watch = lambda share: None) ->
     try:
         if not path.is_dir():
             open_regular(path).close()
+            if path.stat().st_size == 0:
+                raise MapError("is empty")
         members = {name: value for name, value in wanted.given.items() if name not in ASKED}
         found = _import(path, wanted._replace(given=members), watch)
+        found = _corrected(found, wanted)
         found = found._replace(notes=(*_in_free_air(found.map), *found.notes))
         if not wanted.converted:
             return found
@@ -144,14 +157,43 @@ def _in_free_air(found: ForceMap) -> list[str]:
     notes = []
     if abs(level) > _FREE_SHARE * span:
         notes.append(
-            f"at its top, in free air, its force is {1e9 * level:.3g} nN, and a hand would feel it: take it off the"
-            " values, or import curves, whose mean there is taken as 0 (--baseline)"
+            f"at its top, in free air, its force is {1e9 * level:.3g} nN, and a hand would feel it: --correct offset"
+            " takes it off"
         )
     if abs(tilt) * step_m * len(middle) > 2.0 * _FREE_SHARE * span:
-        notes.append(f"at its top, in free air, its force rises by {tilt:.3g} N/m: its base line is tilted")
+        notes.append(
+            f"at its top, in free air, its force rises by {tilt:.3g} N/m: its base line is tilted, and --correct"
+            " tilt takes that off"
+        )
     if float(middle[0]) < level - _FREE_SHARE * span and int(np.argmax(np.abs(middle - level))) == 0:
         notes.append("its greatest force is at its bottom and pulls: is its sign turned? Then give --set sign=-1")
     return notes
+
+
+def _corrected(found: Imported, wanted: Wanted) -> Imported:
+    """Return a map without what its curves have in free air, as far as a person wants it."""
+    if wanted.correct not in _BASELINE:
+        return found
+    whole = found.map
+    if whole.quantity not in ("force", "voltage"):
+        raise MapError(f"--correct {wanted.correct}: is for a force or a deflection, not for a {whole.quantity}")
+    count = max(int(wanted.free_share * len(whole.z_m)), 2)
+    unit = SI_UNITS[whole.quantity]
+    heights = whole.z_m - math.fsum(whole.z_m[-count:].tolist()) / count
+    # of the approaches, because a retraction may still pull there
+    far = [whole.values[0][..., place] for place in range(-count, 0)]
+    values, notes = whole.values, []
+    if wanted.correct == "tilt":
+        middle = [math.fsum(one.ravel().tolist()) / one.size for one in far]
+        near = heights[-count:].tolist()
+        slope = math.fsum(z * value for z, value in zip(near, middle, strict=True)) / math.fsum(z * z for z in near)
+        values = values - slope * heights
+        notes.append(f"a slope of {slope:.3g} {unit}/m, that of its curves in free air, is taken off")
+    levels = np.sum(far, axis=0) / count
+    values = values - levels[None, ..., None]
+    low, high = float(levels.min()), float(levels.max())
+    notes.append(f"the mean of each curve in free air, {low:.3g} to {high:.3g} {unit}, is taken off")
+    return Imported(whole._replace(values=values), (*found.notes, *notes))
 
 
 def _read_curves(path: Path, wanted: Wanted, watch: Watch) -> _Curves:
@@ -336,7 +378,8 @@ def _on_one_grid(found: _Curves, wanted: Wanted, source: dict[str, Any]) -> Impo
     z = np.linspace(0.0, high - low, points)
     rows = []
     for curve, zero in zip(_each(found.ways), zeros, strict=True):
-        base = _baseline(curve[0], wanted.baseline) if quantity in ("force", "voltage") else 0.0
+        is_force = quantity in ("force", "voltage")
+        base = _baseline(curve[0], wanted.free_share) if is_force and wanted.correct != "nothing" else 0.0
         rows.append([np.interp(z + (low + zero), way_z, value - base) for way_z, value in curve])
     nx, ny = len(found.ways), len(found.ways[0])
     values = np.moveaxis(np.array(rows).reshape(nx, ny, -1, points), 2, 3)

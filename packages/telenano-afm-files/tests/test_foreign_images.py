@@ -66,7 +66,7 @@ def test_a_library_that_is_missing_is_named_with_the_package(tmp_path: Path, mon
         raise ImportError(name="gwyfile")
 
     monkeypatch.setattr(file_readers, "read_in_child", lacking)
-    (tmp_path / "map.spm").touch()
+    (tmp_path / "map.spm").write_bytes(b"\\*File list")
     with pytest.raises(ConfigError, match=r"needs gwyfile to be read: install telenano-afm-files with its"):
         read_surface(tmp_path / "map.spm")
 

@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from telenano_afm_files.inspect_command import inspected as inspection
+from telenano_afm_files.map_files import Wanted, import_map
 from typer.testing import CliRunner
 
+from services.runtime.untrusted.file_readers import read_by_package
 from telenano.cli.root import app
+from telenano.extend.commands import ConfigError
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 ROWS = "".join(f"{n / 2:.1f}\t{1e-9 * (n % 7 + 1):.3e}\n" for n in range(400))
@@ -70,3 +74,17 @@ def test_real_files_of_instruments_are_told_apart(name: str, what: str) -> None:
     if not (DATA / name).is_file():
         pytest.skip(f"{DATA / name} is not here: the measured files are beside the checkout, in ../shared/data")
     assert any(what in line for line in inspected(DATA / name)["takes_it"])
+
+
+@pytest.mark.parametrize(
+    "ending", [".txt", ".csv", ".dat", ".3ds", ".sxm", ".ibw", ".nid", ".jpk-force", ".gwy", ".spm"]
+)
+def test_an_empty_file_is_called_empty_whatever_takes_it(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"empty{ending}"
+    path.write_bytes(b"")
+    for what in ("heights", "curve", "deflections", "spectrum"):
+        with pytest.raises(ConfigError, match="is empty"):
+            read_by_package(path, what)
+    for read in (inspection, lambda one: import_map(one, Wanted({}))):
+        with pytest.raises(ConfigError, match="is empty"):
+            read(path)

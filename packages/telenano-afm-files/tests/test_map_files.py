@@ -213,3 +213,39 @@ def test_what_a_grid_has_far_from_its_sample_is_said(
     )  # fmt: skip
     notes = import_map(tmp_path / "grid.npz", Wanted({})).notes
     assert any(words in note for note in notes) if words else not notes
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_an_option_takes_off_what_a_grid_has_in_free_air_and_turns_its_sign(tmp_path: Path, seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    count = int(draw.integers(60, 300))
+    z = np.linspace(0.0, 10.0 ** draw.uniform(-7.5, -6.0), count)
+    span_n, contact = 10.0 ** draw.uniform(-9.0, -7.0), draw.uniform(0.2, 0.6)
+    true = span_n * np.maximum(1.0 - z / (contact * z[-1]), 0.0) * np.ones((3, 4, 1))
+    offset, tilt = span_n * draw.uniform(-3.0, 3.0), span_n * draw.uniform(-1.0, 1.0) / z[-1]
+    sign, tilted = draw.choice((-1.0, 1.0)), bool(seed % 2)
+    levels = offset * (1.0 + 0.2 * draw.standard_normal((3, 4, 1)))
+    force = true + levels + (tilt * z if tilted else 0.0)
+    noise = draw.normal(0.0, 2e-3 * span_n, force.shape)
+    axes = {name: 1e-8 * np.arange(n) for name, n in (("x", 3), ("y", 4))}
+    np.savez(
+        tmp_path / "grid.npz", value=sign * (force + noise), z=z, **axes, unit="N", sign=1, length_unit="m",
+        axis="base", stiffness_n_per_m=1.0, source="made",
+    )  # fmt: skip
+    found = import_map(tmp_path / "grid.npz", Wanted({"sign": int(sign)}, correct="tilt" if tilted else "offset"))
+    assert np.abs(found.map.values[0] - true).max() < 0.03 * span_n
+    assert any("is taken off" in note for note in found.notes)
+    assert not any("free air, its force" in note or "turned" in note for note in found.notes)
+    plain = import_map(tmp_path / "grid.npz", Wanted({"sign": int(sign)}))
+    assert np.abs(plain.map.values[0] - true).max() > 0.1 * span_n or abs(offset) < 0.2 * span_n
+
+
+def test_curves_keep_what_they_have_in_free_air_where_a_person_wants_it(tmp_path: Path) -> None:
+    z = np.linspace(0.0, 100.0, 101)
+    force = 5.0 + np.maximum(20.0 - z, 0.0)
+    rows = "".join(f"{a:.3f}\t{b:.5f}\n" for a, b in zip(z.tolist(), force.tolist(), strict=True))
+    (tmp_path / "curve.txt").write_text(f"height [nm]\tforce [nN]\n{rows}", encoding="utf-8")
+    given = {"stiffness_n_per_m": 1.0}
+    for correct, level in ((None, 0.0), ("offset", 0.0), ("nothing", 5e-9)):
+        found = import_map(tmp_path / "curve.txt", Wanted(given, correct=correct)).map
+        assert found.values[0, 0, 0, -1] == pytest.approx(level, abs=1e-15)

@@ -1,21 +1,25 @@
 """Made thermal spectra of levers that are drawn, with faults of many kinds, and how often the fit is right about them.
 
-    python packages/telenano-calibration/tests/made_spectra.py [COUNT]
+    python packages/telenano-calibration/tests/made_spectra.py [COUNT] [KIND ...]
 
 A spectrum is the power of a damped spring in white noise (its textbook form, not that of the fit), times
 gamma-distributed noise of so many averages. Levers, sampling, averages and faults are drawn from a seed; the fit sees a
 text file alone. For each kind it prints the share of 95 % intervals with the true stiffness in them among the accepted,
-the share refused, and the wrong acceptances: more than 5 of their own standard errors and more than 5 % off.
+the share refused, and the wrong acceptances: more than 5 of their own standard errors and more than 5 % off. Beside it
+stands what `scipy.optimize.curve_fit` makes of the same lines near their peak, by least squares and with its own error.
 """
 
+import argparse
 import math
 import sys
 import tempfile
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import OptimizeWarning, curve_fit
 
 K_B = 1.380649e-23
 
@@ -121,8 +125,8 @@ class Outcome(NamedTuple):
     reason: str = ""
 
 
-def outcomes(kind: str, seeds: range, folder: Path) -> Iterator[Outcome]:
-    """Yield what the fit makes of the spectra of a kind."""
+def outcomes(kind: str, seeds: range, folder: Path) -> Iterator[tuple[Outcome, Outcome]]:
+    """Yield what the fit makes of the spectra of a kind, and what SciPy makes of them."""
     from telenano_calibration.own_calibration import Thermal, stiffness_of_spectrum
     from telenano_calibration.own_calibration import spectrum_of as read
 
@@ -132,6 +136,7 @@ def outcomes(kind: str, seeds: range, folder: Path) -> Iterator[Outcome]:
         lever, frequency, density = spectrum_of(kind, seed)
         path = folder / "thermal.txt"
         write(path, kind, frequency, density)
+        theirs = of_scipy(frequency, density, lever)
         try:
             one = read(path)
             # how many averages there were, a person says in half of the cases
@@ -139,34 +144,72 @@ def outcomes(kind: str, seeds: range, folder: Path) -> Iterator[Outcome]:
             known = Thermal(lever.m_per_v, lever.kelvin, averages=averages)
             found = stiffness_of_spectrum(one.frequency_hz, one.density_per_hz, known)
         except ConfigError as error:
-            yield Outcome(None, None, str(error))
+            yield Outcome(None, None, str(error)), theirs
             continue
         off = found.stiffness_n_per_m - lever.k
-        yield Outcome(off / lever.k, off / found.standard_error_n_per_m)
+        yield Outcome(off / lever.k, off / found.standard_error_n_per_m), theirs
+
+
+def of_scipy(frequency: np.ndarray, density: np.ndarray, lever: Lever) -> Outcome:
+    """Return the answer of a plain fit by least squares, of a spring and a floor, from half to 1.5 of the peak."""
+    values = density * lever.m_per_v**2
+    top = frequency[int(np.argmax(np.where(frequency > 0.02 * frequency[-1], values, 0.0)))]
+    chosen = np.abs(frequency / top - 1.0) < 0.5
+    lines, unit = frequency[chosen] / top, float(values[chosen].max())
+
+    def shape(x: np.ndarray, log_area: float, f0: float, log_q: float, floor: float) -> np.ndarray:
+        return spring(x, math.exp(log_area), f0, math.exp(log_q)) + floor
+
+    start = (math.log(0.5 * math.pi / 30.0), 1.0, math.log(30.0), 1e-3)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OptimizeWarning)
+            found, covariance = curve_fit(shape, lines, values[chosen] / unit, start, maxfev=5000)
+        square, share = math.exp(found[0]) * unit * top, math.sqrt(covariance[0, 0])
+    except (RuntimeError, ValueError, OverflowError) as error:
+        return Outcome(None, None, str(error))
+    if not 0.0 < share < 1.0:
+        return Outcome(None, None, "no covariance")
+    off = 0.971 / 1.09**2 * K_B * lever.kelvin / square / lever.k - 1.0
+    return Outcome(off, off / (share * (1.0 + off)))
 
 
 def row(kind: str, seeds: range, folder: Path) -> dict[str, Any]:
     """Return the share of intervals that cover, refused, and wrong acceptances of a kind."""
-    found = list(outcomes(kind, seeds, folder))
+    found, theirs = zip(*outcomes(kind, seeds, folder), strict=True)
+    reasons = [one.reason for one in found if one.reason]
+    return {"kind": kind, **_shares(found), "reasons": reasons, "scipy": _shares(theirs)}
+
+
+def _shares(found: Sequence[Outcome]) -> dict[str, Any]:
     taken = [one for one in found if one.errors is not None and one.share is not None]
     return {
-        "kind": kind,
         "covered": sum(abs(one.errors or 0.0) < 1.96 for one in taken) / max(len(taken), 1),
         "refused": 1.0 - len(taken) / len(found),
         "wrong": sum(abs(one.errors or 0.0) > 5.0 and abs(one.share or 0.0) > 0.05 for one in taken),
-        "reasons": [one.reason for one in found if one.reason],
     }
 
 
 def main() -> None:
     """Print the table."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    kinds = sys.argv[2].split(",") if len(sys.argv) > 2 else KINDS
-    sys.stdout.write("| kind | 95 % intervals that cover | refused | wrong acceptances |\n|---|---|---|---|\n")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("count", nargs="?", type=int, default=1000, metavar="COUNT", help="spectra of each kind")
+    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], metavar="KIND", help="all without one")
+    chosen = parser.parse_args()
+    heads = ("kind", "95 % intervals that cover", "refused", "wrong acceptances", "SciPy: cover", "wrong acceptances")
+    sys.stdout.write(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}\n")
     with tempfile.TemporaryDirectory() as folder:
-        for kind in kinds:
-            one = row(kind, range(count), Path(folder))
-            sys.stdout.write(f"| {kind} | {one['covered']:.1%} | {one['refused']:.1%} | {one['wrong']} |\n")
+        for kind in chosen.kinds or KINDS:
+            one = row(kind, range(chosen.count), Path(folder))
+            cells = (
+                kind,
+                f"{one['covered']:.1%}",
+                f"{one['refused']:.1%}",
+                one["wrong"],
+                f"{one['scipy']['covered']:.1%}",
+                one["scipy"]["wrong"],
+            )
+            sys.stdout.write(f"| {' | '.join(map(str, cells))} |\n")
             for reason in sorted(set(reason[:150] for reason in one["reasons"]))[:3]:
                 sys.stderr.write(f"    {reason}\n")
             sys.stdout.flush()

@@ -24,9 +24,9 @@ def test_no_spectrum_is_accepted_wrongly(kind: str, tmp_path: Path) -> None:
 
 @pytest.mark.endurance
 @pytest.mark.parametrize("kind", KINDS)
-def test_of_1000_spectra_93_to_98_in_a_hundred_cover_the_stiffness(kind: str, tmp_path: Path) -> None:
+def test_of_1000_spectra_93_to_97_5_in_a_hundred_cover_the_stiffness(kind: str, tmp_path: Path) -> None:
     found = row(kind, range(1000), tmp_path)
     assert found["wrong"] == 0
     # what is left of another mode under the fit is in no error
-    assert (0.90 if kind == "second mode" else 0.93) <= found["covered"] <= 0.98
+    assert (0.90 if kind == "second mode" else 0.93) <= found["covered"] <= 0.975
     assert found["refused"] <= MOST_REFUSED[kind]

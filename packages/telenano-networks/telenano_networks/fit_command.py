@@ -201,6 +201,11 @@ def _remarks(log: "LineLog", table: "list[Agreement]") -> list[str]:
     apart = [row.what for row in table if row.halves_differ]
     if apart:
         found.append(f"The halves of the log differ by more than chance in {', '.join(apart)}: it is not stationary.")
+    unlike = [
+        f"{row.what} ({row.measured:.3g} measured, {row.generated:.3g} generated)" for row in table if not row.agrees
+    ]
+    if unlike:
+        found.append(f"The model is not like the second half of the log in {', '.join(unlike)}.")
     return found
 
 

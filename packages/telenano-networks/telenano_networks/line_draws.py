@@ -104,12 +104,21 @@ def _jitter_ns(settings: LinkSettings, topic: str, arrived_ns: Times) -> Column:
 
 def _lasting(settings: LinkSettings, jitter: Jitter, arrived_ns: Times) -> Column:
     """Return the uniform number of each message where the correlation is over time: as `JitterSource` draws them."""
-    steps = arrived_ns // round(jitter.correlation_time_s * 1e9 / DRAWS_IN_CORRELATION_TIME)
+    share = jitter.second_correlation_share
+    scores = _scores(settings, "jitter", jitter.correlation_time_s, arrived_ns)
+    if share > 0.0:
+        second = _scores(settings, "second jitter", jitter.second_correlation_time_s, arrived_ns)
+        scores = math.sqrt(1.0 - share) * scores + math.sqrt(share) * second
+    return np.asarray(special.ndtr(scores))
+
+
+def _scores(settings: LinkSettings, name: str, time_s: float, arrived_ns: Times) -> Column:
+    steps = arrived_ns // round(time_s * 1e9 / DRAWS_IN_CORRELATION_TIME)
     behind = np.diff(steps, prepend=steps[0] - 1)
     jumped = behind > LONGEST_WALK
     behind[jumped] = 1
     place = np.cumsum(behind) - 1
-    draw = stream(settings.seed, "forward", "shared", "jitter", "")
+    draw = stream(settings.seed, "forward", "shared", name, "")
     fresh = special.ndtri(np.array([draw() or SMALLEST for _ in range(int(place[-1]) + 1)])).tolist()
     rho = math.exp(-1.0 / DRAWS_IN_CORRELATION_TIME)
     gain = math.sqrt(1.0 - rho * rho)
@@ -117,5 +126,5 @@ def _lasting(settings: LinkSettings, jitter: Jitter, arrived_ns: Times) -> Colum
     # Nothing is left of a score after a long pause.
     for first, end in pairwise([0, *place[jumped].tolist(), len(fresh)]):
         scores += accumulate(fresh[first:end], lambda score, new: rho * score + gain * new)
-    uniform: Column = np.asarray(special.ndtr(scores))[place]
-    return uniform
+    found: Column = np.asarray(scores)[place]
+    return found

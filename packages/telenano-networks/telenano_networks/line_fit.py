@@ -8,7 +8,7 @@ it because they waited for it.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +26,14 @@ _TAIL = (0.95, 0.97, 0.98, 0.985, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9998, 0.9
 SHARES = (0.0, 0.01, 0.05, *(n / 10 for n in range(1, 10)), *_TAIL)
 # A correlation of neighbours below this is none, and none is higher.
 _LEAST_CORRELATION, _MOST_CORRELATION = 0.05, 0.9999
+# Below this share there is no second time.
+_LEAST_SHARE = 0.03
+# Nor is there where the time that neighbours give misses the correlations by less (root mean square).
+_LITTLE = 0.03
+# Times in which what lasts may fall to 1/e: from so many periods up to so many of the longest lag.
+_SHORTEST_TIME, _LONGEST_TIME = 0.3, 10.0
+# The second time is shorter by so many times at least, and one of so many is tried.
+_APART, _SECOND_TIMES = 4.0, 12
 # With fewer stalls their spread is hardly known, and is not taken to be less than the assumed one.
 _FEWEST_STALLS = 5
 _LEAST_SPREAD, _ASSUMED_SPREAD = 0.02, 0.1
@@ -47,6 +55,8 @@ _FEWEST_WINDOWS = 5
 # Generated and measured are alike within so many deviations of what is generated, or within these differences.
 _DEVIATIONS = 4.0
 _NEARLY = {"correlation": 0.1, "10-s": 0.01, "deviation": 0.01}
+# Of few windows as many as these are chance.
+_FEW_WINDOWS = 2.0
 _VAGUE = 0.6
 _RARE = "q99.9 [ms]"
 
@@ -73,12 +83,15 @@ class LineModel:
     """A fitted line.
 
     quantiles: of the delay outside of stalls, (share, delay [s]); correlation_time_s: 0 without correlation;
+    second_time_s and second_share: another such time, and the share of the variance of the scores that has it;
     stalls_per_s, stall_s and spread: rate, mean length [s] and standard deviation of its logarithm;
     lost: share; run: mean number lost in a row; ordered: whether no message overtakes another.
     """
 
     quantiles: tuple[tuple[float, float], ...]
     correlation_time_s: float
+    second_time_s: float
+    second_share: float
     stalls_per_s: float
     stall_s: float
     spread: float
@@ -95,6 +108,9 @@ class LineModel:
         }
         if self.correlation_time_s > 0.0:
             jitter["correlation_time_s"] = self.correlation_time_s
+            if self.second_share > 0.0:
+                jitter["second_correlation_time_s"] = self.second_time_s
+                jitter["second_correlation_share"] = self.second_share
         found: dict[str, Any] = {"jitter": jitter, "order": "link" if self.ordered else "any"}
         if self.stalls_per_s > 0.0:
             found["queue"] = {"limit_messages": MOST_HELD, "limit_bytes": MOST_HELD_BYTES}
@@ -120,11 +136,7 @@ class LineModel:
             return {"forward": self.settings(), "backward": self.settings()}
         least_s = _rounded(0.5 * max(self.quantiles[0][1], 0.0))
         rest = tuple((share, value - least_s) for share, value in self.quantiles)
-        forward = LineModel(
-            rest, self.correlation_time_s, self.stalls_per_s, self.stall_s, self.spread, self.lost, self.run,
-            self.ordered,
-        )  # fmt: skip
-        return {"forward": forward.settings(), "backward": {"delay_s": least_s}}
+        return {"forward": replace(self, quantiles=rest).settings(), "backward": {"delay_s": least_s}}
 
 
 class Agreement(NamedTuple):
@@ -170,7 +182,9 @@ def _model(tally: Tally, weights: Numbers) -> LineModel:
     messages, lost, runs = (int(weights @ counts) for counts in (tally.messages, tally.lost, tally.runs))
     return LineModel(
         tuple((share, _rounded(value)) for share, value in zip(SHARES, quantiles_s.tolist(), strict=True)),
-        correlation_time_s(correlation_of(tally.usual_pairs, weights), quantiles_s, tally.period_s),
+        *memory_of(
+            tally.lags, [correlation_of(pairs, weights) for pairs in tally.usual_pairs], quantiles_s, tally.period_s
+        ),
         len(lengths_s) / max(seconds, tally.period_s),
         stall_s,
         spread,
@@ -198,22 +212,63 @@ def _lengths(late_s: Column, period_s: float) -> tuple[float, float]:
     return middle_s * math.exp(0.5 * spread**2), spread
 
 
-def correlation_time_s(wanted: float, quantiles_s: Column, period_s: float) -> float:
-    """Return the time in which the correlation of normal scores falls to 1/e [s], from that of neighbours; 0: none.
+def memory_of(
+    lags: npt.NDArray[np.int64], wanted: Sequence[float], quantiles_s: Column, period_s: float
+) -> tuple[float, float, float]:
+    """Return the time in which the correlation of normal scores falls to 1/e, a second such time [s], and its share.
 
-    The scores are given the correlation with which the delays, as their quantiles make them of scores, have the wanted
-    one. With c_n the coefficients of the delay over Hermite's polynomials, which are orthonormal for normal scores, a
+    The times t1 and t2 and the share b are those with which (1 - b) exp(-t/t1) + b exp(-t/t2) is nearest to the
+    correlations of the scores at all lags, that of neighbours counting as much as the others together. Where the one
+    time that neighbours give is as near, there is no second one. Without any correlation the time is 0. What lasts for
+    less than a period is taken to last for 0.3 of it, because nothing in the log tells.
+
+    Args:
+        lags: Distances in messages, the first of which is 1, shape (n,).
+        wanted: Correlations of the delays at them, nan where none is known.
+        quantiles_s: Those of the delay [s].
+        period_s: Time between two messages [s].
+    """
+    known = ~np.isnan(wanted)
+    if not known[0]:
+        return 0.0, 0.0, 0.0
+    scores, steps = correlation_of_scores(np.asarray(wanted)[known], quantiles_s), lags[known]
+    weights = np.where(steps == 1, max(1.0, len(steps) - 1.0), 1.0)
+    one = float(np.clip(scores[0], 1e-9, _MOST_CORRELATION))
+    of_neighbours = _rounded(-period_s / math.log(one)) if wanted[0] >= _LEAST_CORRELATION else 0.0
+    if math.sqrt(float((one**steps - scores) ** 2 @ weights / weights.sum())) <= _LITTLE or len(steps) < 3:
+        return of_neighbours, 0.0, 0.0
+    times = np.geomspace(_SHORTEST_TIME, _LONGEST_TIME * steps[-1], 150)
+    courses = np.exp(-steps / times[:, None])
+    best = (math.inf, 0.0, 0.0, 0.0)
+    for second in np.geomspace(_SHORTEST_TIME, times[-1] / _APART, _SECOND_TIMES).tolist():
+        fast = np.exp(-steps / second)
+        apart = courses - fast
+        square = np.maximum(apart**2 @ weights, 1e-12)
+        shares = np.clip((apart @ (weights * (scores - fast))) / square, 0.0, 1.0)
+        costs = ((shares[:, None] * apart + fast - scores) ** 2) @ weights
+        costs[times < _APART * second] = math.inf
+        place = int(np.argmin(costs))
+        best = min(best, (float(costs[place]), float(times[place]), second, 1.0 - float(shares[place])))
+    _, first, second, share = best
+    if _LEAST_SHARE < share < 1.0 - _LEAST_SHARE:
+        return _rounded(period_s * first), _rounded(period_s * second), _rounded(share)
+    return of_neighbours, 0.0, 0.0
+
+
+def correlation_of_scores(wanted: Column, quantiles_s: Column) -> Column:
+    """Return the correlations of normal scores with which delays of these quantiles have the wanted ones.
+
+    With c_n the coefficients of the delay over Hermite's polynomials, which are orthonormal for normal scores, a
     correlation r of the scores becomes sum c_n^2 r^n / sum c_n^2 of the delays, both sums from n = 1 (Mehler).
     """
-    if not wanted >= _LEAST_CORRELATION:
-        return 0.0
     delays_s = np.interp(_GRID_SHARES, SHARES, quantiles_s)
     delays_s -= _GRID_WEIGHTS @ delays_s
     variance = float(_GRID_WEIGHTS @ (delays_s * delays_s))
     powers = (_HERMITE @ (_GRID_WEIGHTS * delays_s)) ** 2 / variance
     # What polynomials of a higher degree have is given the next one.
     powers = np.append(powers, max(0.0, 1.0 - float(powers.sum())))
-    return _rounded(-period_s / math.log(np.interp(wanted, _CORRELATION_POWERS @ powers, _CORRELATIONS)))
+    # one below 0 is taken as 0: what comes back after a time no model of the link has
+    return np.asarray(np.interp(wanted, _CORRELATION_POWERS @ powers, _CORRELATIONS))
 
 
 def generated(model: LineModel, log: LineLog, seed: int) -> LineLog:
@@ -283,12 +338,14 @@ def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog])
     found = []
     measured, other = courses(second), courses(first)
     made = [courses(one) for one in draws]
+    windows = sum(float(part.sent_s[-1]) for part in second.segments) / _WINDOW_S
+    nearly = {**_NEARLY, "10-s": max(_NEARLY["10-s"], _FEW_WINDOWS / windows)}
     for what, value in measured.items():
         known = np.array([one[what] for one in made if not math.isnan(one[what])])
         if math.isnan(value) or len(known) < 3:
             found.append(Agreement(what, value, math.nan, math.nan, math.nan, other[what], False, True))
             continue
-        wide = max(_DEVIATIONS * float(known.std(ddof=1)), _NEARLY[what.split()[0]])
+        wide = max(_DEVIATIONS * float(known.std(ddof=1)), nearly[what.split()[0]])
         middle = float(known.mean())
         near = abs(value - middle) <= wide
         found.append(Agreement(what, value, middle - wide, middle + wide, middle, other[what], False, near))
@@ -350,6 +407,7 @@ def accept(log: LineLog, seed: int = 0) -> list[Agreement]:
             near = min(value, low_of_first) <= made <= max(value, high_of_first)
         # A half without a stall says nothing of their length.
         unknown = math.isnan(made) or math.isnan(value)
+        near = near or (what.startswith("correlation") and abs(value - made) <= _NEARLY["correlation"])
         # an interval that holds nearly every correlation says nothing for the model
         vague = what.startswith("correlation") and high - low > _VAGUE and abs(value - made) > 0.5 * _VAGUE
         found.append(Agreement(what, value, low, high, made, other[what], differ, unknown or (near and not vague)))
@@ -363,6 +421,8 @@ def parameters(model: LineModel) -> dict[str, float]:
         "usual delay, q50 [ms]": 1e3 * quantiles[0.5],
         "usual delay, q99 [ms]": 1e3 * quantiles[0.99],
         "correlation time [ms]": 1e3 * model.correlation_time_s,
+        "second correlation time [ms]": 1e3 * model.second_time_s if model.second_share else math.nan,
+        "share of the second": model.second_share if model.correlation_time_s else math.nan,
         "stalls per minute": 60.0 * model.stalls_per_s,
         "length of a stall [ms]": 1e3 * model.stall_s if model.stalls_per_s else math.nan,
         SPREAD: model.spread if model.stalls_per_s else math.nan,

@@ -6,6 +6,7 @@ deliver. A log is cut where its clock steps back or where nothing was sent for a
 whose clocks disagree, or whose delay is another one at its end than at its begin, is refused.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +17,7 @@ import numpy as np
 from proto.errors import ConfigError
 from telenano.extend.readers import read_regular
 from telenano.extend.tables import Column as TableColumn
-from telenano.extend.tables import TextTable, parse_table
+from telenano.extend.tables import TextTable, decoded, parse_table
 from telenano_networks import ping_log
 from telenano_networks.line_sources import Column, Direction, is_delivery_trace, of_recording, through_delivery_trace
 
@@ -28,9 +29,10 @@ _PAUSE_PERIODS, _PAUSE_S = 20.0, 1.0
 # Outside of these no median delay of a line lies, and a unit is wrong.
 _SHORTEST_DELAY_S, _LONGEST_DELAY_S = 1e-6, 100.0
 _SENT, _RECEIVED = ("sent", "send", "pub", "tx"), ("rec", "sub", "rx", "arriv")
-# words of a heading that mean a round trip, and those that mean any delay
-_ROUND_TRIP = ("rtt", "round", "ping")
-_DELAY, _LOST = ("delay", "latency", "owd", "one-way", "one_way", *_ROUND_TRIP), "lost"
+_TIMES = ("time", "ts")
+# words of a heading that mean a round trip, wherever they stand, and its begins that mean a delay
+_ROUND_TRIP = re.compile(r"(?i)rtt|round|ping|(?:two|2).?way")
+_DELAY, _LOST = ("delay", "latency", "owd", "one-way", "one_way"), "lost"
 _LARGEST_BYTES = 256_000_000
 # Longer times say that a unit is wrong: between two messages, and of a whole log [s].
 _LONGEST_PERIOD_S, _LONGEST_LOG_S = 600.0, 1e8
@@ -130,7 +132,7 @@ def _read(
         content = read_regular(path, _LARGEST_BYTES)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
-    text = content.decode("utf-8", "replace")
+    text = decoded(content, path.name)
     if ping_log.is_ping_log(text):
         found = ping_log.round_trips(text, path.name, period_s)
         cuts += found.remarks
@@ -144,9 +146,9 @@ def _read(
 
 def _of_table(table: TextTable, unit: str | None, period_s: float | None, cuts: list[str]) -> tuple[list[Part], bool]:
     name, columns = table.name, table.columns
-    sent, received = table.find(*_SENT) or table.find("time"), table.find(*_RECEIVED)
-    delay = table.find(*_DELAY)
-    is_trip = delay is not None and delay.name.lower().startswith(_ROUND_TRIP)
+    sent, received = table.find(*_SENT) or table.find(*_TIMES), table.find(*_RECEIVED)
+    delay = table.find(*_DELAY) or next((column for column in columns if _ROUND_TRIP.search(column.name)), None)
+    is_trip = delay is not None and _ROUND_TRIP.search(delay.name) is not None
     if len(columns) == 1 and (period_s or delay is not None):
         # a lone column of delays
         delay = columns[0]

@@ -20,6 +20,8 @@ _TOGETHER = 0.2
 # A stall is longer than so many periods, and than so many times the distance from the median to the third quartile.
 _PERIODS, _SPREADS = 2.0, 8.0
 _BLOCK_S = 20.0
+# The longest time over which the delay is compared with itself [s].
+_LONGEST_LAG_S = 30.0
 # A message overtakes when it arrives by so much before the one before.
 _OVERTAKES_S = 1e-3
 
@@ -62,8 +64,9 @@ class SortedDelays(NamedTuple):
 class Tally(NamedTuple):
     """A log in n blocks.
 
-    usual, known: the delays outside of stalls, and all that are not lost; usual_pairs, pairs: of the neighbours among
-    them the sums of shape (n, 6) that give a correlation; stall_block, late_s, length_s and held, of shape (stalls,):
+    usual, known: the delays outside of stalls, and all that are not lost; lags: distances in messages; usual_pairs of
+    shape (lags, n, 6), pairs of shape (n, 6): of what is so far apart outside of stalls, and of neighbours among all,
+    the sums that give a correlation; stall_block, late_s, length_s and held, of shape (stalls,):
     block, by how much the latest message was late, how long it lasted [s], and how many messages it held; seconds,
     messages, lost, runs and overtaken, of shape (n,): length [s], and counts of messages and of runs of losses.
     """
@@ -71,6 +74,7 @@ class Tally(NamedTuple):
     period_s: float
     usual: SortedDelays
     known: SortedDelays
+    lags: Numbers
     usual_pairs: npt.NDArray[np.float64]
     pairs: npt.NDArray[np.float64]
     stall_block: Numbers
@@ -126,7 +130,8 @@ def stalls_of(part: Segment, scale: Scale) -> list[Stall]:
 
 def tally_of(log: LineLog, scale: Scale) -> Tally:
     """Return the tally of a log in blocks of 20 s, of which a segment has one at least."""
-    delays, blocks, is_usual, is_begin, overtaken = [], [], [], [], []
+    delays, blocks, is_usual, overtaken = [], [], [], []
+    segment: list[Numbers] = []
     seconds: list[float] = []
     found: list[tuple[int, float, int, int]] = []
     for part in log.segments:
@@ -145,28 +150,35 @@ def tally_of(log: LineLog, scale: Scale) -> Tally:
             found.append((int(block[stall.first]), stall.late_s, stall.end - stall.first, until - stall.first))
         goes_back = np.diff((part.sent_s + part.delay_s)[arrived]) < -_OVERTAKES_S
         overtaken.append(block[arrived[1:][goes_back]])
-        begins = np.ones(len(usual), dtype=bool)
-        begins[1:] = False
         delays.append(part.delay_s)
         blocks.append(block)
         is_usual.append(usual)
-        is_begin.append(begins)
-    delay_s, block, usual, begins = (np.concatenate(each) for each in (delays, blocks, is_usual, is_begin))
+        segment.append(np.full(len(usual), len(segment)))
+    delay_s, block, usual, segments = (np.concatenate(each) for each in (delays, blocks, is_usual, segment))
     count, lost = len(seconds), np.isnan(delay_s)
-    # A pair is of two messages of one segment.
-    follows = ~begins[1:]
+    begins = np.diff(segments, prepend=-1) > 0
+    most = max(1, min(int(_LONGEST_LAG_S / scale.period_s), len(delay_s) - 1))
+    lags = 2 ** np.arange(int(math.log2(most)) + 1)
+    late_s = delay_s - scale.median_s
+
+    def pairs(chosen: npt.NDArray[np.bool_], lag: int) -> npt.NDArray[np.float64]:
+        # a pair is of two messages of one segment
+        both = chosen[:-lag] & chosen[lag:] & (segments[:-lag] == segments[lag:])
+        return _pair_sums(late_s[:-lag][both], late_s[lag:][both], block[:-lag][both], count)
+
     run_begins = lost & (begins | ~np.concatenate([[False], lost[:-1]]))
-    late_s, spanned = (np.array([one[n] for one in found]) for n in (1, 3))
+    stalled_s, spanned = (np.array([one[n] for one in found]) for n in (1, 3))
     return Tally(
         period_s=scale.period_s,
         usual=_sorted(delay_s[usual], block[usual]),
         known=_sorted(delay_s[~lost], block[~lost]),
-        usual_pairs=_pair_sums(delay_s - scale.median_s, block, follows & usual[:-1] & usual[1:], count),
-        pairs=_pair_sums(delay_s - scale.median_s, block, follows & ~lost[:-1] & ~lost[1:], count),
+        lags=lags,
+        usual_pairs=np.array([pairs(usual, lag) for lag in lags.tolist()]),
+        pairs=pairs(~lost, 1),
         stall_block=np.array([one[0] for one in found], dtype=np.int64),
-        late_s=late_s,
+        late_s=stalled_s,
         # Of a message that comes late alone, because others overtook it, the line did not stand still so long.
-        length_s=np.minimum(late_s, spanned * scale.period_s),
+        length_s=np.minimum(stalled_s, spanned * scale.period_s),
         held=np.array([one[2] for one in found], dtype=np.int64),
         seconds=np.array(seconds),
         messages=np.bincount(block, minlength=count),
@@ -193,7 +205,6 @@ def _sorted(delay_s: Column, block: Numbers) -> SortedDelays:
     return SortedDelays(delay_s[order], block[order])
 
 
-def _pair_sums(values: Column, block: Numbers, chosen: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.float64]:
-    before, after, own = values[:-1][chosen], values[1:][chosen], block[:-1][chosen]
+def _pair_sums(before: Column, after: Column, own: Numbers, count: int) -> npt.NDArray[np.float64]:
     terms = (np.ones(len(own)), before, after, before * before, after * after, before * after)
     return np.array([np.bincount(own, weights=term, minlength=count) for term in terms]).T

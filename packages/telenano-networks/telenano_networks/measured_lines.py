@@ -157,7 +157,7 @@ def row(name: str, found: dict[str, object]) -> str:
     table = found["agreement"]
     assert isinstance(table, list)
     if not table:
-        return f"| {name} | no memory known |" + " – |" * 7
+        return f"| {name} | no memory known |" + " – |" * 12
     for one in table:
         values = [one["measured"], one["generated"]]
         shown = " / ".join("–" if value is None else f"{value:.3g}" for value in values)
@@ -175,7 +175,10 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     chosen = parser.parse_args()
     chosen.out.mkdir(parents=True, exist_ok=True)
-    heads = ("line", "q50", "q99", "q99.9 [ms]", "neighbours", "stalls/min", "stall [ms]", "in one go", "lost")
+    heads = (
+        "line", "q50", "q99", "q99.9 [ms]", "neighbours", "stalls/min", "stall [ms]", "in one go", "lost", "at 1 s",
+        "at 10 s", "at 60 s", "windows with a fifth lost", "deviation of windows",
+    )  # fmt: skip
     table = chosen.out / "acceptance.md"
     rows = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
     for name in chosen.names or LINES:

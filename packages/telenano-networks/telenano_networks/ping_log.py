@@ -1,10 +1,10 @@
 """Read what `ping` printed: the round trips of a measured network.
 
-Lines of other tools than the `ping` of Linux, BSD, macOS and Windows are not read; what they call the time is that of
-any language (`time=42 ms`, `Zeit=42ms`). `ping -D` prints the time of each answer, and so does what puts a date in
-front of each line. Without them the packets are taken as sent at even distances, of which the last lines say how long
-all of them took. Windows prints no numbers: each line between its head and its statistics is a packet, and one without
-a time is a lost one.
+The lines are those of the `ping` of Linux, BusyBox, BSD, macOS and Windows, and of `fping`; what they call the time is
+that of any language (`time=42 ms`, `Zeit=42ms`). `ping -D` prints the time of each answer, and so does what puts a date
+in front of each line. Without them the packets are taken as sent at even distances, of which the last lines say how
+long all of them took. Windows prints no numbers: each line between its head and its statistics is a packet, and one
+without a time is a lost one.
 
 What was lost before the first answer and after the last one is counted as well, by the numbers that other lines name
 (`no answer yet for icmp_seq=7`) and by how many packets were transmitted. A new run in the same file, by its head or by
@@ -19,15 +19,17 @@ from typing import NamedTuple
 
 from proto.errors import ConfigError
 
-_TIME = r"\b[^\W\d]+[=<](?P<ms>\d{1,9}(?:[.,]\d{1,9})?) ?(?:ms|мс)"
+_TIME = r"(?:\b[^\W\d]+ ?[=<]|\d bytes, )(?P<ms>\d{1,9}(?:[.,]\d{1,9})?) ?(?:ms|мс)"
 _STAMP = r"\[(?P<stamp>\d{1,12}\.\d{1,12}|\d{4}-\d\d-\d\d[ T][\d:.]{5,20})\] "
 _ANSWER = re.compile(rf"^(?:{_STAMP})?.*?{_TIME}", re.IGNORECASE)
 # the last lines: how many packets, and how long all of them took
 _TOTAL = re.compile(r"^(\d{1,10}) packets transmitted(?:.* time (\d{1,12}) ?ms)?")
-_NUMBER = re.compile(r"\bicmp_seq[= ](\d+)")
+_NUMBER = re.compile(r"(?:\b(?:icmp_)?seq[= ]| : \[)(\d+)")
 _HEAD = re.compile(rf"^(?:{_STAMP})?(?:PING|Pinging) ")
 # of Windows in any language: the answer has its life, and the head ends with a colon
 _OF_WINDOWS = re.compile(r"\bTTL=\d{1,3}\s*$")
+# the unit in whatever letters, which an older character set may have damaged
+_WINDOWS_ANSWER = re.compile(r"[=<] ?(?P<ms>\d{1,9}) ?\S{1,4} +TTL=\d{1,3}\s*$")
 _WINDOWS_HEAD = re.compile(r".*\d.*[:：]\s*$")
 # No line of ping is longer.
 _LONGEST_LINE = 500
@@ -71,7 +73,7 @@ class Trips(NamedTuple):
 def is_ping_log(text: str) -> bool:
     """Return whether a text is what `ping` printed, by its first line or its first answer."""
     lines = [line for line in text[:20_000].splitlines()[:20] if len(line) <= _LONGEST_LINE]
-    return any(_HEAD.match(line) or _ANSWER.match(line) for line in lines)
+    return any(_HEAD.match(line) or _ANSWER.match(line) or _WINDOWS_ANSWER.search(line) for line in lines)
 
 
 def round_trips(text: str, name: str, period_s: float | None = None) -> Trips:
@@ -191,7 +193,7 @@ def _of_windows(text: str, name: str, period_s: float | None) -> Trips:
     parts: list[Rows] = []
     for block in re.split(r"\n[^\S\n]*\n", text.replace("\r\n", "\n")):
         lines = [line for line in block.splitlines() if line.strip() and len(line) <= _LONGEST_LINE]
-        answers = [_ANSWER.match(line) if _OF_WINDOWS.search(line) else None for line in lines]
+        answers = [_WINDOWS_ANSWER.search(line) for line in lines]
         if not any(answers):
             continue
         begin = 0
@@ -199,7 +201,7 @@ def _of_windows(text: str, name: str, period_s: float | None) -> Trips:
             begin += 1
         at_s, rows = 0.0, []
         for answer in answers[begin:]:
-            trip_s = math.nan if answer is None else 1e-3 * float(answer["ms"].replace(",", "."))
+            trip_s = math.nan if answer is None else 1e-3 * float(answer["ms"])
             rows.append((at_s, trip_s))
             at_s += (period_s or _WINDOWS_PERIOD_S) + (_WINDOWS_PATIENCE_S if answer is None else 0.0)
         parts.append(rows)

@@ -14,11 +14,11 @@ from telenano_networks.line_fit import (
     SHARES,
     accept,
     ages_s,
-    correlation_time_s,
     fit,
     generated,
     intervals,
     lost_runs,
+    memory_of,
     parameters,
     statistics,
 )
@@ -108,8 +108,16 @@ def test_the_correlation_of_scores_is_found_from_that_of_the_delays() -> None:
     for time_s in (0.01, 0.05, 0.5, 5.0):
         wanted = math.expm1(spread**2 * math.exp(-period_s / time_s)) / math.expm1(spread**2)
         # the quantiles are linear between the shares
-        assert correlation_time_s(wanted, quantiles_s, period_s) == pytest.approx(time_s, rel=0.02)
-    assert correlation_time_s(0.01, quantiles_s, period_s) == correlation_time_s(math.nan, quantiles_s, period_s) == 0.0
+        assert memory_of(np.array([1]), [wanted], quantiles_s, period_s) == (pytest.approx(time_s, rel=0.02), 0.0, 0.0)
+    for none in (0.01, math.nan):
+        assert memory_of(np.array([1]), [none], quantiles_s, period_s) == (0.0, 0.0, 0.0)
+    # a part that lasts for 2 s, and the rest for less than a period
+    lags = 2 ** np.arange(9)
+    scores = 0.3 * np.exp(-lags * period_s / 2.0)
+    wanted = (np.expm1(spread**2 * scores) / math.expm1(spread**2)).tolist()
+    time_s, second_s, share = memory_of(lags, wanted, quantiles_s, period_s)
+    assert (time_s, share) == (pytest.approx(2.0, rel=0.2), pytest.approx(0.7, abs=0.03))
+    assert second_s < period_s
 
 
 def test_a_resample_is_tallied_as_the_log_of_its_blocks() -> None:
@@ -215,7 +223,7 @@ def test_units_of_other_campaigns_give_the_same_model(tmp_path: Path, unit: str)
     path.write_bytes(("\ufeff" + "\r\n".join([*rows, ""])).encode())
     found, wanted = parameters(fit(read_log([path]))), parameters(fit(made_log(5, 60.0)))
     for what, value in wanted.items():
-        assert found[what] == pytest.approx(value, rel=1e-3), what
+        assert found[what] == pytest.approx(value, rel=1e-3, nan_ok=True), what
 
 
 @pytest.mark.parametrize("after_s", [10.0, 20.0, 50.0])
@@ -227,6 +235,20 @@ def test_a_clock_that_stepped_anywhere_in_the_log_is_refused(tmp_path: Path, aft
     path.write_text("\n".join(["sent_ms,received_ms", *rows, ""]), encoding="utf-8")
     with pytest.raises(ConfigError, match=r"median delay is (19|20)\.\d+ ms .* 520.* ms after them.*clocks stepped"):
         read_log([path])
+
+
+@pytest.mark.parametrize(
+    ("heading", "is_trip"),
+    [("rtt_ms", True), ("avg_rtt (ms)", True), ("latency_rtt_ms", True), ("srtt_ms", True), ("2-way delay [ms]", True),
+     ("Round Trip Time [ms]", True), ("ping [ms]", True), ("delay_ms", False), ("owd [ms]", False),
+     ("latency (ms)", False)],
+)  # fmt: skip
+def test_a_heading_says_whether_its_delays_are_round_trips(heading: str, is_trip: bool, tmp_path: Path) -> None:
+    rows = "".join(f"{0.2 * n:.1f},{40 + n % 7}\n" for n in range(600))
+    (tmp_path / "log.csv").write_text(f"ts_s,{heading}\n{rows}", encoding="utf-8")
+    log = read_log([tmp_path / "log.csv"])
+    assert log.round_trip is is_trip
+    assert any("round trips" in cut for cut in log.cuts) is is_trip
 
 
 def test_a_line_that_changes_now_and_then_is_no_clock_that_stepped(tmp_path: Path) -> None:

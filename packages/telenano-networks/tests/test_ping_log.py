@@ -2,9 +2,11 @@
 
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from telenano_networks.line_log import read_log
 from telenano_networks.ping_log import is_ping_log, round_trips
 
 from proto.errors import ConfigError
@@ -22,8 +24,8 @@ rtt min/avg/max/mdev = 20.000/30.000/40.000/8.165 ms
 """
 
 
-def only(text: str, name: str) -> list[tuple[float, float]]:
-    (rows,) = round_trips(text, name).parts
+def only(text: str, name: str, period_s: float | None = None) -> list[tuple[float, float]]:
+    (rows,) = round_trips(text, name, period_s).parts
     return rows
 
 
@@ -146,10 +148,45 @@ WINDOWS = {
     "zh": ("正在 Ping a [192.0.2.1] 具有 32 字节的数据:",
            "来自 192.0.2.1 的回复: 字节=32 时间{}ms TTL=57", "请求超时。",
            "192.0.2.1 的 Ping 统计信息:"),
+    "ja": ("192.0.2.1 に ping を送信しています 32 バイトのデータ:",
+           "192.0.2.1 からの応答: バイト数 =32 時間 {}ms TTL=57",
+           "要求がタイムアウトしました。", "192.0.2.1 の ping 統計:"),
     "ru": ("Обмен пакетами с a [192.0.2.1] с 32 байтами данных:",
            "Ответ от 192.0.2.1: число байт=32 время{}мс TTL=57",
            "Превышен интервал ожидания для запроса.", "Статистика Ping для 192.0.2.1:"),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("answer", "lost"),
+    [
+        ("64 bytes from 192.0.2.1: seq={} ttl=57 time=41.3 ms", ""),
+        ("192.0.2.1 : [{}], 64 bytes, 41.3 ms (41.0 avg, 0% loss)", "192.0.2.1 : [{}], timed out (41.0 avg, 9% loss)"),
+        ("64 bytes from 192.0.2.1: icmp_seq={} ttl=57 time=41.3 ms", "Request timeout for icmp_seq {}"),
+    ],
+)
+def test_the_lines_of_other_pings_have_numbers_of_their_own(answer: str, lost: str) -> None:
+    gone = {7, 8, 300}
+    rows = [(lost if n in gone else answer).format(n) for n in range(400)]
+    found = only("\n".join([row for row in rows if row] + [""]), "p", 1.0)
+    assert {n for n, row in enumerate(found) if math.isnan(row[1])} == gone
+    assert {round(1e6 * row[1]) for row in found if not math.isnan(row[1])} == {41300}
+
+
+@pytest.mark.parametrize(
+    ("language", "encoding"),
+    [("en", "utf-16"), ("zh", "utf-16"), ("ja", "shift_jis"), ("ru", "cp1251"), ("fr", "cp1252")],
+)
+def test_what_a_shell_of_windows_keeps_is_read_in_its_character_set(
+    language: str, encoding: str, tmp_path: Path
+) -> None:
+    head, answer, lost, statistics = WINDOWS[language]
+    rows = [lost if n % 9 == 4 else answer.format(f"={20 + n % 5}") for n in range(400)]
+    (tmp_path / "log.txt").write_bytes("\r\n".join(["", head, *rows, "", statistics, ""]).encode(encoding))
+    log = read_log([tmp_path / "log.txt"])
+    (part,) = log.segments
+    assert log.round_trip
+    assert (len(part.sent_s), int(np.isnan(part.delay_s).sum())) == (400, 44)
 
 
 @pytest.mark.parametrize("language", WINDOWS)

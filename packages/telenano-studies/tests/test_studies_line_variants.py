@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from telenano_studies.loops import line_variants
-from telenano_studies.loops.line_variants import between, stalls_of_both, variants
+from telenano_studies.loops.line_variants import between, half_of, stalls_of_both, variants
 
 from services.delay_node.config import parse_settings
 from services.delay_node.engine import fates_of
@@ -30,7 +30,7 @@ def test_between_two_messages_of_the_log_the_rules_differ_and_at_them_they_do_no
 
 
 def test_the_variants_share_a_round_trip_as_they_say(tmp_path: Path) -> None:
-    way = profile_named("att_driving").link["forward"]
+    way = half_of(profile_named("att_driving").link)
     found = {(one.group, one.name): one for one in variants(way, PERIOD_S, 1, 30.0, tmp_path)}
     assert len(found) == 14
 
@@ -56,7 +56,7 @@ def test_the_variants_share_a_round_trip_as_they_say(tmp_path: Path) -> None:
 
 
 def test_the_stalls_of_both_ways_come_as_often_and_last_as_long_as_those_of_the_line() -> None:
-    outage = profile_named("cicv5g_n78_arterial").link["forward"]["outage"]
+    outage = half_of(profile_named("cicv5g_n78_arterial").link)["outage"]
     schedule = stalls_of_both(outage, 1, 3500.0)
     begins_s, lengths_s = np.array(schedule).T
     assert (np.diff(begins_s) > lengths_s[:-1]).all()

@@ -7,9 +7,11 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 from services.delay_node.config import Jitter
-from services.delay_node.random_streams import CorrelatedUniform, Draw
+from services.delay_node.random_streams import CorrelatedUniform, Draw, share_below
 
 normal_quantile = NormalDist().inv_cdf
+# the random part of the delay [ns] of a message that arrives at a time [ns]
+RandomDelay = Callable[[int], float]
 # Newton's steps end where they change the root by less than this share, and there are never more.
 _SMALLEST_STEP, _MOST_STEPS = 1e-13, 100
 # What lasts in time is drawn so often in its correlation time, and a pause of more draws than these is jumped over.
@@ -118,6 +120,20 @@ class JitterSource:
         """Return the random part [ns] of a message that arrives now; now_ns must not decrease."""
         if not self._step_ns:
             return self._scale_ns * self._quantile(self._uniform())
+        self._advance(now_ns)
+        return self._scale_ns * self._quantile(self._u)
+
+    def beside(self, second: "JitterSource", share: float) -> RandomDelay:
+        """Return a source [ns] of whose scores this share of the variance is that of a second one over time."""
+        own, other = math.sqrt(1.0 - share), math.sqrt(share)
+
+        def draw(now_ns: int) -> float:
+            score = own * self._advance(now_ns) + other * second._advance(now_ns)
+            return self._scale_ns * self._quantile(share_below(score))
+
+        return draw
+
+    def _advance(self, now_ns: int) -> float:
         behind = now_ns // self._step_ns - self._step
         if behind > LONGEST_WALK:
             # Nothing is left of a score after so long.
@@ -125,7 +141,7 @@ class JitterSource:
         for _ in range(behind):
             self._u = self._uniform()
         self._step = now_ns // self._step_ns
-        return self._scale_ns * self._quantile(self._u)
+        return self._uniform.score or 0.0
 
 
 def _quantile_of(settings: Jitter, samples: Sequence[float]) -> Callable[[float], float]:

@@ -54,10 +54,12 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
         *arguments: What it is called with besides.
 
     Raises:
-        ConfigError: No package that is installed reads it, or what its reader needs is missing.
+        ConfigError: It is empty, no package that is installed reads it, or what its reader needs is missing.
         OSError, ValueError: As `read_in_child`.
     """
     open_regular(path).close()
+    if path.stat().st_size == 0:
+        raise ConfigError(f"{path}: is empty")
     for name in (path.suffix.lower().removeprefix(".").replace("-", "_"), _OTHER):
         loaded = plugins.load("readers", _checked, only=name)
         plugins.refuse(loaded, name)

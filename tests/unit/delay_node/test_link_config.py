@@ -58,6 +58,11 @@ REPOSITORY = Path(__file__).parents[3]
             "forward.jitter.correlation",
             "one of them",
         ),
+        (
+            {"forward.jitter.second_correlation_share": 0.5, "forward.jitter.correlation_time_s": 1.0},
+            "forward.jitter.second_correlation_share",
+            "second_correlation_time_s above 0",
+        ),
         ({"forward.markov_loss.p13": 0.6, "forward.markov_loss.p14": 0.5}, "forward.markov_loss.p13", "more than 1"),
         ({"forward.markov_loss.p32": 0.1}, "forward.markov_loss.p31", "more than 1"),
         ({"forward.markov_loss.p13": 0.1, "forward.markov_loss.p31": 0.0}, "forward.markov_loss.p31", "never end"),

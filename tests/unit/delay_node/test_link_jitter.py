@@ -96,6 +96,20 @@ def test_what_lasts_has_its_correlation_time_and_its_distribution_at_any_rate_of
         assert np.mean(x[:-lag] * x[lag:]) == pytest.approx(expected, abs=0.02 + 4 / math.sqrt(independent)), lag_s
 
 
+def test_two_parts_of_the_scores_last_for_times_of_their_own():
+    slow, fast = (
+        JitterSource(Jitter(scale_s=1.0, correlation_time_s=time_s), (), stream(5, f"jitter of {time_s}"))
+        for time_s in (0.5, 0.02)
+    )
+    source = slow.beside(fast, 0.6)
+    x = np.array([source(n * 10_000_000) for n in range(100_000)]) * 1e-9
+    assert abs(x.mean()) < 0.1
+    assert x.std() == pytest.approx(1.0, abs=0.03)
+    for lag in (1, 2, 10, 50):
+        expected = 0.4 * math.exp(-lag / 50) + 0.6 * math.exp(-lag / 2)
+        assert np.mean(x[:-lag] * x[lag:]) == pytest.approx(expected, abs=0.05), lag
+
+
 def test_what_lasts_depends_on_the_time_and_not_on_what_was_sent():
     settings = Jitter(scale_s=1.0, correlation_time_s=0.02)
     every, some = (JitterSource(settings, (), stream(5, "jitter"), 7) for _ in range(2))

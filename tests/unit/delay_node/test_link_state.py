@@ -21,6 +21,16 @@ MODELS: dict[str, dict[str, Any]] = {
     "constant": {"delay_s": 0.01},
     "jitter": {"delay_s": 0.01, "jitter": {"scale_s": 0.004, "correlation": 0.9}, "order": "topic"},
     "lasting jitter": {"delay_s": 0.01, "jitter": {"scale_s": 0.004, "correlation_time_s": 0.02}, "order": "topic"},
+    "jitter of two times": {
+        "delay_s": 0.01,
+        "jitter": {
+            "scale_s": 0.004,
+            "correlation_time_s": 0.02,
+            "second_correlation_time_s": 0.003,
+            "second_correlation_share": 0.4,
+        },
+        "duplication": {"probability": 0.2},
+    },
     "log-normal stalls": {"outage": {"mean_up_s": 0.03, "mean_down_s": 0.02, "down_spread": 0.4, "mode": "hold"}},
     "loss": {"loss": {"probability": 0.3, "correlation": 0.8}, "apply_probability": 0.8},
     "markov_loss": {"markov_loss": {"p13": 0.2, "p31": 0.3, "p32": 0.3, "p23": 0.4, "p14": 0.1}},

@@ -22,8 +22,10 @@ from services.runtime.settings.config import validate
 DIRECTIONS = ("forward", "backward")
 MEASURED = tuple((name, way) for name in PROFILES for way in DIRECTIONS)
 SIZE_BYTES = 300
-# an outage lasts seconds: fewer messages, over a longer time
-SPARSE = tuple(name for name in PROFILES if "outage" in str(PROFILES[name].link))
+# an outage, and a level of the delay, lasts seconds: fewer messages, over a longer time
+SPARSE = tuple(
+    name for name in PROFILES if {"outage", "second_correlation_time_s"} & set(str(PROFILES[name].link).split("'"))
+)
 
 
 def fates(name, way, count, seed):
@@ -42,8 +44,17 @@ def deviation_by_stalls_ms(name, way, seconds):
     return 1e3 * math.sqrt(seconds / outage.mean_up_s * fourth / 4.0) / seconds
 
 
+def deviation_by_levels(name, way, seconds):
+    """Return the deviation of a mean, in deviations of the delay, that comes of how long a level of it lasts."""
+    jitter = getattr(parse_settings({"profile": name}), way).jitter
+    return math.sqrt(min(1.0, 2.0 * jitter.correlation_time_s * (1.0 - jitter.second_correlation_share) / seconds))
+
+
 def check(name, way, count, seeds, widest):
     """Hold a direction to its file; `widest` is the error of a mean, in deviations, that chance may make."""
+    widest = max(
+        widest, min(1.0, 2.0 * deviation_by_levels(name, way, count * seeds * 0.05)) if name in SPARSE else 0.0
+    )
     stated = PROFILES[name].statistics[way]
     runs = [fates(name, way, count, seed) for seed in range(seeds)]
     delays = 1e-6 * np.array([fate.delay_ns for run in runs for fate in run if not fate.dropped])

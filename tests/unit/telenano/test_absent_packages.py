@@ -162,7 +162,7 @@ def test_a_checkout_adds_a_package_as_its_environment_was_made(
 @pytest.mark.usefixtures("bare")
 def test_a_file_that_needs_a_package_names_it_and_its_command(tmp_path: Path) -> None:
     for name, read in (("a.gwy", read_surface), ("a.sxm", read_surface), ("a.jpk-force", read_measured)):
-        (tmp_path / name).touch()
+        (tmp_path / name).write_text("no file of an instrument")
         with pytest.raises(ConfigError, match=rf"{name}: .* by the package {told('telenano-afm-files')}"):
             read(tmp_path / name)
 

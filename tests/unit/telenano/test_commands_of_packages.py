@@ -283,7 +283,7 @@ def test_files_are_read_by_the_package_whose_entry_has_their_name(make: Any, tmp
     (tmp_path / "b.my-scan").write_text("no numbers")
     with pytest.raises(ConfigError, match=r"b\.my-scan: could not convert string"):
         read_surface(tmp_path / "b.my-scan")
-    (tmp_path / "c.bad").touch()
+    (tmp_path / "c.bad").write_text("3")
     with pytest.raises(ConfigError, match=r"c\.bad: bad of the package my_package 1\.2 cannot be used: TypeError"):
         read_surface(tmp_path / "c.bad")
     # what has no curve is no file of curves

@@ -6,8 +6,8 @@ Three groups of variants of a network of presets/networks that `telenano link fi
 
 - its parts: a constant delay; the usual delays, each message by itself or with their memory; a constant delay with the
   stalls, whose messages are held or lost; all of it.
-- how a round trip is shared: half of everything each way, as `link fit` does; all that varies and all stalls in one
-  way, the other with the least delay alone; each stall in both ways at a time.
+- how a round trip is shared: half of everything each way; all that varies and all stalls in one way, the other with
+  the least delay alone, as `link fit` does; each stall in both ways at a time.
 - what lies between two messages of the log, which are `--period` apart: the delay of the log's messages stays the same,
   and between them it goes on as a process whose correlation falls exponentially, as that of the model does; or it is
   linear, or keeps its value; or a part of it flickers from message to message.
@@ -52,6 +52,25 @@ class Variant(NamedTuple):
     backward: Way
 
 
+def half_of(link: dict[str, Way]) -> Way:
+    """Return the settings of one way of a line with half of all that its round trips have, and half as many stalls.
+
+    Args:
+        link: The settings of both ways: alike, or all that varies forward and a delay alone backward.
+    """
+    way, back = link["forward"], link.get("backward", {})
+    if back.keys() - {"delay_s"}:
+        return way
+    pairs = (pair.split(":") for pair in way["jitter"]["quantiles"].split(","))
+    halves = ",".join(f"{share}:{0.5 * (float(value) + back.get('delay_s', 0.0)):.6g}" for share, value in pairs)
+    half: Way = {**way, "jitter": {**way["jitter"], "quantiles": halves}}
+    if "outage" in way:
+        half["outage"] = {**way["outage"], "mean_up_s": 2.0 * way["outage"]["mean_up_s"]}
+    if "gilbert_elliott" in way:
+        half["gilbert_elliott"] = {**way["gilbert_elliott"], "p": 0.5 * way["gilbert_elliott"]["p"]}
+    return half
+
+
 def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path) -> Iterator[Variant]:
     """Give the variants of a line whose two ways are alike; traces are written into the folder.
 
@@ -66,7 +85,7 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
     rest: Way = {key: way[key] for key in ("queue", "outage", "gilbert_elliott", "order") if key in way}
     stalls: Way = {key: way[key] for key in ("queue", "outage") if key in way}
     constant: Way = {"delay_s": float(np.interp(0.5, shares, usual_s))}
-    drawn: Way = {"jitter": {key: value for key, value in way["jitter"].items() if key != "correlation_time_s"}}
+    drawn: Way = {"jitter": {key: value for key, value in way["jitter"].items() if "correlation" not in key}}
     lost = {**constant, "outage": {**way.get("outage", {}), "mode": "drop"}}
     parts: dict[str, Way] = {
         "constant delay": constant,
@@ -93,7 +112,9 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
     yield Variant("sharing", "all of it backward", least, every)
     yield Variant("sharing", "half of the delay each way, stalls both ways at a time", both, both)
 
-    courses = [between(way["jitter"]["correlation_time_s"], period_s, seed * 2 + n, length_s) for n in range(2)]
+    courses = [
+        between(_time_of_neighbours_s(way["jitter"], period_s), period_s, seed * 2 + n, length_s) for n in range(2)
+    ]
     for name in courses[0]:
         ways = []
         for number, course in enumerate(courses):
@@ -103,6 +124,15 @@ def variants(way: Way, period_s: float, seed: int, length_s: float, folder: Path
             file.write_text("".join(rows), encoding="utf-8")
             ways.append({**rest, "delay_trace": {"file": file.name}})
         yield Variant("between messages of the log", name, *ways)
+
+
+def _time_of_neighbours_s(jitter: Way, period_s: float) -> float:
+    """Return the correlation time [s] with which neighbours have the correlation that the times of a line give them."""
+    share = jitter.get("second_correlation_share", 0.0)
+    rho = (1.0 - share) * math.exp(-period_s / jitter["correlation_time_s"])
+    if share:
+        rho += share * math.exp(-period_s / jitter["second_correlation_time_s"])
+    return -period_s / math.log(rho)
 
 
 def stalls_of_both(outage: Way, seed: int, length_s: float) -> list[list[float]]:
@@ -186,8 +216,7 @@ def _results(
 ) -> Iterator[tuple[tuple[str, str, str], CellResult]]:
     """Run all variants with the draws of a seed; give group, variant and law, and the result."""
     profile = profile_named(name)
-    way = profile.link.get("forward", {})
-    jitter = way.get("jitter", {})
+    jitter = profile.link.get("forward", {}).get("jitter", {})
     if not {"quantiles", "correlation_time_s"} <= jitter.keys():
         raise ConfigError(
             f"the network {name} has no quantiles and correlation time, as `telenano link fit` makes them"
@@ -203,7 +232,7 @@ def _results(
     cells = [cell.model_copy(update={"session_s": end_s}) for cell in cells]
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        for one in variants(way, period_s, seed, settle_s(cells[0]) + end_s + 1.0, folder):
+        for one in variants(half_of(profile.link), period_s, seed, settle_s(cells[0]) + end_s + 1.0, folder):
             settings = parse_settings({"seed": seed, "forward": one.forward, "backward": one.backward})
             schedule: Schedule | None = None
             for cell in cells:
