@@ -131,7 +131,9 @@ class LeaseDesk:
 
     def note_withdrawn(self) -> None:
         """Note that the tip was withdrawn after the holder had vanished."""
-        self.lease = self._register.change(withdrawn)
+        # Where that cannot be kept the tip is withdrawn once more, which moves nothing.
+        with contextlib.suppress(RigError):
+            self.lease = self._register.change(withdrawn)
 
     def is_to_withdraw(self) -> bool:
         """Return whether the tip is to be withdrawn, as the lease is now: not any more once somebody else has it."""

@@ -79,8 +79,13 @@ def system_error_text(error: OSError) -> str:
     reason = error.strerror or str(error)
     if error.filename is not None:
         return f"{error.filename}: {reason}"
-    # Code that writes files reports errors with the name of the file.
-    return f"standard output cannot be written: {reason}" if error.errno in _WRITE_ERRORS else reason
+    if error.errno not in _WRITE_ERRORS:
+        return reason
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return f"standard output cannot be written: {reason}"
+    return f"a file cannot be written: {reason}"
 
 
 def usage_text(error: Any) -> str:

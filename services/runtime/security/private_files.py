@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import secrets
 from pathlib import Path
 
 from presets.regular_files import NotRegularError, open_regular
@@ -69,27 +68,6 @@ def _check(path: Path, found: os.stat_result, forbidden: int, what: str, right: 
     if found.st_mode & forbidden:
         mode = found.st_mode & 0o777
         raise ConfigError(f"{path}: other users can {what} (mode {mode:o}): chmod {right} {path}")
-
-
-def write_private(path: Path, text: str) -> None:
-    """Write a file for this user alone, whole or not at all; a link in its place is replaced, not followed.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    descriptor = os.open(new, flags, 0o600)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(descriptor)
-        new.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            new.unlink()
-        raise
 
 
 def check_private_folder(folder: Path, remedy: str) -> None:

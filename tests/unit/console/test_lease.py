@@ -1,10 +1,12 @@
 """The lease of the hand as a pure machine: who may do what, and what becomes of who vanishes."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from proto.errors import RefusedError, RigError
+from recording.whole_files import changed
 from services.console import lease_register
 from services.console.lease import (
     VANISHED_NS,
@@ -161,13 +163,13 @@ def test_processes_share_the_lease_by_a_file(tmp_path: Path, monkeypatch: pytest
 def test_a_process_that_stands_still_with_the_file_holds_up_nobody_for_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lease_register, "_PATIENCE_S", 0.02)
+    monkeypatch.setattr(lease_register, "changed", partial(changed, wait_s=0.02))
     first, second = LeaseRegister(tmp_path), LeaseRegister(tmp_path)
     first.change(lambda lease, now_ns: take(lease, OWNER, now_ns))
 
     def stands_still(lease: Lease, now_ns: int) -> Lease:
         assert second.look().holder == OWNER
-        with pytest.raises(RigError, match="stands still"):
+        with pytest.raises(RigError, match=r"another process has had it for 0\.02 s"):
             second.change(current)
         return lease
 
