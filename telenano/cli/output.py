@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -194,7 +195,7 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     return (
         f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{hold}",
         f"picture: {figures[0] if figures else 'none'}; all numbers: {folder / 'summary.json'}",
-        f"next: `{own_command()} view {summary['recording']['file']}` shows it again, "
+        f"next: `{own_command()} view {shlex.quote(summary['recording']['file'])}` shows it again, "
         f"`{own_command()} up --scenario touch` lets you press",
     )
 

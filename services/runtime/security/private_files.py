@@ -77,11 +77,13 @@ def check_private_folder(folder: Path, remedy: str) -> None:
     """
     user = os.geteuid()
     try:
-        link, found = folder.lstat(), folder.stat()
+        link = folder.lstat()
+        # The link of another user is refused by itself: its target may come once it has been judged.
+        found = folder.stat() if link.st_uid in (user, _ROOT) else link
     except OSError:
         # A path that cannot be reached cannot be used either, and its user reports that.
         return
-    owner = found.st_uid if link.st_uid in (user, _ROOT) else link.st_uid
+    owner = found.st_uid
     if owner != user:
         raise ConfigError(f"{folder}: belongs to user {owner}, and this is user {user}: {remedy}")
     if found.st_mode & _ANY_ACCESS:

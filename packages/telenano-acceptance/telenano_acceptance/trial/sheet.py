@@ -60,6 +60,6 @@ def _places(places: list[str]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text for one line of Markdown; what a terminal would obey is left out."""
+    """Return a text for one line of Markdown; what a terminal would obey is left out, and what ends a code span."""
     plain = "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
-    return plain.replace("|", "\\|")
+    return plain.replace("|", "\\|").replace("`", "'")
