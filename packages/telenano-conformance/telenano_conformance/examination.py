@@ -11,6 +11,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from telenano.extend.commands import ConfigError
 from telenano.extend.messages import TOPICS, encode, example
+from telenano.extend.readers import open_regular
 from telenano_conformance.answers_of_client import AnswersOfClient
 from telenano_conformance.commands_of_client import CommandsOfClient
 from telenano_conformance.messages import NO_NODES, MessageExaminer
@@ -38,6 +39,10 @@ class Keys(NamedTuple):
     @classmethod
     def of(cls, server: str, own: Path) -> "Keys":
         """Return them; ConfigError names the file of the own pair that cannot be read."""
+        try:
+            open_regular(own).close()
+        except OSError as error:
+            raise ConfigError(f"{own}: cannot be read: {error.strerror}") from error
         try:
             public, secret = zmq.auth.load_certificate(own)
         except (OSError, ValueError) as error:
