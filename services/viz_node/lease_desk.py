@@ -18,6 +18,7 @@ from services.console.lease import (
     hand_over,
     let_go,
     seen,
+    still_asks,
     stood_still,
     take,
     withdrawn,
@@ -54,7 +55,7 @@ class LeaseDesk:
         self._told: Mapping[str, Any] = {}
         self._sessions: Collection[Session] = ()
         self._clock, self._looked_s = clock, clock()
-        self._beat_s = 0.0
+        self._beat_s, self._asked_s = 0.0, 0.0
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
         """Let a page act under a number of the lease, 0 for none; RefusedError says who has the hand."""
@@ -103,6 +104,11 @@ class LeaseDesk:
             if there is not None and there.heard_s > self._beat_s and now_s - self._beat_s >= BEAT_S:
                 self._beat_s, heard_ns = now_s, round(there.heard_s * 1e9)
                 self.lease = self._register.change(lambda lease, now_ns: seen(lease, there.party, now_ns, heard_ns))
+            asking = {each.party.id for each in self.lease.asking}
+            heard_ns = {each.party.id: round(each.heard_s * 1e9) for each in sessions if each.party.id in asking}
+            if heard_ns and now_s - self._asked_s >= BEAT_S:
+                self._asked_s = now_s
+                self.lease = self._register.change(lambda lease, now_ns: still_asks(lease, heard_ns, now_ns))
         facts = self.facts()
         if facts == self._told:
             return None
@@ -126,7 +132,7 @@ class LeaseDesk:
             "label": "" if holder is None else holder.label,
             "what": "" if holder is None else holder.what,
             "kept": self.lease.kept,
-            "asking": [[each.id, each.label] for each in self.lease.asking],
+            "asking": [[each.party.id, each.party.label] for each in self.lease.asking],
         }
 
     def note_withdrawn(self) -> None:
