@@ -105,10 +105,10 @@ class LeaseDesk:
                 self._beat_s, heard_ns = now_s, round(there.heard_s * 1e9)
                 self.lease = self._register.change(lambda lease, now_ns: seen(lease, there.party, now_ns, heard_ns))
             asking = {each.party.id for each in self.lease.asking}
-            heard_ns = {each.party.id: round(each.heard_s * 1e9) for each in sessions if each.party.id in asking}
-            if heard_ns and now_s - self._asked_s >= BEAT_S:
+            asked = {each.party.id: round(each.heard_s * 1e9) for each in sessions if each.party.id in asking}
+            if asked and now_s - self._asked_s >= BEAT_S:
                 self._asked_s = now_s
-                self.lease = self._register.change(lambda lease, now_ns: still_asks(lease, heard_ns, now_ns))
+                self.lease = self._register.change(lambda lease, now_ns: still_asks(lease, asked, now_ns))
         facts = self.facts()
         if facts == self._told:
             return None
