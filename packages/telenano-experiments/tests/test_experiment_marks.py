@@ -22,7 +22,6 @@ from typer.testing import CliRunner
 from proto.errors import ConfigError, RigError
 from telenano.cli.root import app
 
-
 # fcntl of Linux (F_SETPIPE_SZ)
 _SET_PIPE_SIZE = 1031
 
