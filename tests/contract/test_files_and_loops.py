@@ -28,7 +28,7 @@ READS_OF = {("select", "select"), ("zmq", "select"), ("os", "read")}
 _MAYBE_WRITES = re.compile(
     r"os\.open\(|open\([^)]*[\"'][rb]*[wax+]|\.replace\((?![\"'])|\.rename\(|truncate\(|\.write_text|\.write_bytes|whole_|mkstemp"
 )
-_MAYBE_READS = re.compile(r"\.(recv\w*|poll|accept|read)\b|recv_monitor|\bselect\.select|zmq\.select")
+_MAYBE_READS = re.compile(r"\.(recv\w*|poll|accept)\b|\bos\.read|recv_monitor|\bselect\.select|zmq\.select")
 
 
 def name_of(call: ast.Call) -> str:

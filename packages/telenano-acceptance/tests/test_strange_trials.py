@@ -15,7 +15,7 @@ from test_device_trial import led, simulated_trial
 
 from proto.errors import ConfigError
 
-TIMES = 60
+TIMES = 50
 # of so many the memory is measured, which takes time
 SIZED = 10
 STRANGE = (0, -1, 1e308, -1e308, 1 << 63, "", "x\x1b[2J`id`", None, [], {}, [[]], True, 1e-320, [0] * 40, {"a": 1})

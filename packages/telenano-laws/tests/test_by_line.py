@@ -247,7 +247,7 @@ def test_a_refusal_that_is_no_fault_of_the_law_is_asked_again() -> None:
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_order_of_messages_makes_it_fail_ask_too_often_or_stand_still_for_ever(seed: int) -> None:
     draw, made = random.Random(seed), policy()
     arrived_s, clock_s, law, speed = 0.0, 0.0, "passivity", 0.0
@@ -283,7 +283,7 @@ def test_no_order_of_messages_makes_it_fail_ask_too_often_or_stand_still_for_eve
         named = draw.choice(("wave", law)) if is_hostile and draw.random() < 0.02 else law
         told("law/status", MASTER, clock_s, status(named, age_s, silence_s, **other))
 
-    for _ in range(5000):
+    for _ in range(2000):
         turn(is_hostile=True)
         assert len(made._window._ages) < 200 and all(len(counts) < 300 for counts in made._window._counts.values())
     # it goes on by itself once the attack is over

@@ -14,6 +14,17 @@ from services.launcher.scenario_keys import all_keys, with_meant
 from telenano.cli.commands import session
 
 
+@pytest.fixture(scope="module")
+def keys() -> list[scenario_keys.Key]:
+    return all_keys()
+
+
+@pytest.fixture
+def known(keys: list[scenario_keys.Key], monkeypatch: pytest.MonkeyPatch) -> None:
+    """All keys, which take most of a second, are asked for once."""
+    monkeypatch.setattr(scenario_keys, "all_keys", lambda: keys)
+
+
 def refusal_of(tmp_path: Path, *settings: str, **request: Any) -> str:
     with pytest.raises(ConfigError) as caught:
         make_plan(UpRequest(scenario="fig12", settings=settings, **request), tmp_path / "out")
@@ -62,6 +73,7 @@ def test_a_delay_longer_than_the_session_is_a_sentence(given: dict[str, Any], is
         ("nothing_like_it", ""),
     ],
 )
+@pytest.mark.usefixtures("known")
 def test_the_key_that_was_meant_is_looked_for_in_all_sections(key: str, meant: str, tmp_path: Path) -> None:
     said = refusal_of(tmp_path, f"{key}=2")
     assert "unknown key" in said
@@ -69,9 +81,9 @@ def test_the_key_that_was_meant_is_looked_for_in_all_sections(key: str, meant: s
     assert said.count("did you mean") == bool(meant)
 
 
-def test_each_key_is_found_by_its_last_word_from_the_wrong_section(monkeypatch: pytest.MonkeyPatch) -> None:
-    keys, missed = all_keys(), []
-    monkeypatch.setattr(scenario_keys, "all_keys", lambda: keys)
+@pytest.mark.usefixtures("known")
+def test_each_key_is_found_by_its_last_word_from_the_wrong_section(keys: list[scenario_keys.Key]) -> None:
+    missed = []
     names = [key.name for key in keys if key.name.count(".") > 1]
     for name in names[:: max(1, len(names) // 20)]:
         word = name.rpartition(".")[2]
