@@ -1,6 +1,7 @@
 """`telenano link udp`: the link between two programs that speak UDP, without any privilege."""
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,9 +20,12 @@ from telenano.extend.commands import (
 
 if TYPE_CHECKING:
     from recording.writer import RecordingWriter
+    from services.delay_node.fate import Direction
     from telenano_networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
+# The metadata of a recording that has the datagrams for which a socket had no room.
+OVERFLOWED = "udp_overflowed"
 # A kill loses no more of a recording [s].
 _FLUSH_NS = 1_000_000_000
 
@@ -88,7 +92,7 @@ def udp(
             if record is not None:
                 keeper = Keeper(_writer(record))
                 outlets[1].carry = keeper
-                stack.callback(keeper.close)
+                stack.callback(lambda kept: kept.close(ports.overflowed()), keeper)
             make_room_for(clients)
             readers = participant.subscribers(book.sources(_KEY, ["session/control"]))
             bus = participant.bus_of(outlets[1], [*readers, ports])
@@ -144,13 +148,15 @@ class Keeper:
         except RecordingError as error:
             self.fault = f"the recording ends before the link: {error}"
 
-    def close(self) -> None:
-        """Complete the file."""
+    def close(self, overflowed: Mapping["Direction", int] | None = None) -> None:
+        """Complete the file, with what the sockets of the link had no room for, by direction."""
         from proto.errors import RecordingError
 
         if self.fault:
             return
         try:
+            if overflowed:
+                self._writer.add_metadata(OVERFLOWED, {way: str(count) for way, count in overflowed.items()})
             self._writer.finish({"state": "stopped", "note": ""})
         except RecordingError as error:
             self.fault = str(error)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from telenano_networks.report_command import fates_in, figures
+from telenano_networks.report_command import fates_in, figures, overflows_in
 from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
 from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
@@ -425,6 +425,13 @@ def test_a_full_disk_ends_the_recording_and_not_the_link() -> None:
     assert keeper.fault == "the recording ends before the link: x.mcap: cannot be written: No space left on device"
     assert len(line.ports.sent) == 4
     keeper.close()
+
+
+def test_what_the_sockets_had_no_room_for_is_in_the_recording_and_its_report(tmp_path: Path) -> None:
+    settings = FileSettings.model_validate({"directory": tmp_path, "file_name": "line.mcap"})
+    keeper = Keeper(RecordingWriter.create("delay_node@master", settings))
+    keeper.close({"forward": 7, "backward": 0})
+    assert overflows_in(keeper.path) == {"forward": 7}
 
 
 def test_quantiles_are_those_of_what_was_counted() -> None:
