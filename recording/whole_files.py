@@ -15,6 +15,7 @@ import os
 import platform
 import re
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,6 +28,8 @@ LOCK_WAIT_S = 1.0
 _RETRY_S = 0.005
 # Windows has no such module, and no processes of a rig.
 fcntl = optional_module("fcntl")
+# A temporary name is that of a process, so that its threads write one after the other.
+_one_thread = threading.Lock()
 _SUFFIX = ".part"
 # the temporary name of several files of one run
 _RESULTS = "results"
@@ -128,7 +131,7 @@ def write_whole(path: Path, content: bytes, mode: int = 0o600, *, is_forced: boo
         OSError: The file cannot be written.
     """
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
-    with _temporary(path, path, replace=True) as part:
+    with _one_thread, _temporary(path, path, replace=True) as part:
         with os.fdopen(os.open(part, flags, mode), "wb") as file:
             file.write(content)
             file.flush()

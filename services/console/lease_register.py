@@ -26,6 +26,7 @@ class LeaseRegister:
     def __init__(self, folder: Path | None = None) -> None:
         """Keep the lease in a folder, without one in that of the rig."""
         self._folder = folder
+        self._unkept = Lease(), Lease()
 
     def look(self) -> Lease:
         """Return the lease as it is now; that somebody has vanished is kept where it can be, because it counts."""
@@ -34,10 +35,14 @@ class LeaseRegister:
         except OSError:
             return Lease()
         now = current(found, time.monotonic_ns())
-        if now != found:
-            with contextlib.suppress(RigError):
-                return self.change(current)
-        return now
+        if now == found:
+            return now
+        with contextlib.suppress(RigError):
+            return self.change(current)
+        # What cannot be kept is the same each time that it is looked at.
+        if self._unkept[0] != found:
+            self._unkept = found, now
+        return self._unkept[1]
 
     def change(self, step: Step) -> Lease:
         """Change the lease by a step, which gets the time as well, and return it.

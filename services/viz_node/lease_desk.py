@@ -56,6 +56,7 @@ class LeaseDesk:
         self._sessions: Collection[Session] = ()
         self._clock, self._looked_s = clock, clock()
         self._beat_s, self._asked_s = 0.0, 0.0
+        self._withdrawn = -1
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
         """Let a page act under a number of the lease, 0 for none; RefusedError says who has the hand."""
@@ -99,7 +100,7 @@ class LeaseDesk:
         self._forgive(now_s)
         # where the file cannot be had pages are told nothing new, and what they send is refused by name
         with contextlib.suppress(RigError):
-            self.lease = self._register.look()
+            self.lease = self._looked()
             there = next((each for each in sessions if self.has(each)), None)
             if there is not None and there.heard_s > self._beat_s and now_s - self._beat_s >= BEAT_S:
                 self._beat_s, heard_ns = now_s, round(there.heard_s * 1e9)
@@ -135,16 +136,21 @@ class LeaseDesk:
             "asking": [[each.party.id, each.party.label] for each in self.lease.asking],
         }
 
+    def _looked(self) -> Lease:
+        """Return the lease as it is now; that the tip was withdrawn under it counts, also where it cannot be kept."""
+        lease = self._register.look()
+        return lease._replace(withdraw=False) if lease.number == self._withdrawn else lease
+
     def note_withdrawn(self) -> None:
         """Note that the tip was withdrawn after the holder had vanished."""
-        # Where that cannot be kept the tip is withdrawn once more, which moves nothing.
+        self._withdrawn = self.lease.number
         with contextlib.suppress(RigError):
             self.lease = self._register.change(withdrawn)
 
     def is_to_withdraw(self) -> bool:
         """Return whether the tip is to be withdrawn, as the lease is now: not any more once somebody else has it."""
         with contextlib.suppress(RigError):
-            self.lease = self._register.look()
+            self.lease = self._looked()
         return self.lease.withdraw
 
     def _change(self, session: Session, step: Step) -> None:

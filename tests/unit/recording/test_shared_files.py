@@ -165,6 +165,23 @@ def test_an_emergency_stop_of_two_writers_is_whole(tmp_path: Path) -> None:
     assert seen <= {None, *payloads}
 
 
+def test_threads_of_one_process_do_not_take_the_file_of_each_other(tmp_path: Path) -> None:
+    path, faults = tmp_path / "stop", list[str]()
+
+    def write(content: bytes) -> None:
+        for _ in range(50):
+            if fault := kept_stop.keep(path, content):
+                faults.append(fault)
+
+    threads = [threading.Thread(target=write, args=(bytes([65 + number]) * 3000,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert faults == []
+    assert len(set(path.read_bytes())) == 1 and [found.name for found in tmp_path.iterdir()] == ["stop"]
+
+
 def test_who_has_the_hand_keeps_it_in_a_full_folder_and_others_are_refused_by_name(tmp_path: Path) -> None:
     register = LeaseRegister(tmp_path / "disk")
     with small_disk(tmp_path / "disk") as leave:
@@ -199,10 +216,14 @@ def test_a_holder_who_vanishes_in_a_full_folder_has_lost_the_hand(tmp_path: Path
         assert (found.holder, found.withdraw) == (None, True)
         desk = LeaseDesk(register)
         desk.tick((), time.monotonic())
-        # what cannot be kept ends neither the loop of the page nor what it asks of the tip
-        desk.note_withdrawn()
         assert desk.is_to_withdraw()
+        # what cannot be kept ends the loop of the page no more than it repeats a withdrawal for ever
+        desk.note_withdrawn()
+        assert not desk.is_to_withdraw()
+        assert register.look() == register.look()
         (tmp_path / "disk" / "filler").unlink()
+        # it is kept once there is room, which withdraws the tip a last time
+        assert desk.is_to_withdraw()
         desk.note_withdrawn()
         assert not desk.is_to_withdraw()
         assert register.change(current).holder is None
