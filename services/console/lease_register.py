@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from proto.errors import RefusedError, RigError
+from proto.errors import ConfigError, RefusedError, RigError
 from recording.whole_files import changed
 from services.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
 from services.runtime.bus.local_endpoint import runtime_directory
@@ -51,7 +51,10 @@ class LeaseRegister:
             RefusedError: The step refuses.
             RigError: The file cannot be changed.
         """
-        check_runtime_directory(make=self._folder is None)
+        try:
+            check_runtime_directory(make=self._folder is None)
+        except ConfigError as error:
+            raise RigError(str(error)) from error
         lease = Lease()
 
         def changed_bytes(before: bytes | None) -> bytes | None:

@@ -204,6 +204,29 @@ def test_who_has_the_hand_keeps_it_in_a_full_folder_and_others_are_refused_by_na
         hold.end()
 
 
+def test_a_folder_that_others_can_reach_ends_no_loop_and_no_sign_of_life(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "run"
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(folder))
+    register, party = LeaseRegister(), Party("1")
+    hold = Hold(party, register, lambda lease, now_ns: take(lease, party, now_ns))
+    desk = LeaseDesk(register)
+    folder.chmod(0o777)
+    with pytest.raises(RigError, match="other users can reach what is in it"):
+        register.change(current)
+    # longer than between two signs of life
+    time.sleep(0.4)
+    desk.tick((), time.monotonic())
+    folder.chmod(0o700)
+    seen_ns = register.look().seen_ns
+    end_s = time.monotonic() + 10.0
+    while register.look().seen_ns == seen_ns and time.monotonic() < end_s:
+        time.sleep(0.05)
+    assert hold.is_held()
+    hold.end()
+
+
 def test_a_holder_who_vanishes_in_a_full_folder_has_lost_the_hand(tmp_path: Path) -> None:
     register = LeaseRegister(tmp_path / "disk")
     with small_disk(tmp_path / "disk") as leave:
