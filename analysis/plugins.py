@@ -21,7 +21,7 @@ def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) ->
     """Return package, version and digest of each entry of a package that a scenario names, by `kind.name`.
 
     Raises:
-        RecordingError: The recording names a package that no index can have: whoever sent the file wrote that text.
+        RecordingError: The recording names a package that no index can have: the sender of the file wrote that text.
     """
     kept = recording.metadata.get("plugins", {})
     found = {}

@@ -58,7 +58,7 @@ def is_own(found: os.stat_result) -> bool:
 
 
 def is_own_path(path: Path) -> bool:
-    """Return whether nobody but this user and root can replace a file or folder, which may be absent, or its parents.
+    """Return whether only this user and root can replace a file or folder, which may be absent, or its parents.
 
     A folder in which only the owner of an entry can rename it, such as /tmp, counts as safe. So does one that the group
     can write whose number is that of the user, because that group has no other member.

@@ -27,7 +27,7 @@ _RESEND_S = 0.05
 _RECORDERS_S = 1.0
 _LINGER_MS = 200
 _SUBSCRIBED = b"\x01session/control"
-# So many subscriptions of an inlet are read in a turn.
+# The most subscriptions of an inlet that are read in a turn.
 _MOST_SUBSCRIPTIONS = 256
 _TOPIC, _ANSWERS = b"session/control", b"session/event"
 # of a session/control, and of one that says who gave it

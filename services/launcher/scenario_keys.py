@@ -27,7 +27,7 @@ _SYMBOLS = {
     "b": "impedance_n_s_per_m",
     "T_s": "period_s",
 }
-# So many keys are named at most; a word like `delay_s` is in three sections.
+# The most keys that are named; a word like `delay_s` is in three sections.
 _MOST_MEANT = 4
 _NEAR = 0.8
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"

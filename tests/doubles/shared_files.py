@@ -1,4 +1,4 @@
-"""Two processes that change a shared file at the same moment, and a disk that has room for so many pages."""
+"""Two processes that change a shared file at the same moment, and a disk that has room for a number of pages."""
 
 import multiprocessing
 import os
@@ -22,7 +22,7 @@ class Shared(NamedTuple):
     """A kind of shared file.
 
     `prepare` makes what is there before; `change` is what the writer 0 or 1 does in a round; `lost` returns what is
-    missing of the rounds that each writer was told had succeeded.
+    missing of the rounds that succeeded for each writer.
     """
 
     name: str
@@ -62,7 +62,7 @@ def race(shared: Shared, folder: Path, rounds: int) -> list[set[int]]:
 
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
-    """Mount a small disk at a folder; yield what leaves so many pages of it free."""
+    """Mount a small disk at a folder; yield what leaves a number of its pages free."""
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={_DISK_BYTES},mode=700", "tmpfs", str(folder)]
     if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:

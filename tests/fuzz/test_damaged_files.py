@@ -249,7 +249,7 @@ def test_a_command_does_not_wait_for_a_pipe(
 
 # --- a corpus of damage ---
 
-# Damage costs so many times what the sound file costs, at most, over all that was read.
+# A damaged file costs at most this multiple of what the sound one costs, over all that were read.
 _MOST_TIMES = 3.0
 _SOUND_EVERY = 6
 OF_PACKAGES = {"trial": ("telenano_acceptance",), "plan": ("telenano_experiments",), "key": ("telenano_conformance",)}

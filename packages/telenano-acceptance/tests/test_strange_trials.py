@@ -16,7 +16,7 @@ from test_device_trial import led, simulated_trial
 from proto.errors import ConfigError
 
 TIMES = 50
-# of so many the memory is measured, which takes time
+# The memory is measured for this number of files, because that takes time.
 SIZED = 10
 STRANGE = (0, -1, 1e308, -1e308, 1 << 63, "", "x\x1b[2J`id`", None, [], {}, [[]], True, 1e-320, [0] * 40, {"a": 1})
 NUMBERS = (np.nan, np.inf, -np.inf, 0.0, -1.0, 1e308, 5e-324)

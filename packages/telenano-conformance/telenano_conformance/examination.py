@@ -21,11 +21,11 @@ _HANDSHAKE_S = 5.0
 _TICK_MS = 10
 _STATES_S = 0.02
 _SETTLED_S = 0.3
-# So many messages wait to be read at most.
+# The most messages that wait to be read.
 _MOST_WAITING = 2000
 # The largest message of the wire has half of this [bytes]; what is larger ends the connection.
 _LARGEST_BYTES = 1 << 21
-# So many events of the connection, or subscriptions, are taken in a turn.
+# The most events of the connection, or subscriptions, that are taken in a turn.
 _MOST_A_TURN = 1000
 # A client for whose messages this time of the processor was not enough to find an end of them is too fast [s].
 _BEHIND_S = 1.0

@@ -214,7 +214,7 @@ class UdpPorts:
 
 
 def make_room_for(clients: int) -> None:
-    """Let this process have a descriptor for each of so many clients.
+    """Let this process have a descriptor for each of a number of clients.
 
     Raises:
         ConfigError: The system grants fewer; the message has the most clients that there can be.

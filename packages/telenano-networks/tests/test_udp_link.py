@@ -326,7 +326,7 @@ def test_a_flood_at_one_socket_is_taken_in_parts_and_nothing_is_left(echo: Echo)
 
 @contextmanager
 def room_for(descriptors: int) -> Iterator[None]:
-    """Let this process open no more than so many further files while the block runs."""
+    """Let this process open no more than a number of further files while the block runs."""
     before, lowest = resource.getrlimit(resource.RLIMIT_NOFILE), os.dup(0)
     os.close(lowest)
     resource.setrlimit(resource.RLIMIT_NOFILE, (lowest + descriptors, before[1]))

@@ -46,7 +46,7 @@ def lost_keys(folder: Path, done: list[set[int]]) -> object:
 
 
 def lost_pairs(folder: Path, done: list[set[int]]) -> object:
-    """Return the machines whose key pair two commands were told that they had made, and those whose halves differ."""
+    """Return the machines whose key pair two commands had made, as both said, and those whose halves differ."""
     ring = Keyring(folder)
     return sorted(done[0] & done[1]), [text for name in ring.names() if (text := ring.misplaced(name))]
 
