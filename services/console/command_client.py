@@ -31,7 +31,7 @@ _HEALTH_S, _JOIN_S = 0.5, 1.0
 # A rig is late where a node reads a command later than this [s]: its loops come round a hundred times in it.
 _LATE_S = 0.1
 _SUBSCRIBED = b"\x01session/control"
-# The most subscriptions that are read in a turn: readers that subscribe for ever must not keep a command from being sent.
+# The most subscriptions that are read in a turn, so that endless ones keep no command from being sent.
 _MOST_SUBSCRIPTIONS = 256
 
 

@@ -36,7 +36,7 @@ _LINGER_MS = 10_000
 # a millionth: an hour takes a century
 _LEAST_RATE = 1e-6
 _SUBSCRIBE = b"\x01"
-# The most subscriptions that are read in a turn: readers that subscribe for ever must not keep a message from being played.
+# The most subscriptions that are read in a turn, so that endless ones keep no message from being played.
 _MOST_SUBSCRIPTIONS = 256
 
 
