@@ -19,6 +19,7 @@ from services.runtime.loop import kept_stop
 from services.runtime.security.keyring import Keyring
 from services.viz_node.lease_desk import LeaseDesk
 from services.viz_node.people import People
+from services.viz_node.serve import announced
 from tests.doubles.shared_files import Shared, fill_at_each_write, race, small_disk
 
 ROUNDS = 12
@@ -202,6 +203,19 @@ def test_who_has_the_hand_keeps_it_in_a_full_folder_and_others_are_refused_by_na
         assert register.change(lambda lease, now_ns: take(lease, teacher, now_ns)).holder == teacher
         assert not hold.is_held()
         hold.end()
+
+
+def test_a_server_begins_where_its_address_cannot_be_kept_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk, shown = tmp_path / "disk", list[str]()
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(disk))
+    with small_disk(disk) as leave:
+        leave(0)
+        with announced({"view": "http://127.0.0.1:8650/#secret"}, shown.append):
+            pass
+        assert shown[1] == f"view: the address cannot be kept: {disk}/view-8650.addresses: No space left on device"
+        assert "secret" not in "".join(shown)
 
 
 def test_a_folder_that_others_can_reach_ends_no_loop_and_no_sign_of_life(
