@@ -32,6 +32,7 @@ def small(tmp_path: Path) -> Iterator[Rig]:
     finally:
         rig.close()
         subprocess.run(["umount", "-l", str(rig.sockets)], check=True)
+        rig.sockets.rmdir()
 
 
 def fill(folder: Path) -> Path:
