@@ -1,35 +1,69 @@
 """The packages that a recorded session used, as its recording names them, and whether the same ones are here."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from presets.known_packages import KNOWN_PACKAGES
 from presets.plugins import installed
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RecordingError
 from proto.extras import how_to_add_package
 from recording.multi_file import RecordingSource
 from services.runtime.settings.scenario import named_in
+from services.runtime.untrusted.printable import printable
+
+_DIGEST = re.compile(r"sha256:[0-9a-f]{1,64}")
+# Name and version of a package together; the longest names of an index have some 90 letters.
+_MOST_LETTERS = 200
 
 
 def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    """Return package, version and digest of each entry of a package that a scenario names, by `kind.name`."""
+    """Return package, version and digest of each entry of a package that a scenario names, by `kind.name`.
+
+    Raises:
+        RecordingError: The recording names a package that no index can have: the sender of the file wrote that text.
+    """
     kept = recording.metadata.get("plugins", {})
     found = {}
     for kind, name in named_in(document):
         if text := kept.get(f"{kind}.{name}"):
-            found[f"{kind}.{name}"] = dict(zip(("package", "version", "digest"), text.split(), strict=True))
+            words = text.split()
+            if not _is_package(*words):
+                what = f"{recording.path}: metadata plugins: {kind}.{printable(name)}"
+                raise RecordingError(
+                    f"{what} must have the name, the version and the digest of a package, such as my-laws 1.0 sha256:0a"
+                )
+            found[f"{kind}.{name}"] = dict(zip(("package", "version", "digest"), words, strict=True))
     return found
 
 
+def _is_package(name: str = "", version: str = "", digest: str = "", *rest: str) -> bool:
+    """Return whether name and version could be those of a package (PEP 503, PEP 440)."""
+    from packaging.utils import InvalidName, canonicalize_name
+    from packaging.version import InvalidVersion, Version
+
+    try:
+        canonicalize_name(name, validate=True)
+        Version(version)
+    except (InvalidName, InvalidVersion):
+        return False
+    is_short = (name + version).isascii() and len(name + version) <= _MOST_LETTERS
+    return is_short and not rest and _DIGEST.fullmatch(digest) is not None
+
+
 def require_installed(recorded: Mapping[str, Mapping[str, str]]) -> None:
-    """Raise ConfigError for the first package that is not installed; the message names it and says what adds it."""
+    """Raise ConfigError for the first package that is not installed.
+
+    The message has the command that adds a package of the project. Of another package it has none: a recording of
+    somebody else must not say what is installed here.
+    """
     for key, facts in recorded.items():
         kind, _, name = key.partition(".")
         if name not in installed(kind):
-            package, version = facts["package"], facts["version"]
-            own = package in KNOWN_PACKAGES.values()
-            how = how_to_add_package(package) if own else f"pip install {package}=={version}"
-            what = f"{kind.removesuffix('s')} {name} of {package} {version}"
+            package = facts["package"]
+            is_own = package in KNOWN_PACKAGES.values()
+            how = how_to_add_package(package) if is_own else "ask who recorded it where that package comes from"
+            what = f"{kind.removesuffix('s')} {printable(name)} of {package} {facts['version']}"
             raise ConfigError(f"the session used the {what}, which is not installed here: {how}")
 
 

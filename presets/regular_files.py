@@ -57,6 +57,26 @@ def is_own(found: os.stat_result) -> bool:
     return not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o022)
 
 
+def is_own_path(path: Path) -> bool:
+    """Return whether only this user and root can replace a file or folder, which may be absent, or its parents.
+
+    A folder in which only the owner of an entry can rename it, such as /tmp, counts as safe. So does one that the group
+    can write whose number is that of the user, because that group has no other member.
+    """
+    if not hasattr(os, "getuid"):
+        return True
+    user = os.getuid()
+    # Who owns a link, or the folder with it, decides what stands there: both ways are looked at.
+    links = [path.absolute()] if path.is_symlink() else []
+    for folder in {*links, *path.absolute().parents, *path.resolve().parents}:
+        found = folder.lstat()
+        others = 0o002 if found.st_gid == user else 0o022
+        is_open = found.st_mode & others and not found.st_mode & stat.S_ISVTX and not stat.S_ISLNK(found.st_mode)
+        if found.st_uid not in (user, 0) or is_open:
+            return False
+    return True
+
+
 def _require_regular(path: Path, mode: int) -> None:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

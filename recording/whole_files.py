@@ -2,6 +2,11 @@
 
 A temporary name is hidden and says whose it is: `.NAME.MACHINE.PROCESS.part`. What a killed process has left behind
 does not stand in the way of anything, and goes when the same result is written again on that machine.
+
+A file that several processes change, such as a list of keys, is changed by `changed` alone: each reads what the one
+before it has written, so that no change is lost.
+
+    changed(folder / "allowed.yaml", lambda before: with_one_more(before or b""))
 """
 
 import contextlib
@@ -10,9 +15,21 @@ import os
 import platform
 import re
 import shutil
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from presets.optional_modules import optional_module
+from proto.errors import RigError
+
+# A change takes milliseconds, so a process that has had the lock for this long stands still [s].
+LOCK_WAIT_S = 1.0
+_RETRY_S = 0.005
+# Windows has no such module, and no processes of a rig.
+fcntl = optional_module("fcntl")
+# A temporary name is that of a process, so that its threads write one after the other.
+_one_thread = threading.Lock()
 _SUFFIX = ".part"
 # the temporary name of several files of one run
 _RESULTS = "results"
@@ -46,6 +63,95 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             part.replace(path)
         else:
             _name_once(part, path)
+
+
+class BusyError(RigError):
+    """Another process has the lock of a shared file; the text names the file."""
+
+
+def changed(
+    path: Path,
+    step: Callable[[bytes | None], bytes | None],
+    *,
+    read: Callable[[Path], bytes] = Path.read_bytes,
+    mode: int = 0o600,
+    is_forced: bool = True,
+    wait_s: float = LOCK_WAIT_S,
+) -> None:
+    """Change a file that several processes share: one process at a time, and whole or not at all.
+
+    Args:
+        path: The file. `path.lock` beside it is the lock, and stays.
+        step: What turns the content into the new one, None to leave the file as it is. It gets None where there is no
+            file. Its own errors pass.
+        read: What reads the file, and judges who else can change it.
+        mode: Who may read and write the file, before the mask of this process is applied.
+        is_forced: Whether the change is on the disk when this returns.
+        wait_s: How long the lock is waited for [s].
+
+    Raises:
+        BusyError: Another process has had the lock for `wait_s`.
+        RigError: The system refuses; the text names the file, which is as it was.
+    """
+    with locked(path, wait_s, mode=mode):
+        try:
+            before = None
+            with contextlib.suppress(FileNotFoundError):
+                before = read(path)
+            if (after := step(before)) is not None and after != before:
+                write_whole(path, after, mode, is_forced=is_forced)
+        except OSError as error:
+            raise RigError(f"{path}: cannot be changed: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def locked(path: Path, wait_s: float = LOCK_WAIT_S, *, mode: int = 0o600) -> Iterator[None]:
+    """Have a shared file alone while the block runs; a process that is killed has it no longer.
+
+    Raises:
+        BusyError: Another process has had it for `wait_s`.
+        RigError: The lock cannot be had for another reason, which the text states.
+    """
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    try:
+        descriptor = os.open(f"{path}.lock", flags, mode)
+    except OSError as error:
+        raise RigError(f"{path}: cannot be locked: {error.strerror}") from error
+    try:
+        _lock(descriptor, path, wait_s)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o600, *, is_forced: bool = True) -> None:
+    """Write a file of one process whole or not at all; a link in its place is replaced, not followed.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    with _one_thread, _temporary(path, path, replace=True) as part:
+        with os.fdopen(os.open(part, flags, mode), "wb") as file:
+            file.write(content)
+            file.flush()
+            if is_forced:
+                os.fsync(file.fileno())
+        part.replace(path)
+
+
+def _lock(descriptor: int, path: Path, wait_s: float) -> None:
+    end_s = time.monotonic() + wait_s
+    while fcntl is not None:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError as error:
+            if time.monotonic() >= end_s:
+                raise BusyError(f"{path}: another process has had it for {wait_s:g} s: end that process") from error
+            time.sleep(_RETRY_S)
+        except OSError as error:
+            raise RigError(f"{path}: cannot be locked: {error.strerror}") from error
 
 
 @contextlib.contextmanager

@@ -31,6 +31,8 @@ _HEALTH_S, _JOIN_S = 0.5, 1.0
 # A rig is late where a node reads a command later than this [s]: its loops come round a hundred times in it.
 _LATE_S = 0.1
 _SUBSCRIBED = b"\x01session/control"
+# The most subscriptions that are read in a turn, so that endless ones keep no command from being sent.
+_MOST_SUBSCRIPTIONS = 256
 
 
 def parse_parameters(pairs: Sequence[str]) -> dict[str, Scalar]:
@@ -276,7 +278,9 @@ class Attention:
 def _new_subscriptions(publisher: ZmqPublisher) -> int:
     """Count the readers of commands that have subscribed since the last call; nothing reaches them before that."""
     count = 0
-    while publisher.socket.poll(0):
+    for _ in range(_MOST_SUBSCRIPTIONS):
+        if not publisher.socket.poll(0):
+            break
         count += publisher.socket.recv() == _SUBSCRIBED
     return count
 

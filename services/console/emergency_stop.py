@@ -27,6 +27,8 @@ _RESEND_S = 0.05
 _RECORDERS_S = 1.0
 _LINGER_MS = 200
 _SUBSCRIBED = b"\x01session/control"
+# The most subscriptions of an inlet that are read in a turn.
+_MOST_SUBSCRIPTIONS = 256
 _TOPIC, _ANSWERS = b"session/control", b"session/event"
 # of a session/control, and of one that says who gave it
 _SCHEMA_VERSION, _NAMED_VERSION = 1, 4
@@ -124,7 +126,9 @@ class _Inlet:
     def read_subscription(self, sent: int) -> bool:
         """Return whether a node that has to be stopped is ready only now, after `sent` messages: none reached it."""
         was_ready = self.ready
-        while self.socket.poll(0):
+        for _ in range(_MOST_SUBSCRIPTIONS):
+            if not self.socket.poll(0):
+                break
             self.ready = self.socket.recv() == _SUBSCRIBED or self.ready
         if was_ready or not self.ready:
             return False
@@ -214,7 +218,8 @@ def emergency_stop(
                 break
             next_s = now_s + _RESEND_S if due else next_s
             zmq.select([reader, *(inlet.socket for inlet in inlets)], [], [], max(0.0, next_s - time.monotonic()))
-            while reader.poll(0):
+            # Other events, however fast they come, must not keep the stop from being sent again.
+            while time.monotonic() < next_s and reader.poll(0):
                 answer = _answer(reader.recv_multipart(), identifier)
                 if answer is not None and answer.node not in answers:
                     answers[answer.node] = answer

@@ -8,6 +8,7 @@ of, taken, or lost by silence. Whoever asks for something has a number of the le
 holder, so that what was said under an earlier lease is refused.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import msgspec
@@ -18,6 +19,8 @@ from proto.errors import RefusedError
 VANISHED_NS = 1_000_000_000
 # A holder says so often that it is there [s].
 BEAT_S = 0.25
+# Who asks for the hand, and of whom nothing was heard for so long, does not ask any more.
+ASKED_NS = 3 * VANISHED_NS
 _MOST_ASKING = 16
 # The name of a person has so many letters at most.
 MOST_LETTERS = 48
@@ -49,6 +52,18 @@ class Party(NamedTuple):
         """Whether it is of the person whose rig it is: a process on its machine, or the page of the printed address."""
         return self.what != PAGE or (self.role == "operator" and not self.name)
 
+    @property
+    def person(self) -> tuple[str, str]:
+        """Whose it is: each person with a name is one, and so are all pages of one role without."""
+        return self.name, "" if self.name else f"{self.role} {self.what}"
+
+
+class Asking(NamedTuple):
+    """A party that asks for the hand, and when it was seen last [ns]."""
+
+    party: Party
+    seen_ns: int
+
 
 class Lease(NamedTuple):
     """Who has the hand. All times are of the monotonic clock of the machine [ns].
@@ -63,7 +78,7 @@ class Lease(NamedTuple):
     kept: bool = False
     presses: bool = False
     withdraw: bool = False
-    asking: tuple[Party, ...] = ()
+    asking: tuple[Asking, ...] = ()
 
     def is_held_by(self, party: Party) -> bool:
         """Whether a party has the hand."""
@@ -71,7 +86,12 @@ class Lease(NamedTuple):
 
 
 def current(lease: Lease, now_ns: int) -> Lease:
-    """Return the lease as it is now: without a holder who has vanished. A time ahead is of before the machine began."""
+    """Return the lease as it is now: without a holder who has vanished, and those who asked and have left.
+
+    A time ahead is of before the machine began.
+    """
+    asking = tuple(each for each in lease.asking if 0 <= now_ns - each.seen_ns <= ASKED_NS)
+    lease = lease if asking == lease.asking else lease._replace(asking=asking)
     if lease.holder is not None and not 0 <= now_ns - lease.seen_ns <= VANISHED_NS:
         return _vacant(lease, now_ns, withdraw=lease.presses)
     return lease
@@ -122,7 +142,7 @@ def take(lease: Lease, party: Party, now_ns: int) -> Lease:
 
 
 def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Ask for the hand; who may take what nobody has gets it at once.
+    """Ask for the hand; who may take what nobody has gets it at once. A person asks once, by the page used last.
 
     Raises:
         RefusedError: The role may not, or too many ask.
@@ -134,10 +154,10 @@ def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
         return take(lease, party, now_ns)
     if lease.is_held_by(party):
         return lease
-    others = _without(lease.asking, party)
+    others = tuple(each for each in lease.asking if each.party.person != party.person)
     if len(others) >= _MOST_ASKING:
         raise RefusedError(f"{len(others)} ask for the hand already")
-    return lease._replace(asking=(*others, party))
+    return lease._replace(asking=(*others, Asking(party, now_ns)))
 
 
 def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> Lease:
@@ -158,7 +178,7 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
         raise RefusedError("only who has the hand, or a teacher, hands it over")
     if number != lease.number:
         raise RefusedError("this was said under an earlier lease")
-    receiver = next((each for each in lease.asking if to in ("", each.id)), None)
+    receiver = next((each.party for each in lease.asking if to in ("", each.party.id)), None)
     if receiver is None:
         raise RefusedError("nobody asks for the hand" if not to else "that one does not ask any more")
     return _granted(lease, receiver, now_ns, kept=True)
@@ -190,6 +210,12 @@ def seen(lease: Lease, party: Party, now_ns: int, heard_ns: int | None = None) -
     if not lease.is_held_by(party):
         return lease
     return lease._replace(seen_ns=now_ns if heard_ns is None else max(lease.seen_ns, min(heard_ns, now_ns)))
+
+
+def still_asks(lease: Lease, heard_ns: Mapping[str, int], now_ns: int) -> Lease:
+    """Note when those who ask for the hand were heard last, by their ids."""
+    asking = [each._replace(seen_ns=max(each.seen_ns, heard_ns.get(each.party.id, 0))) for each in lease.asking]
+    return current(lease._replace(asking=tuple(asking)), now_ns)
 
 
 def stood_still(lease: Lease, party: Party, now_ns: int) -> Lease:
@@ -235,5 +261,5 @@ def _next(lease: Lease, now_ns: int) -> int:
     return max(lease.number + 1, now_ns // 1_000_000)
 
 
-def _without(asking: tuple[Party, ...], party: Party) -> tuple[Party, ...]:
-    return tuple(each for each in asking if each.id != party.id)
+def _without(asking: tuple[Asking, ...], party: Party) -> tuple[Asking, ...]:
+    return tuple(each for each in asking if each.party.id != party.id)

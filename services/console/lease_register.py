@@ -8,18 +8,14 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from proto.errors import RefusedError, RigError
+from proto.errors import ConfigError, RefusedError, RigError
+from recording.whole_files import changed
 from services.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
 from services.runtime.bus.local_endpoint import runtime_directory
 from services.runtime.security.private_files import check_runtime_directory
-from services.runtime.settings.optional_modules import optional_module
-
-fcntl = optional_module("fcntl")
 
 NAME_VARIABLE = "TELENANO_NAME"
 _FILE = "lease"
-# A change takes microseconds: whoever has the file for longer stands still.
-_PATIENCE_S, _RETRY_S = 1.0, 0.005
 
 Step = Callable[[Lease, int], Lease]
 
@@ -30,54 +26,65 @@ class LeaseRegister:
     def __init__(self, folder: Path | None = None) -> None:
         """Keep the lease in a folder, without one in that of the rig."""
         self._folder = folder
+        self._unkept = Lease(), Lease()
 
     def look(self) -> Lease:
-        """Return the lease as it is now; that somebody has vanished is kept, because it counts."""
+        """Return the lease as it is now; that somebody has vanished is kept where it can be, because it counts."""
         try:
-            found = unpacked(self._path.read_bytes())
+            found = self._read()
         except OSError:
             return Lease()
-        return found if current(found, time.monotonic_ns()) == found else self.change(current)
+        now = current(found, time.monotonic_ns())
+        if now == found:
+            return now
+        with contextlib.suppress(RigError):
+            return self.change(current)
+        # What cannot be kept is the same each time that it is looked at.
+        if self._unkept[0] != found:
+            self._unkept = found, now
+        return self._unkept[1]
 
     def change(self, step: Step) -> Lease:
         """Change the lease by a step, which gets the time as well, and return it.
 
         Raises:
             RefusedError: The step refuses.
-            RigError: The file cannot be had.
+            RigError: The file cannot be changed.
         """
         try:
             check_runtime_directory(make=self._folder is None)
-            lock = os.open(f"{self._path}.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-        except OSError as error:
-            raise RigError(f"{self._path}: who has the hand cannot be kept: {error.strerror}") from error
-        try:
-            self._lock(lock)
-            before = unpacked(self._path.read_bytes()) if self._path.exists() else Lease()
-            lease = step(before, time.monotonic_ns())
-            if lease != before:
-                # Who reads meanwhile finds the whole of one or of the other.
-                new = self._path.with_name(f".{_FILE}.new")
-                new.write_bytes(packed(lease))
-                new.replace(self._path)
-            return lease
-        finally:
-            os.close(lock)
+        except ConfigError as error:
+            raise RigError(str(error)) from error
+        lease = Lease()
+
+        def changed_bytes(before: bytes | None) -> bytes | None:
+            nonlocal lease
+            known = Lease() if before is None else self._read()
+            lease = step(known, time.monotonic_ns())
+            is_only_seen = lease._replace(seen_ns=known.seen_ns) == known
+            return None if lease == known or (is_only_seen and self._is_noted(lease.seen_ns)) else packed(lease)
+
+        changed(self._path, changed_bytes, is_forced=False)
+        return lease
 
     @property
     def _path(self) -> Path:
         return (self._folder or runtime_directory()) / _FILE
 
-    def _lock(self, descriptor: int) -> None:
-        end_s = time.monotonic() + _PATIENCE_S
-        while fcntl is not None:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return
-            except OSError as error:
-                if time.monotonic() > end_s:
-                    raise RigError(f"{self._path}: a process that stands still has it: end it") from error
-                time.sleep(_RETRY_S)
+    def _read(self) -> Lease:
+        """Return the lease as it was kept; its holder was seen at the time of the file, if that is later."""
+        with self._path.open("rb") as file:
+            lease, seen_ns = unpacked(file.read()), os.fstat(file.fileno()).st_mtime_ns
+        # The time of a file that was just written is that of the calendar, which is far ahead of the monotonic clock.
+        return lease._replace(seen_ns=seen_ns) if lease.seen_ns < seen_ns <= time.monotonic_ns() else lease
+
+    def _is_noted(self, seen_ns: int) -> bool:
+        """Note when the holder was seen as the time of the file, which needs no room on a full disk.
+
+        Returns False where the file system keeps times in larger steps.
+        """
+        os.utime(self._path, ns=(seen_ns, seen_ns))
+        return self._path.stat().st_mtime_ns == seen_ns
 
 
 class Hold:

@@ -56,7 +56,7 @@ def known_law(name: str) -> Law:
     if name in PACKAGE_LAWS.problems:
         raise ConfigError(PACKAGE_LAWS.problems[name])
     if name not in LAWS:
-        raise ConfigError(f"unknown law {name!r}: {known_names(name, LAWS)}; `telenano new law {name}` makes one")
+        raise ConfigError(f"unknown law {name!r}: {known_names(name, LAWS)}; `telenano new law` makes one")
     return LAWS[name]
 
 

@@ -25,9 +25,11 @@ from proto.nodes import (
 from services.afm_node.config import DRIVERS as INSTRUMENTS
 from services.afm_node.config import AfmConfig
 from services.afm_node.devices.capabilities import loop_refusal, refusal
+from services.afm_node.physics.sample.force_map import read_map
 from services.controller.config import KNOWN_LAWS, ControllerConfig
 from services.delay_node.config import EVEN, LinkSettings, changes_text, network_name
 from services.delay_node.pipeline import read_files
+from services.launcher.scenario_keys import with_meant
 from services.runtime.bus.address_book import AddressBook, load_site
 from services.runtime.settings.config import Settings, environment_overrides, flag_overrides, merge, validate
 from services.runtime.settings.option import Option
@@ -241,10 +243,15 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     check_book(book, site_file, request)
     out = (request.out or default_out).absolute()
     given = find_scenario(request.scenario).absolute()
-    loaded = effective_scenario(given, request, out)
     elsewhere = {name_of(node) for node in other_nodes(request)} - {name_of(node) for node in own}
-    check_sections(loaded, elsewhere)
+    try:
+        loaded = effective_scenario(given, request, out)
+        check_sections(loaded, elsewhere)
+    except ConfigError as error:
+        raise ConfigError(with_meant(str(error))) from error
     _check_files(loaded, elsewhere)
+    if not request.attach and request.site != "slave":
+        _check_delay(loaded)
     plan = Plan(
         book=book,
         site_file=site_file,
@@ -263,6 +270,17 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
     if existing and not request.overwrite:
         raise ConfigError(f"{existing[0]} exists already: give another --out, or --overwrite to replace it")
     return plan
+
+
+def _check_delay(loaded: LoadedScenario) -> None:
+    """Raise ConfigError for a link over which nothing of the session would come back."""
+    link = loaded.section("delay_node", LinkSettings)
+    there_s, back_s, lasts_s = link.forward.delay_s, link.backward.delay_s, loaded.scenario.duration_s
+    if lasts_s is not None and there_s + back_s >= lasts_s:
+        raise ConfigError(
+            f"{loaded.origin}: the link delays by {there_s:g} s there and {back_s:g} s back, and the session lasts "
+            f"{lasts_s:g} s: no answer would arrive; give a greater duration_s, or smaller delays"
+        )
 
 
 def own_nodes(book: AddressBook, request: UpRequest) -> tuple[str, ...]:
@@ -374,6 +392,11 @@ def _check_files(loaded: LoadedScenario, elsewhere: Collection[str]) -> None:
     sample = None if "afm_node" in elsewhere else loaded.section("afm_node", AfmConfig).sample
     if sample is not None and sample.is_file and not Path(sample.name).is_file():
         raise ConfigError(f"{loaded.origin}: afm_node.sample.name: {sample.name} is neither a file nor a known shape")
+    if sample is not None and sample.map is not None and sample.map_span is None:
+        try:
+            read_map(Path(sample.map))
+        except ConfigError as error:
+            raise ConfigError(f"{loaded.origin}: afm_node.sample.map: {error}") from error
 
 
 def driver_is_absent(loaded: LoadedScenario, name: str) -> bool:

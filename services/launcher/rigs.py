@@ -12,15 +12,16 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from presets.optional_modules import optional_module
 from proto.errors import ConfigError, EndpointError, RigError
 from proto.nodes import site_of
+from recording.whole_files import write_whole
 from services.launcher import processors
 from services.runtime.bus.address_book import load_site
 from services.runtime.bus.endpoint_lock import EndpointInUseError, EndpointLock
 from services.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rig_directory, rigs_with_folders
 from services.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
-from services.runtime.security.private_files import check_runtime_directory, write_private
-from services.runtime.settings.optional_modules import optional_module
+from services.runtime.security.private_files import check_runtime_directory
 from services.runtime.settings.scenario import RealtimeConfig
 
 if TYPE_CHECKING:
@@ -207,7 +208,7 @@ def _describe(plan: "Plan", name: str, claimed: tuple[int, ...], *, behind: bool
         "behind": behind,
     }
     try:
-        write_private(_about_file(name, site_of(plan.launcher)), json.dumps(about))
+        write_whole(_about_file(name, site_of(plan.launcher)), json.dumps(about).encode(), is_forced=False)
     except OSError as error:
         raise RigError(f"{rig_directory(name)}: cannot be written: {error.strerror}") from error
 

@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import re
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -213,7 +214,7 @@ def _found(session: SessionNode, recording: ExternalRecording, plan: Plan) -> tu
     if readable_here(recording.path, session.start_id) and all(path.is_file() for path in files):
         return files, ""
     named = " ".join(recording.files)
-    again = f"telenano report {named} --out {plan.out}"
+    again = f"telenano report {shlex.join(recording.files)} --out {shlex.quote(str(plan.out))}"
     where = f"{recording.recorder} recorded the session to {named}"
     return (), f"{where}, which cannot be read from here: `{again}` there"
 
@@ -269,7 +270,7 @@ def report_of(
     recordings = outcome.recordings
     if not outcome.ran or not recordings:
         return None
-    names = " ".join(map(str, recordings))
+    names = shlex.join(map(str, recordings))
     show(f"making figure and summary from {names}" if plan.attach else "making figure and summary")
     # Who has pressed Ctrl-C waits for the terminal.
     is_long = outcome.interrupted or sum(path.stat().st_size for path in recordings if path.exists()) > _LONG_BYTES

@@ -1,6 +1,8 @@
 """Every key of a scenario with its default, range and unit, and the JSON Schema of scenario and site files."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from presets import scenarios
@@ -11,6 +13,23 @@ from services.runtime.settings.config import merge, read_yaml
 from services.runtime.settings.scenario import LoadedScenario, Scenario
 from services.runtime.wiring.main import node_kind
 
+_UNKNOWN = re.compile(r"(?:^|: )([^\s:]+): (?:unknown key|.+ has no key )")
+# The paper's symbols, as docs/glossary.md has them, and the last word of the key.
+_SYMBOLS = {
+    "K_f": "force_gain",
+    "M_v": "mass_kg",
+    "B_v": "damping_n_s_per_m",
+    "K_v": "stiffness_n_per_m",
+    "alpha_p": "position_scale",
+    "alpha_f": "force_scale",
+    "α_p": "position_scale",
+    "α_f": "force_scale",
+    "b": "impedance_n_s_per_m",
+    "T_s": "period_s",
+}
+# The most keys that are named; a word like `delay_s` is in three sections.
+_MOST_MEANT = 4
+_NEAR = 0.8
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -112,6 +131,31 @@ def filled(loaded: LoadedScenario) -> dict[str, Any]:
         for name in SERVICES
     }
     return merge(loaded.scenario.model_dump(mode="json"), sections)
+
+
+def with_meant(text: str) -> str:
+    """Return an error with the keys that were probably meant by those that it calls unknown, in all sections."""
+    return "\n".join(map(_with_meant, text.split("\n")))
+
+
+def _with_meant(line: str) -> str:
+    unknown = _UNKNOWN.search(line)
+    if unknown is None:
+        return line
+    section, _, last = unknown[1].rpartition(".")
+    # All keys take most of a second, and are asked for only once one is unknown.
+    parts = [key.name.split(".") for key in all_keys()]
+    names = list(dict.fromkeys(".".join(each[:count]) for each in parts for count in range(2, len(each) + 1)))
+    word = _SYMBOLS.get(last, last)
+    words = [name.rpartition(".")[2] for name in names]
+    if word not in words:
+        if "did you mean" in line:
+            return line
+        word = next(iter(get_close_matches(word, set(words), n=1, cutoff=_NEAR)), "")
+    found = [name for name, ending in zip(names, words, strict=True) if ending == word]
+    inner = [name for name in found if section and name.startswith(f"{section.partition('.')[0]}.")]
+    meant = " or ".join((inner or found)[:_MOST_MEANT])
+    return f"{line.partition('; did you mean')[0]}; did you mean {meant}?" if meant else line
 
 
 def value_at(document: Mapping[str, Any], key: str) -> Any:

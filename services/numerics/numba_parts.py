@@ -18,7 +18,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.registry import CPUDispatcher
 from numba.extending import lower_builtin, type_callable
 
-from presets.regular_files import is_own
+from presets.regular_files import is_own, is_own_path
 from services.numerics.source_digest import cache_folder, digest_covers, stamp
 from services.signals import interrupts
 
@@ -131,9 +131,13 @@ def _classes(part: Any) -> Iterator[type]:
 
 @cache
 def _is_safe() -> bool:
-    """Return whether no other user can put code into the folder."""
+    """Return whether no other user can put code into the folder, or another folder there."""
     folder = cache_folder()
-    safe = not folder.exists() or is_own(folder.stat())
+    try:
+        # Where it is absent somebody else may still make it, if the folder above lets them.
+        safe = is_own_path(folder) and (not folder.exists() or is_own(folder.stat()))
+    except OSError:
+        safe = False
     if not safe:
         _warn(f"the compiled code in {folder} can be written by others, and is not used")
     return safe

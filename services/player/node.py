@@ -36,6 +36,8 @@ _LINGER_MS = 10_000
 # a millionth: an hour takes a century
 _LEAST_RATE = 1e-6
 _SUBSCRIBE = b"\x01"
+# The most subscriptions that are read in a turn, so that endless ones keep no message from being played.
+_MOST_SUBSCRIPTIONS = 256
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,9 @@ class ReplayPublisher:
         """Read subscription messages; return whether there was a new subscription since the last call."""
         subscribed = False
         # `Socket.poll` would make a poller first.
-        while int(self.publisher.socket.get(zmq.EVENTS)) & zmq.POLLIN:
+        for _ in range(_MOST_SUBSCRIPTIONS):
+            if not int(self.publisher.socket.get(zmq.EVENTS)) & zmq.POLLIN:
+                break
             message: bytes = self.publisher.socket.recv()
             if message.startswith(_SUBSCRIBE):
                 self.subscriptions.add(message[1:])

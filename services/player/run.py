@@ -135,4 +135,4 @@ def remote_control(plan: ReplayPlan, book: AddressBook) -> Iterator[str]:
     for node in plan.without_place:
         yield f"{node} is not played: it is not in the site file, and only reports on the processes of its site"
     for node in plan.left_out:
-        yield f"the commands of {node} are not played, so that it can control the replay; `--nodes {node}` plays them"
+        yield f"the commands of {node} are not played, so that it can control the replay: --nodes plays them"

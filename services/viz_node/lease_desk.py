@@ -18,6 +18,7 @@ from services.console.lease import (
     hand_over,
     let_go,
     seen,
+    still_asks,
     stood_still,
     take,
     withdrawn,
@@ -54,7 +55,8 @@ class LeaseDesk:
         self._told: Mapping[str, Any] = {}
         self._sessions: Collection[Session] = ()
         self._clock, self._looked_s = clock, clock()
-        self._beat_s = 0.0
+        self._beat_s, self._asked_s = 0.0, 0.0
+        self._withdrawn = -1
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
         """Let a page act under a number of the lease, 0 for none; RefusedError says who has the hand."""
@@ -98,11 +100,16 @@ class LeaseDesk:
         self._forgive(now_s)
         # where the file cannot be had pages are told nothing new, and what they send is refused by name
         with contextlib.suppress(RigError):
-            self.lease = self._register.look()
+            self.lease = self._looked()
             there = next((each for each in sessions if self.has(each)), None)
             if there is not None and there.heard_s > self._beat_s and now_s - self._beat_s >= BEAT_S:
                 self._beat_s, heard_ns = now_s, round(there.heard_s * 1e9)
                 self.lease = self._register.change(lambda lease, now_ns: seen(lease, there.party, now_ns, heard_ns))
+            asking = {each.party.id for each in self.lease.asking}
+            asked = {each.party.id: round(each.heard_s * 1e9) for each in sessions if each.party.id in asking}
+            if asked and now_s - self._asked_s >= BEAT_S:
+                self._asked_s = now_s
+                self.lease = self._register.change(lambda lease, now_ns: still_asks(lease, asked, now_ns))
         facts = self.facts()
         if facts == self._told:
             return None
@@ -126,17 +133,24 @@ class LeaseDesk:
             "label": "" if holder is None else holder.label,
             "what": "" if holder is None else holder.what,
             "kept": self.lease.kept,
-            "asking": [[each.id, each.label] for each in self.lease.asking],
+            "asking": [[each.party.id, each.party.label] for each in self.lease.asking],
         }
+
+    def _looked(self) -> Lease:
+        """Return the lease as it is now; that the tip was withdrawn under it counts, also where it cannot be kept."""
+        lease = self._register.look()
+        return lease._replace(withdraw=False) if lease.number == self._withdrawn else lease
 
     def note_withdrawn(self) -> None:
         """Note that the tip was withdrawn after the holder had vanished."""
-        self.lease = self._register.change(withdrawn)
+        self._withdrawn = self.lease.number
+        with contextlib.suppress(RigError):
+            self.lease = self._register.change(withdrawn)
 
     def is_to_withdraw(self) -> bool:
         """Return whether the tip is to be withdrawn, as the lease is now: not any more once somebody else has it."""
         with contextlib.suppress(RigError):
-            self.lease = self._register.look()
+            self.lease = self._looked()
         return self.lease.withdraw
 
     def _change(self, session: Session, step: Step) -> None:

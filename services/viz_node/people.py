@@ -13,9 +13,10 @@ from pathlib import Path
 import msgspec
 
 from proto.errors import ConfigError
+from recording.whole_files import changed
 from services.console.lease import MOST_LETTERS
 from services.runtime.bus.local_endpoint import runtime_directory
-from services.runtime.security.private_files import check_runtime_directory, read_secret, write_private
+from services.runtime.security.private_files import check_runtime_directory, read_secret
 from services.runtime.untrusted.printable import printable
 
 ROLES = ("observer", "pupil", "operator", "teacher")
@@ -61,18 +62,26 @@ class People:
         if not 0.0 < minutes <= _MOST_MINUTES:
             raise ConfigError(f"--for-minutes {minutes:g}: must be above 0, and a year at most")
         token, now_s = secrets.token_urlsafe(_TOKEN_BYTES), self._now_s()
-        # Who is no longer admitted is kept for a day, to be told so.
-        kept = [each for each in self._all() if each.name != name and now_s < each.until_s + 86400.0]
-        kept += [msgspec.structs.replace(each, revoked=True) for each in self._all() if each.name == name]
-        self._write([*kept, Person(name, role, _digest(token), now_s + 60.0 * minutes)][-_MOST_PEOPLE:])
+
+        def with_person(people: list[Person]) -> list[Person]:
+            # Who is no longer admitted is kept for a day, to be told so.
+            kept = [each for each in people if each.name != name and now_s < each.until_s + 86400.0]
+            kept += [msgspec.structs.replace(each, revoked=True) for each in people if each.name == name]
+            return [*kept, Person(name, role, _digest(token), now_s + 60.0 * minutes)][-_MOST_PEOPLE:]
+
+        self._change(with_person)
         return token
 
     def revoke(self, name: str) -> None:
         """Revoke the address of somebody; ConfigError where nobody of that name has one."""
-        known = sorted({each.name for each in self._all() if each.is_admitted(self._now_s())})
-        if name not in known:
-            raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(known) or 'nobody'} has")
-        self._write([msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in self._all()])
+
+        def without_person(people: list[Person]) -> list[Person]:
+            known = sorted({each.name for each in people if each.is_admitted(self._now_s())})
+            if name not in known:
+                raise ConfigError(f"--revoke {printable(name)}: has no address; {', '.join(known) or 'nobody'} has")
+            return [msgspec.structs.replace(each, revoked=each.revoked or each.name == name) for each in people]
+
+        self._change(without_person)
 
     def find(self, token: str) -> Person | None:
         """Return whose token it is, also one that is no longer valid; None for an unknown one."""
@@ -101,10 +110,19 @@ class People:
             self._people, self._read = {}, None
         return list(self._people.values())
 
-    def _write(self, people: list[Person]) -> None:
+    def _change(self, step: Callable[[list[Person]], list[Person]]) -> None:
+        """Change the file, whose newest entries the step gets; one that is damaged admits nobody, and is replaced."""
+
+        def changed_bytes(before: bytes | None) -> bytes:
+            try:
+                people = msgspec.json.decode(before or b"[]", type=list[Person])
+            except msgspec.MsgspecError:
+                people = []
+            return msgspec.json.encode(step(people))
+
         if self._folder is None:
             check_runtime_directory(make=True)
-        write_private(self._path, msgspec.json.encode(people).decode())
+        changed(self._path, changed_bytes, read=read_secret)
 
 
 def _digest(token: str) -> str:

@@ -14,8 +14,9 @@ from urllib.parse import urlsplit
 
 from proto.errors import ConfigError, EndpointError, RigError, TelenanoError
 from proto.extras import how_to_install
+from recording.whole_files import write_whole
 from services.runtime.bus.local_endpoint import rig_directory, rigs_with_folders, runtime_directory
-from services.runtime.security.private_files import check_runtime_directory, read_secret, write_private
+from services.runtime.security.private_files import check_runtime_directory, read_secret
 from services.viz_node.access import LOOPBACK, Access, is_loopback
 from services.viz_node.connections import Connections, Listener, most_connections
 
@@ -131,21 +132,29 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
     base = re.split("[#?]", next(iter(addresses.values())))[0]
     file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}{_ADDRESSES}"
     is_terminal = sys.stdout.isatty()
-    # A terminal has been told all that somebody needs, also where no file can be written.
-    with contextlib.suppress(*((TelenanoError, OSError) if is_terminal else ())):
+    fault = ""
+    try:
         check_runtime_directory(make=True)
-        write_private(file, "".join(f"{name}: {address}\n" for name, address in addresses.items()))
+        text = "".join(f"{name}: {address}\n" for name, address in addresses.items())
+        write_whole(file, text.encode(), is_forced=False)
+    except OSError as error:
+        fault = f"{what}: the address cannot be kept: {file}: {error.strerror}"
+    except TelenanoError:
+        # A terminal shows all that a person needs, also where no file can be written.
+        if not is_terminal:
+            raise
     if is_terminal:
         for name, address in addresses.items():
             show(f"{name}: {address}")
     else:
         show(f"{what}: {base}")
         text = "the address needs a token, written to no pipe and no log: `telenano view --addresses` prints it"
-        show(f"{text}, and only you can read it in the file {file}")
+        show(fault or f"{text}, and only you can read it in the file {file}")
     try:
         yield
     finally:
-        file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            file.unlink()
 
 
 def served_addresses(folders: Sequence[Path] | None = None) -> list[str]:

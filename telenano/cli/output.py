@@ -5,6 +5,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -79,8 +80,13 @@ def system_error_text(error: OSError) -> str:
     reason = error.strerror or str(error)
     if error.filename is not None:
         return f"{error.filename}: {reason}"
-    # Code that writes files reports errors with the name of the file.
-    return f"standard output cannot be written: {reason}" if error.errno in _WRITE_ERRORS else reason
+    if error.errno not in _WRITE_ERRORS:
+        return reason
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return f"standard output cannot be written: {reason}"
+    return f"a file cannot be written: {reason}"
 
 
 def usage_text(error: Any) -> str:
@@ -189,7 +195,7 @@ def closing_lines(summary: Mapping[str, Any], folder: Path) -> tuple[str, str, s
     return (
         f"{summary['scenario']} with {laws}{link}: {summary['verdict'].replace('_', ' ')}{hold}",
         f"picture: {figures[0] if figures else 'none'}; all numbers: {folder / 'summary.json'}",
-        f"next: `{own_command()} view {summary['recording']['file']}` shows it again, "
+        f"next: `{own_command()} view {shlex.quote(summary['recording']['file'])}` shows it again, "
         f"`{own_command()} up --scenario touch` lets you press",
     )
 

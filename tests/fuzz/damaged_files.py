@@ -7,6 +7,7 @@ import json
 import resource
 import struct
 import sys
+import time
 import traceback
 import zipfile
 import zlib
@@ -181,6 +182,24 @@ def of_maker(name: str, *arguments: object) -> Callable[[Path], Any]:
     return write
 
 
+def copy_of(path: str) -> Callable[[Path], Any]:
+    """Return what copies a file of this repository."""
+    return lambda target: target.write_bytes((Path(__file__).parents[2] / path).read_bytes())
+
+
+def key() -> bytes:
+    return b'metadata\ncurve\n    public-key = "' + b"0" * 40 + b'"\n    secret-key = "' + b"1" * 40 + b'"\n'
+
+
+def write_trial(path: Path) -> None:
+    from telenano_acceptance.trial.trial_file import Acceptance, Line, Problem, Trial
+    from telenano_acceptance.trial.trial_file import write_trial as write
+
+    lines = [Line("rate", "read only", "pass", "1000 Hz", "990 Hz at least")] * 5
+    acceptance = Acceptance(1, "simulated", "a device", "pass", 12.0, lines)
+    write(path, Trial(acceptance, {"telenano": "0.1.0"}, [Problem("device", "a sentence", ["a:1", "b:2"])], None))
+
+
 WRITE: dict[str, Callable[[Path], Any]] = {
     "map.ibw": lambda path: path.write_bytes(map_wave()),
     "map.gwy": lambda path: path.write_bytes(gwy()),
@@ -201,6 +220,10 @@ WRITE: dict[str, Callable[[Path], Any]] = {
     "grid.3ds": lambda path: path.write_bytes(nanonis_grid()),
     "session.mcap": lambda path: path.write_bytes(mcap_whole()),
     "scenario.yaml": lambda path: path.write_bytes(yaml()),
+    "trial.zip": write_trial,
+    "profile.yaml": copy_of("presets/networks/4g.yaml"),
+    "plan.yaml": copy_of("packages/telenano-experiments/telenano_experiments/plans/delay_and_law.yaml"),
+    "key.key_secret": lambda path: path.write_bytes(key()),
 }
 
 
@@ -274,15 +297,47 @@ def _read_yaml(path: Path) -> None:
     validate(Scenario, read_yaml(path), str(path))
 
 
-READ = {"map": _read_map, "grid": _read_grid, "curve": _read_curve, "session": _read_mcap, "scenario": _read_yaml}
+def _read_trial(path: Path) -> None:
+    from telenano_acceptance.trial.sheet import judged_again, sheet_of
+    from telenano_acceptance.trial.trial_file import read_trial
+
+    trial = read_trial(path)
+    assert sheet_of(trial)
+    judged_again(trial)
+
+
+def _read_profile(path: Path) -> None:
+    from services.delay_node.profiles import Profile
+    from services.runtime.settings.config import read_yaml, validate
+
+    validate(Profile, read_yaml(path), str(path))
+
+
+def _read_plan(path: Path) -> None:
+    from telenano_experiments.plan import load_plan
+
+    load_plan(path)
+
+
+def _read_key(path: Path) -> None:
+    from telenano_conformance.examination import Keys
+
+    Keys.of("0" * 40, path)
+
+
+READ = {
+    "trial": _read_trial, "profile": _read_profile, "plan": _read_plan, "key": _read_key,
+    "map": _read_map, "grid": _read_grid, "curve": _read_curve, "session": _read_mcap, "scenario": _read_yaml,
+}  # fmt: skip
 
 
 def _main(kind: str, paths: list[str]) -> None:
     from proto.errors import TelenanoError
 
     resource.setrlimit(resource.RLIMIT_AS, (_HIGHEST_BYTES, _HIGHEST_BYTES))
-    outcomes = []
+    outcomes, spent_s = [], []
     for path in paths:
+        begun_s = time.process_time()
         try:
             READ[kind](Path(path))
             outcomes.append("read")
@@ -290,8 +345,10 @@ def _main(kind: str, paths: list[str]) -> None:
             outcomes.append(str(error))
         except BaseException:  # noqa: BLE001
             outcomes.append(traceback.format_exc())
+        spent_s.append(time.process_time() - begun_s)
     children_kb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    sys.stdout.write(json.dumps({"outcomes": outcomes, "peak_mb": [_own_peak_kb() // 1024, children_kb // 1024]}))
+    peak_mb = [_own_peak_kb() // 1024, children_kb // 1024]
+    sys.stdout.write(json.dumps({"outcomes": outcomes, "peak_mb": peak_mb, "spent_s": spent_s}))
 
 
 def _own_peak_kb() -> int:

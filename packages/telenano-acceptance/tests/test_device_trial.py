@@ -2,11 +2,13 @@
 
 import gc
 import json
+import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
+import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -593,6 +595,17 @@ def test_a_file_that_is_damaged_or_larger_than_a_trial_is_refused_by_its_name(tm
     written("other", **{"acceptance.json": b'{"schema": 1}'})
     written("newer", **{"acceptance.json": members["acceptance.json"].replace(b'"schema": 1', b'"schema": 2')})
     written("take", **{"take.npz": members["take.npz"][:-30]})
+    # each copy would be unpacked, 32 MB from 33 kB
+    with zipfile.ZipFile(tmp_path / "often", "w", zipfile.ZIP_DEFLATED) as archive, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        archive.writestr("acceptance.json", members["acceptance.json"])
+        archive.writestr("take.npz", bytes(32 * 2**20))
+        archive.writestr("take.npz", bytes(32 * 2**20))
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zipfile.ZipFile, "open", lambda *_: pytest.fail("a member is unpacked"))
+        with pytest.raises(ConfigError, match=r"its member 'take\.npz' comes twice"):
+            read_trial(tmp_path / "often")
     for name in (
         "cut",
         "half",
@@ -605,11 +618,14 @@ def test_a_file_that_is_damaged_or_larger_than_a_trial_is_refused_by_its_name(tm
         "other",
         "newer",
         "take",
+        "often",
+        "pipe",
         "none",
     ):
         done = CliRunner().invoke(app, ["device", "trial", "--read", str(tmp_path / name)])
         output = " ".join(done.output.split())
-        assert done.exit_code == 2 and f"{tmp_path / name}: is no" in output, (name, output)
+        reason = "cannot be read" if name in ("pipe", "none") else "is no"
+        assert done.exit_code == 2 and f"{tmp_path / name}: {reason}" in output, (name, output)
 
 
 def test_the_page_says_where_the_version_here_judges_otherwise(tmp_path: Path) -> None:

@@ -45,8 +45,12 @@ class NanonisClient:
             DeviceError: The controller refuses it, does not answer in time, or answers what cannot be read.
         """
         try:
+            end_s = time.monotonic() + _ANSWER_S
             self._line.sendall(nanonis_wire.request(command, *arguments))
             while (answer := self._incoming.take()) is None:
+                # The limit of the socket is that of each part of an answer.
+                if time.monotonic() > end_s:
+                    raise TimeoutError("timed out")
                 received = self._line.recv(_READ_BYTES)
                 if not received:
                     raise OSError("it has closed the connection")

@@ -9,6 +9,8 @@ from telenano_conformance.rules import Account
 _MS = 1_000_000
 # For this time a command is not answered, and then again each answer is waited for.
 SILENT_NS, QUOTED_NS, ENDED_NS = 500 * _MS, 1500 * _MS, 300 * _MS
+# A person gives some tens of commands; a client that gives more fills no memory.
+_MOST_COMMANDS = 1000
 LATCH = "0a1b2c3d4e5f-1"
 # These never expire.
 _AT_ONCE = ("estop", "stop")
@@ -50,6 +52,9 @@ class CommandsOfClient:
         if not isinstance(identifier, str) or not isinstance(fields.get("target"), str):
             return
         known = self._commands.get(identifier)
+        if known is None and len(self._commands) >= _MOST_COMMANDS:
+            account.fail("identifiers", f"more than {_MOST_COMMANDS} commands come within the examination")
+            return
         if known is None:
             self._commands[identifier] = _Command(fields, _node_of(fields["target"]), now_ns, fields["t_ns"])
             return

@@ -11,6 +11,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from telenano.extend.commands import ConfigError
 from telenano.extend.messages import TOPICS, encode, example
+from telenano.extend.readers import open_regular
 from telenano_conformance.answers_of_client import AnswersOfClient
 from telenano_conformance.commands_of_client import CommandsOfClient
 from telenano_conformance.messages import NO_NODES, MessageExaminer
@@ -20,6 +21,14 @@ _HANDSHAKE_S = 5.0
 _TICK_MS = 10
 _STATES_S = 0.02
 _SETTLED_S = 0.3
+# The most messages that wait to be read.
+_MOST_WAITING = 2000
+# The largest message of the wire has half of this [bytes]; what is larger ends the connection.
+_LARGEST_BYTES = 1 << 21
+# The most events of the connection, or subscriptions, that are taken in a turn.
+_MOST_A_TURN = 1000
+# A client for whose messages this time of the processor was not enough to find an end of them is too fast [s].
+_BEHIND_S = 1.0
 _COMMANDER, _NODE = "console@master", "afm_node@slave"
 _FAILED = (
     zmq.EVENT_HANDSHAKE_FAILED_AUTH,
@@ -38,6 +47,10 @@ class Keys(NamedTuple):
     @classmethod
     def of(cls, server: str, own: Path) -> "Keys":
         """Return them; ConfigError names the file of the own pair that cannot be read."""
+        try:
+            open_regular(own).close()
+        except OSError as error:
+            raise ConfigError(f"{own}: cannot be read: {error.strerror}") from error
         try:
             public, secret = zmq.auth.load_certificate(own)
         except (OSError, ValueError) as error:
@@ -77,7 +90,9 @@ class _Rig:
 
     def read_subscriptions(self) -> None:
         """Take what the client subscribes to."""
-        while self._socket.poll(0):
+        for _ in range(_MOST_A_TURN):
+            if not self._socket.poll(0):
+                return
             told = self._socket.recv()
             if told[:1] == b"\x01":
                 self._subscribed_s = time.monotonic()
@@ -177,7 +192,8 @@ def _reader(
 ) -> tuple["zmq.Socket[bytes]", "zmq.Socket[bytes]"]:
     """Return a socket that reads all of a client, and one that tells what becomes of its connection."""
     socket = context.socket(zmq.SUB)
-    socket.set_hwm(0)
+    socket.set_hwm(_MOST_WAITING)
+    socket.set(zmq.MAXMSGSIZE, _LARGEST_BYTES)
     socket.subscribe(b"")
     monitor = socket.get_monitor_socket()
     if keys is not None:
@@ -203,9 +219,11 @@ def _run(
     commands = CommandsOfClient(account, None if rig is None else rig.answer)
     answers = None if rig is None else AnswersOfClient(account, rig.command, rig.disturb)
     start_s, disturbed, before = time.monotonic(), False, 0
-    while (passed_s := time.monotonic() - start_s) < duration_s:
+    pace, gone_s = _Pace(), 0.0
+    while (passed_s := time.monotonic() - start_s) < duration_s and not pace.is_beyond:
         reader.poll(_TICK_MS)
-        while reader.poll(0):
+        turn_ends_s = time.monotonic() + 1e-3 * _TICK_MS
+        while pace.is_waiting(reader) and time.monotonic() < turn_ends_s:
             frames = reader.recv_multipart()
             sent = messages.take(frames, time.time_ns())
             if sent is None:
@@ -216,7 +234,7 @@ def _run(
                 answers.take(sent.fields)
             if answers is not None and rig is not None and sent.topic not in NO_NODES and rig.is_heard():
                 answers.begin(str(sent.fields.get("src")), time.time_ns())
-        _connection_events(account, monitor)
+        gone_s = _connection_events(account, monitor, passed_s, gone_s)
         commands.tick(time.time_ns())
         if rig is None or answers is None:
             continue
@@ -231,18 +249,50 @@ def _run(
             account.hold("robustness")
         else:
             account.fail("robustness", "nothing more comes after messages that break the rules")
+    if gone_s and not (messages.received and messages.has_ended):
+        text = f"the client was gone after {gone_s:.1f} of {duration_s:g} s, and sent no last message"
+        account.fail("connection", text)
+    if pace.is_beyond:
+        text = f"the client sends faster than it can be read: it was read for {_BEHIND_S:g} s of the processor's time, "
+        account.fail("pace", f"{text}{messages.received} messages, and more waited all the while; the examination ends")
+    elif messages.received:
+        account.hold("pace")
     messages.end(time.time_ns())
     if not messages.received:
         account.fail("frames", f"nothing came within {duration_s:g} s")
 
 
-def _connection_events(account: Account, monitor: "zmq.Socket[bytes]") -> None:
-    while monitor.poll(0):
+class _Pace:
+    """Whether the messages of a client can be read as fast as they come, by the processor's time of this thread."""
+
+    def __init__(self) -> None:
+        self._emptied_s = time.thread_time()
+        self.is_beyond = False
+
+    def is_waiting(self, reader: "zmq.Socket[bytes]") -> bool:
+        """Return whether a message waits to be read now."""
+        now_s = time.thread_time()
+        if is_waiting := bool(reader.poll(0)):
+            self.is_beyond = now_s - self._emptied_s > _BEHIND_S
+        else:
+            self._emptied_s = now_s
+        return is_waiting
+
+
+def _connection_events(account: Account, monitor: "zmq.Socket[bytes]", now_s: float, gone_s: float) -> float:
+    """Note what became of the connection; return when it was lost [s], 0 while it stands."""
+    for _ in range(_MOST_A_TURN):
+        if not monitor.poll(0):
+            break
         event = recv_monitor_message(monitor)["event"]
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             account.hold("connection")
+            gone_s = 0.0
+        elif event == zmq.EVENT_DISCONNECTED and "connection" in account.held:
+            gone_s = now_s
         elif event in _FAILED:
             account.fail("connection", "the handshake failed: a plain and a CURVE socket meet, or a key is not allowed")
+    return gone_s
 
 
 def _connection(account: Account, client: str, duration_s: float) -> None:

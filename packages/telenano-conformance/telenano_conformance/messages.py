@@ -20,6 +20,9 @@ _UNITS = {1: "s", 1_000: "ms", 1_000_000: "us"}
 _BEHIND_THE_HAND = ("teleop/forward", "afm/command")
 # Who sends only on change is no node with a loop.
 NO_NODES = ("session/control", "operator/force", "experiment/answer")
+# A client has some tens of streams; one that makes up names of sources fills no memory.
+_MOST_STREAMS = 1000
+_LONGEST_SOURCE = 100
 _CONTENT = ("required keys", "further keys", "types", "words", "ranges")
 
 
@@ -66,12 +69,24 @@ class MessageExaminer:
         fields = None if topic is None else self._fields(topic, frames[1])
         if topic is None or fields is None:
             return None
-        if all(self._header_is_whole(topic, fields)):
+        if all(self._header_is_whole(topic, fields)) and self._is_followed(topic, fields["src"]):
             self._publisher(topic, fields["src"])
             self._version(topic, fields)
             self._arming(topic, fields)
             self._course(topic, fields, now_ns)
         return Sent(topic, fields)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether each source has said in its last message that it ends."""
+        return all(stream.ended for stream in self._streams.values())
+
+    def _is_followed(self, topic: str, src: str) -> bool:
+        """Return whether a stream is one of those that are followed, which are bounded."""
+        if len(src) <= _LONGEST_SOURCE and ((topic, src) in self._streams or len(self._streams) < _MOST_STREAMS):
+            return True
+        self._account.fail("publisher", f"more than {_MOST_STREAMS} sources send, or one has a name that is too long")
+        return False
 
     def end(self, now_ns: int) -> None:
         """Examine what should have come by the end of the examination [ns since 1970]."""

@@ -6,6 +6,8 @@ from typing import Literal, NamedTuple
 Outcome = Literal["passed", "failed", "not seen"]
 # So many faults of one rule are told; the others are counted.
 _MOST_TOLD = 3
+# A client that breaks a rule in more ways than this fills no memory.
+_MOST_KEPT = 1000
 
 
 class Rule(NamedTuple):
@@ -20,6 +22,7 @@ RULES = (
     Rule("connection", "Transport", "bind a PUB socket of ZMTP 3 at the address, and end the handshake within 5 s"),
     Rule("encryption", "Between machines", "a tcp:// endpoint is CURVE, unless the site file has insecure: true"),
     Rule("strangers", "Between machines", "a key that is not in the list is refused in the handshake"),
+    Rule("pace", "Topics", "send no faster than it can be read, at the rate that the table has for the topic"),
     Rule("frames", "A message", "send exactly two frames: the topic, then one msgpack map"),
     Rule("topic", "Topics", "send on a topic of the table, by its whole name, in UTF-8"),
     Rule("publisher", "Topics", "src is a node that the table has for the topic, node@site"),
@@ -84,7 +87,9 @@ class Account:
 
     def fail(self, name: str, seen: str, about: str = "") -> None:
         """Note what broke a rule, once for each thing that it is about; KeyError for a rule that there is not."""
-        self.broken.setdefault(_BY_NAME[name].name, {}).setdefault(about or seen, seen)
+        kept = self.broken.setdefault(_BY_NAME[name].name, {})
+        if len(kept) < _MOST_KEPT:
+            kept.setdefault(about or seen, seen)
 
     def findings(self) -> list[Finding]:
         """Return what came of each rule."""
@@ -92,6 +97,7 @@ class Account:
         for rule in RULES:
             told = list(self.broken.get(rule.name, {}).values())
             outcome: Outcome = "failed" if told else "passed" if rule.name in self.held else "not seen"
-            more = f" (and {len(told) - _MOST_TOLD} more)" if len(told) > _MOST_TOLD else ""
+            least = "at least " * (len(told) == _MOST_KEPT)
+            more = f" (and {least}{len(told) - _MOST_TOLD} more)" if len(told) > _MOST_TOLD else ""
             found.append(Finding(rule.name, outcome, rule.section, rule.right, "; ".join(told[:_MOST_TOLD]) + more))
         return found

@@ -6,7 +6,9 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -508,6 +510,89 @@ def test_a_client_with_curve_is_read_and_has_to_refuse_strangers(tmp_path: Path,
     assert outcome["strangers"] == ("passed" if keeps_list else "failed")
 
 
+FLOOD = """
+import os, sys, time, itertools, zmq
+sys.path[:0] = {path!r}
+import spec_client
+from test_conformance import fields_of
+fields = fields_of("afm/state")
+kinds = {{
+    "topics": lambda n: [b"topic/%d" % n, b"\\x80"],
+    "sources": lambda n: spec_client.write("afm/state", **fields | {{"src": "afm_node%d@slave" % n}}),
+    "crash": lambda n: None,
+}}
+# The kit must be slower than this, so that each message is there already.
+sent = [kinds[{kind!r}](number) for number in range(3000)]
+socket = zmq.Context().socket(zmq.XPUB)
+socket.set_hwm(1000)
+socket.bind({address!r})
+socket.recv()
+for number in range(100) if {kind!r} == "crash" else ():
+    socket.send_multipart(spec_client.write("afm/state", **fields | {{"seq": number, "t_ns": time.time_ns()}}))
+    time.sleep(0.01)
+if {kind!r} == "crash":
+    os._exit(9)
+for frames in itertools.cycle(sent):
+    socket.send_multipart(frames)
+"""
+
+
+@contextmanager
+def flooding(kind: str, folder: Path) -> Iterator[str]:
+    """Run a client that sends as fast as it can, in a process of its own; yield its address."""
+    address = f"ipc://{folder}/flood"
+    code = FLOOD.format(path=[path for path in sys.path if path], address=address, kind=kind)
+    client = subprocess.Popen([sys.executable, "-c", code])
+    try:
+        while not (folder / "flood").exists() and client.poll() is None:
+            time.sleep(0.01)
+        yield address
+    finally:
+        client.kill()
+        client.wait()
+
+
+@pytest.mark.check("a client that floods the kit in a process of its own, for seconds of the processor")
+@pytest.mark.parametrize("kind", ["topics", "sources"])
+def test_a_flood_ends_with_the_examination_and_is_named(kind: str, tmp_path: Path) -> None:
+    with flooding(kind, tmp_path) as address:
+        tracemalloc.start()
+        begun_s = time.thread_time()
+        found = {each.rule: each for each in examine(address, duration_s=20.0)}
+        spent_s, grown = time.thread_time() - begun_s, tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert "sends faster than it can be read" in found["pace"].seen
+    # one second of reading, with what judges the rest
+    assert spent_s < 3.0
+    assert grown < 20e6
+
+
+def test_what_a_client_makes_up_fills_no_memory() -> None:
+    account = Account()
+    examiner, commands = MessageExaminer(account), CommandsOfClient(account, None)
+    fields = fields_of("session/control")
+    for number in range(3000):
+        account.fail("topic", f"the topic {number}")
+        examiner._course("afm/state", fields_of("afm/state"), NOW_NS) if number == 0 else None
+        if examiner._is_followed("afm/state", f"afm_node{number}@slave"):
+            examiner._streams["afm/state", f"afm_node{number}@slave"] = examiner._streams["afm/state", "afm_node@slave"]
+        commands.take(fields | {"id": str(number)}, NOW_NS)
+    found = outcomes(account)
+    assert "(and at least 997 more)" in found["topic"][1]
+    assert len(examiner._streams) <= 1001 and "more than 1000 sources" in found["publisher"][1]
+    assert len(commands._commands) == 1000 and "more than 1000 commands" in found["identifiers"][1]
+
+
+@pytest.mark.check("a client in a process of its own")
+def test_a_client_that_crashes_is_named_before_the_pause_that_follows(tmp_path: Path) -> None:
+    with flooding("crash", tmp_path) as address:
+        lines = [each for each in examine(address, duration_s=3.0) if each.outcome == "failed"]
+    rules = [each.rule for each in lines]
+    assert "the client was gone after" in lines[0].seen and rules[0] == "connection"
+    assert rules.index("rate") > 0
+    assert "pace" not in rules
+
+
 def test_an_address_where_nobody_is_fails(tmp_path: Path) -> None:
     found = {each.rule: each for each in examine(f"ipc://{tmp_path}/nobody", duration_s=0.5)}
     assert found["connection"].outcome == found["frames"].outcome == "failed"
@@ -524,8 +609,11 @@ def test_an_address_that_cannot_be_used_is_refused(client: str, said: str) -> No
 
 
 def test_a_pair_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is no file with a pair of keys"):
+    with pytest.raises(ConfigError, match=r"none\.key_secret: cannot be read: No such file"):
         Keys.of("x" * 40, tmp_path / "none.key_secret")
+    (tmp_path / "text.key_secret").write_text("no key")
+    with pytest.raises(ConfigError, match="is no file with a pair of keys"):
+        Keys.of("x" * 40, tmp_path / "text.key_secret")
 
 
 def test_the_rules_name_sections_of_the_specification() -> None:

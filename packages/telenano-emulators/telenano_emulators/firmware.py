@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import presets
-from presets.regular_files import is_own
+from presets.regular_files import is_own, is_own_path
 from proto.errors import TelenanoError
 from services.signals import children
 
@@ -83,8 +83,8 @@ def compiled(
         raise FirmwareError(f"{error.filename}: the source of the firmware is missing: {error.strerror}") from error
     cache = folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano"
     library = cache / f"{name}-{digest}.so"
-    # A file that others can write is not loaded, and the code is compiled again.
-    if library.exists() and is_own(library.stat()):
+    # A file that others can write or replace is not loaded, and the code is compiled again.
+    if library.exists() and is_own_path(library) and is_own(library.stat()):
         return library
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:

@@ -15,6 +15,7 @@ The records, each with its kind in `record` and the time in `utc`:
 - `erased`: the data of a participant are gone; the participant is not asked again.
 """
 
+import contextlib
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -24,11 +25,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from proto.errors import ConfigError, RigError
-from services.runtime.settings.optional_modules import optional_module
+from recording.whole_files import BusyError, locked, write_whole
 
 NAME = "journal.jsonl"
 Record = dict[str, Any]
-fcntl = optional_module("fcntl")
 
 
 def now_utc() -> str:
@@ -82,23 +82,23 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be opened: {error.strerror}") from error
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(self._descriptor)
-            raise RigError(f"{path}: another `telenano experiment` is at work on it; wait for it or end it") from error
-        try:
-            self.records, rest = _parsed(path)
-        except ConfigError:
-            os.close(self._descriptor)
-            raise
-        self.torn = rest.decode(errors="replace")[:80]
-        if rest:
-            os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - len(rest))
+        with contextlib.ExitStack() as opened:
+            try:
+                opened.enter_context(locked(path, 0.0, mode=0o666))
+                # A journal is replaced by an erasure, so that the lock is a file of its own.
+                self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+                opened.callback(lambda: os.close(self._descriptor))
+                self.records, rest = _parsed(path)
+                self.torn = rest.decode(errors="replace")[:80]
+                self._whole_bytes = os.fstat(self._descriptor).st_size - len(rest)
+                os.ftruncate(self._descriptor, self._whole_bytes)
+            except BusyError as error:
+                raise RigError(
+                    f"{path}: another `telenano experiment` is at work on it; wait for it or end it"
+                ) from error
+            except OSError as error:
+                raise ConfigError(f"{path}: cannot be opened: {error.strerror}") from error
+            self._opened = opened.pop_all()
 
     def __enter__(self) -> Self:
         return self
@@ -106,7 +106,7 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.close(self._descriptor)
+        self._opened.close()
 
     def write(self, record: str, **fields: Any) -> Record:
         """Append a record, and return it when it is on the disk.
@@ -116,15 +116,18 @@ class Journal:
         """
         entry: Record = {"record": record, "utc": now_utc(), **fields}
         line = (json.dumps(entry, allow_nan=False, default=_plain) + "\n").encode()
-        size = os.fstat(self._descriptor).st_size
         try:
+            # What an earlier failure left behind goes first.
+            os.ftruncate(self._descriptor, self._whole_bytes)
             written = os.write(self._descriptor, line)
             if written < len(line):
                 raise OSError(0, f"only {written} of {len(line)} bytes were written")
             os.fsync(self._descriptor)
         except OSError as error:
-            os.ftruncate(self._descriptor, size)
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._descriptor, self._whole_bytes)
             raise RigError(f"{self.path}: a record could not be written: {error.strerror}") from error
+        self._whole_bytes += len(line)
         # what is known in memory is what a later run will read
         self.records.append(json.loads(line))
         return self.records[-1]
@@ -134,17 +137,19 @@ class Journal:
         return (record for record in self.records if record["record"] in kinds)
 
     def replace(self, records: list[Record]) -> None:
-        """Write other records in the place of all, for an erasure: whole, or not at all."""
+        """Write other records instead of all, for an erasure: whole, or not at all.
+
+        Raises:
+            RigError: They cannot be written; the journal is then as it was before.
+        """
         content = "".join(json.dumps(record) + "\n" for record in records).encode()
-        part = self.path.with_name(f".{self.path.name}.part")
-        part.write_bytes(content)
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        part.replace(self.path)
-        descriptor = os.open(self.path, os.O_RDWR | os.O_APPEND)
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            write_whole(self.path, content, 0o666)
+            descriptor = os.open(self.path, os.O_RDWR | os.O_APPEND)
+        except OSError as error:
+            raise RigError(f"{self.path}: the records cannot be replaced: {error.strerror}") from error
         os.close(self._descriptor)
-        self._descriptor, self.records = descriptor, list(records)
+        self._descriptor, self._whole_bytes, self.records = descriptor, len(content), list(records)
 
 
 def _plain(value: Any) -> Any:

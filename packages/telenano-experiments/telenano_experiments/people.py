@@ -8,14 +8,14 @@ import hashlib
 import json
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from proto.errors import ConfigError, RigError
-from recording.whole_files import whole_file
+from recording.whole_files import changed
 from services.runtime.settings.config import Settings, validate
 from telenano_experiments.journal import Journal, now_utc
 
@@ -64,28 +64,49 @@ class People:
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
         try:
-            document = json.loads(self.path.read_text(encoding="utf-8")) if self.path.exists() else {}
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"{self.path}: cannot be read: {error}") from error
-        self.known: dict[str, Person] = dict(validate(_File, {"people": document}, str(self.path)).people)
+            self.known = self._parsed(self.path.read_bytes() if self.path.exists() else None)
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def change(self, pseudonym: str, **fields: Any) -> Person:
-        """Note something of a participant, who is added where there is none of that pseudonym."""
-        before = self.known.get(checked_pseudonym(pseudonym), Person())
-        self.known[pseudonym] = validate(Person, {**before.model_dump(), **fields}, str(self.path), pseudonym)
-        self._write()
+        """Note something of a participant, who is added where there is none of that pseudonym.
+
+        Raises:
+            ConfigError: The pseudonym or a field is not one, or the file is damaged.
+            RigError: The file cannot be changed; it is as it was.
+        """
+        checked_pseudonym(pseudonym)
+
+        def with_person(known: dict[str, Person]) -> dict[str, Person]:
+            before = known.get(pseudonym, Person())
+            changed_person = validate(Person, {**before.model_dump(), **fields}, str(self.path), pseudonym)
+            return known | {pseudonym: changed_person}
+
+        self._change(with_person)
         return self.known[pseudonym]
 
     def forget(self, pseudonym: str) -> None:
-        """Remove a participant."""
-        if self.known.pop(pseudonym, None) is not None:
-            self._write()
+        """Remove a participant; RigError where the file cannot be changed."""
+        if self.path.exists():
+            self._change(lambda known: {name: person for name, person in known.items() if name != pseudonym})
 
-    def _write(self) -> None:
-        rows = {name: person.model_dump() for name, person in sorted(self.known.items())}
+    def _change(self, step: Callable[[dict[str, Person]], dict[str, Person]]) -> None:
+        """Change the file, whose newest entries the step gets: another process may have noted something meanwhile."""
+
+        def changed_bytes(before: bytes | None) -> bytes:
+            self.known = step(self._parsed(before))
+            rows = {name: person.model_dump() for name, person in sorted(self.known.items())}
+            return (json.dumps(rows, indent=2) + "\n").encode()
+
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(self.path) as part:
-            part.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+        changed(self.path, changed_bytes, mode=0o666)
+
+    def _parsed(self, content: bytes | None) -> dict[str, Person]:
+        try:
+            document = {} if content is None else json.loads(content)
+        except ValueError as error:
+            raise ConfigError(f"{self.path}: cannot be read: {error}") from error
+        return dict(validate(_File, {"people": document}, str(self.path)).people)
 
 
 def digest_of(path: Path) -> str:

@@ -1,5 +1,6 @@
 """Marks on a serial port, a parallel one and a file, each emulated; and a port that is not there or goes away."""
 
+import fcntl
 import os
 import select
 import stat
@@ -20,6 +21,9 @@ from typer.testing import CliRunner
 
 from proto.errors import ConfigError, RigError
 from telenano.cli.root import app
+
+# fcntl of Linux (F_SETPIPE_SZ)
+_SET_PIPE_SIZE = 1031
 
 
 @pytest.fixture
@@ -122,3 +126,58 @@ def test_a_trial_says_when_it_was_marked_and_is_disturbed_where_it_was_not(
         assert read(far, 4) == bytes([1, 0, END, 0])
         os.close(far)
     port.close()
+
+
+def test_a_port_that_is_pulled_filled_or_left_by_its_reader_is_a_sentence_and_leaves_no_descriptor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(marks, "PULSE_S", 0.0)
+    far, near = os.openpty()
+    os.mkfifo(tmp_path / "left")
+    os.mkfifo(tmp_path / "unread")
+    readers = [os.open(tmp_path / name, os.O_RDONLY | os.O_NONBLOCK) for name in ("left", "unread")]
+    # Linux has no smaller pipe
+    fcntl.fcntl(readers[1], _SET_PIPE_SIZE, 4096)
+    ends: dict[Path, Callable[[], object]] = {
+        Path(os.ttyname(near)): lambda: os.close(far),
+        tmp_path / "left": lambda: os.close(readers[0]),
+        tmp_path / "unread": lambda: None,
+        Path("/dev/full"): lambda: None,
+    }
+    os.close(near)
+    for path, end in ends.items():
+        if path != Path("/dev/full"):
+            before = set(Path("/proc/self/fd").iterdir())
+        port = Marks(path, 115200)
+        if path != Path("/dev/full"):
+            port.send(1)
+        end()
+        # a pipe that is not read is full at last
+        with pytest.raises(RigError, match=f"the mark 2 was not written to {path}: "):
+            for _ in range(40_000):
+                port.send(2)
+        port.close()
+        assert set(Path("/proc/self/fd").iterdir()) <= before
+    os.close(readers[1])
+
+
+def test_bytes_are_not_appended_to_a_file_with_a_content(tmp_path: Path) -> None:
+    path = tmp_path / "results.csv"
+    path.write_text("trial,answer\n")
+    with pytest.raises(ConfigError, match="is a file with a content, to which bytes would be appended"):
+        Marks(path, 9600)
+    assert path.read_text() == "trial,answer\n"
+    (tmp_path / "empty").touch()
+    Marks(tmp_path / "empty", 9600).close()
+
+
+def test_a_parallel_port_that_another_program_has_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    def taken(*_: object) -> None:
+        raise OSError(16, "Device or resource busy")
+
+    monkeypatch.setattr(marks.os, "major", lambda device: 99)
+    monkeypatch.setattr(marks.fcntl, "ioctl", taken)
+    before = set(Path("/proc/self/fd").iterdir())
+    with pytest.raises(ConfigError, match="cannot be opened: Device or resource busy"):
+        Marks(Path("/dev/null"), 9600)
+    assert set(Path("/proc/self/fd").iterdir()) == before

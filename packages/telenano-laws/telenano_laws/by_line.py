@@ -143,6 +143,9 @@ class LineWindow:
         for row in inputs:
             if row.topic == _CROSSING[half]:
                 counts = self._counts[half]
+                if counts and time_s < counts[-1][0]:
+                    # Its clock was set back, or it was started again: nothing of before would ever be old enough to go.
+                    counts.clear()
                 counts.append((time_s, row.received, row.lost))
                 # The newest one that is older than the window is what the window begins with.
                 while len(counts) > 1 and counts[1][0] < time_s - self._window_s:
@@ -192,6 +195,7 @@ class Policy:
         self._window = LineWindow(window_s)
         self._law, self._since_s, self._refused = "", -math.inf, dict[str, str]()
         self._asked_s, self._looked_s = -math.inf, -math.inf
+        self._newest_s = -math.inf
         self._speed_m_per_s, self._latency_s = math.inf, 0.0
 
     @property
@@ -229,6 +233,11 @@ class Policy:
         return None
 
     def _with_status(self, time_s: float, status: Any) -> Decision | None:
+        if time_s < self._newest_s:
+            # Its clock was set back: what came before says nothing of the time from now on.
+            self._window = LineWindow(self._window_s)
+            self._since_s, self._asked_s, self._looked_s = time_s, -math.inf, -math.inf
+        self._newest_s = time_s
         if status.law != self._law or status.switching:
             # Whoever has changed the law, the time to the next change begins with it; before it was seen, with that.
             self._since_s, self._law = time_s, status.law

@@ -25,7 +25,7 @@ CONTROLLERS, RECORDER = "controller", "recorder"
 # What is read so much later than it was sent [ns] leads to nothing: this process cannot keep up.
 _LATE_NS = 500_000_000
 _WANTED = ",".join(candidate.law for candidate in CANDIDATES)
-# Sends a command and returns why it was refused, or nothing.
+# Sends a command and returns why a node refused it, or nothing; raises TelenanoError where no node was asked.
 Send = Callable[[Command], str]
 
 
@@ -81,21 +81,27 @@ def policy_of(scenario: Path, laws: str, stiffness_n_per_m: float | None) -> Pol
 def carry_out(policy: Policy, decision: Decision, send: Send) -> bool:
     """Change the law, say so, and mark it in the recording; return whether the law was changed."""
     told = f"law {decision.law}: {decision.reason}"
-    text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
+    try:
+        text = send(Command("set", CONTROLLERS, parameters={"law": decision.law}))
+    except TelenanoError as error:
+        # Somebody else has the hand, or no answer came: that is no fault of the law, which is asked for again.
+        typer.echo(f"not asked: {told}: {error}")
+        return False
     if text:
         policy.refused(decision.law, text)
         typer.echo(f"refused: {told}: {text}")
         return False
     typer.echo(told)
-    if unmarked := send(Command("mark", RECORDER, parameters=dict(facts_of(decision)))):
+    try:
+        unmarked = send(Command("mark", RECORDER, parameters=dict(facts_of(decision))))
+    except TelenanoError as error:
+        unmarked = str(error)
+    if unmarked:
         sys.stderr.write(f"telenano: the change is not marked in a recording: {unmarked}\n")
     return True
 
 
 def _sent(command: Command, site_file: Path) -> str:
-    """Send a command to a running rig; return what speaks against it."""
-    try:
-        answers = send_control(command, site_file, "master", lambda event: None)
-    except TelenanoError as error:
-        return str(error)
+    """Send a command to a running rig; return why nodes refuse it."""
+    answers = send_control(command, site_file, "master", lambda event: None)
     return "; ".join(event.text for event in answers.values() if event.kind == "refused")

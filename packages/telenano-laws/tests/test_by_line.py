@@ -1,5 +1,6 @@
 """A law by the line: what is measured, and that a decision keeps its distance, its limits and the hand's rest."""
 
+import random
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +25,7 @@ from telenano_laws.by_line import (
 )
 from telenano_laws.by_line_command import carry_out, policy_of
 
-from telenano.extend.commands import ConfigError
+from telenano.extend.commands import ConfigError, TelenanoError
 from telenano.extend.sessions import Command, ControllerConfig
 
 EVEN = Line(0.02, 0.02, 0.021, 0.021, 0.001, 0.0, 10.0)
@@ -228,5 +229,67 @@ def test_scenario_and_options_say_what_may_be_chosen() -> None:
         policy_of(Path("fig12"), "wave", None)
 
 
-def test_a_command_that_no_rig_takes_is_a_refusal_with_the_reason() -> None:
-    assert "no rig" in by_line_command._sent(Command("set", "controller"), by_line_command.DEFAULT_SITE_FILE)
+def test_a_command_that_no_rig_takes_is_an_error_with_the_reason() -> None:
+    with pytest.raises(TelenanoError, match="no rig"):
+        by_line_command._sent(Command("set", "controller"), by_line_command.DEFAULT_SITE_FILE)
+
+
+def test_a_refusal_that_is_no_fault_of_the_law_is_asked_again() -> None:
+    made = policy()
+
+    def busy(command: Command) -> str:
+        raise TelenanoError("Paul has the hand: ask for it")
+
+    assert not carry_out(made, Decision("bounded_model", "because"), busy)
+    assert not made.doubts(CANDIDATES[1], EVEN)
+    assert carry_out(
+        made, Decision("bounded_model", "because"), lambda command: "" if command.name == "set" else busy(command)
+    )
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_order_of_messages_makes_it_fail_ask_too_often_or_stand_still_for_ever(seed: int) -> None:
+    draw, made = random.Random(seed), policy()
+    arrived_s, clock_s, law, speed = 0.0, 0.0, "passivity", 0.0
+    asked_s: list[float] = []
+
+    def told(topic: str, src: str, time_s: float, message: Any) -> None:
+        nonlocal law
+        decision = made.take(topic, src, time_s, message)
+        if decision is None:
+            return
+        # by the time at which messages arrive, whatever they say of themselves
+        assert not asked_s or arrived_s - asked_s[-1] >= 0.9 * DWELL_S
+        assert speed * 0.02 <= STOOD_M
+        asked_s.append(arrived_s)
+        law = decision.law if draw.random() < 0.7 else law
+
+    def turn(*, is_hostile: bool) -> None:
+        nonlocal arrived_s, clock_s, speed
+        arrived_s += STATUS_S
+        clock_s += STATUS_S
+        if is_hostile and draw.random() < 0.02:
+            # a clock that is set, by a second or by thirty years
+            clock_s += draw.choice((-1e9, -3600.0, -1.0, 1.0, 3600.0, 1e9))
+        if is_hostile and draw.random() < 0.3:
+            src = draw.choice((MASTER, SLAVE, HAND, TIP, "console@master"))
+            speed = draw.choice((0.0, 1e-9, 0.3, 1e3)) if src == HAND else speed
+            told("haptic/state", src, clock_s, hand(speed))
+            counts = (draw.choice((0, 7, 1 << 63)), draw.choice((0, 7, 1 << 63)))
+            told("node/health", draw.choice((MASTER, SLAVE)), clock_s, health("teleop/backward", *counts))
+        other = {"switching": draw.random() < 0.02, "heard": draw.random() < 0.9} if is_hostile else {}
+        age_s = draw.choice((0.0, 1e-9, 0.02, 5.0, 1e300)) if is_hostile and draw.random() < 0.2 else 0.02
+        silence_s = draw.choice((0.0, 0.2, 1e300)) if is_hostile and draw.random() < 0.2 else 0.0
+        named = draw.choice(("wave", law)) if is_hostile and draw.random() < 0.02 else law
+        told("law/status", MASTER, clock_s, status(named, age_s, silence_s, **other))
+
+    for _ in range(2000):
+        turn(is_hostile=True)
+        assert len(made._window._ages) < 200 and all(len(counts) < 300 for counts in made._window._counts.values())
+    # it goes on by itself once the attack is over
+    law, before = "wave", len(asked_s)
+    made.take("haptic/state", HAND, clock_s, hand(0.0))
+    speed = 0.0
+    for _ in range(round(100.0 / STATUS_S)):
+        turn(is_hostile=False)
+    assert len(asked_s) > before

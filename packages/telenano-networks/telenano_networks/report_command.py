@@ -28,6 +28,8 @@ def report(
     with report_errors(as_json):
         fates = fates_in(recording)
         ways = {way: figures(rows, topic) for way, rows in fates.items()}
+        for way, count in overflows_in(recording).items():
+            ways[way]["dropped"]["the socket had no room"] = count
         if not any(row["messages"] for row in ways.values()):
             known = sorted({fate[0] for rows in fates.values() for fate in rows})
             wanted = (
@@ -72,6 +74,19 @@ def fates_in(recording: Path) -> dict[str, list[FateRow]]:
     for rows in found.values():
         rows.sort(key=lambda row: row[2])
     return found
+
+
+def overflows_in(recording: Path) -> dict[str, int]:
+    """Return how many datagrams `telenano link udp` had no room for in its sockets, where there were any.
+
+    Raises:
+        RecordingError: The file is no recording.
+    """
+    from recording.reader import Recording
+    from telenano_networks.udp_command import OVERFLOWED
+
+    counts = Recording(recording).metadata.get(OVERFLOWED, {})
+    return {way: int(counts[way]) for way in _WAYS if counts.get(way, "").isdecimal() and int(counts[way])}
 
 
 def figures(rows: list[FateRow], topic: str | None) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """`telenano link udp`: the link between two programs that speak UDP, without any privilege."""
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,9 +20,12 @@ from telenano.extend.commands import (
 
 if TYPE_CHECKING:
     from recording.writer import RecordingWriter
+    from services.delay_node.fate import Direction
     from telenano_networks.udp_ports import UdpPorts
 
 _KEY = "delay_node@master"
+# The metadata of a recording that has the datagrams for which a socket had no room.
+OVERFLOWED = "udp_overflowed"
 # A kill loses no more of a recording [s].
 _FLUSH_NS = 1_000_000_000
 
@@ -68,7 +72,7 @@ def udp(
         from services.runtime.settings.scenario import RealtimeConfig
         from services.runtime.wiring.participant import StopSignals, open_participant, run_loop
         from telenano_networks.udp_link import UdpLink
-        from telenano_networks.udp_ports import UdpPorts, place_of
+        from telenano_networks.udp_ports import UdpPorts, make_room_for, place_of
 
         here, there = place_of(listen, "LISTEN", needs_host=False), place_of(target, "HOST:PORT", needs_host=True)
         flat = {key: None if value == "none" else value for key, value in parse_parameters(keys or ()).items()}
@@ -88,17 +92,23 @@ def udp(
             if record is not None:
                 keeper = Keeper(_writer(record))
                 outlets[1].carry = keeper
-                stack.callback(keeper.close)
+                stack.callback(lambda kept: kept.close(ports.overflowed()), keeper)
+            make_room_for(clients)
             readers = participant.subscribers(book.sources(_KEY, ["session/control"]))
             bus = participant.bus_of(outlets[1], [*readers, ports])
             link = UdpLink(participant.context(bus), settings, outlets, ports, Path(), duration_s=duration)
             typer.echo(
-                f"datagrams to {_shown(ports)} go on to {there} over the network {network_name(settings)}; "
+                f"ready: datagrams to {_shown(ports)} go on to {there} over the network {network_name(settings)}; "
                 "`telenano link set KEY=VALUE` changes it, Ctrl-C ends",
                 err=as_json,
             )
             run_loop(link, bus, signals, realtime, guarded=True)
-            document = {**link.summary(), "clients_refused": ports.refused, "unsent": ports.unsent}
+            document = {
+                **link.summary(),
+                "clients_refused": ports.refused,
+                "unsent": ports.unsent,
+                "overflowed": ports.overflowed(),
+            }
         if keeper is not None:
             document["recording"] = str(keeper.path)
     if as_json:
@@ -138,13 +148,15 @@ class Keeper:
         except RecordingError as error:
             self.fault = f"the recording ends before the link: {error}"
 
-    def close(self) -> None:
-        """Complete the file."""
+    def close(self, overflowed: Mapping["Direction", int] | None = None) -> None:
+        """Complete the file, with what the sockets of the link had no room for, by direction."""
         from proto.errors import RecordingError
 
         if self.fault:
             return
         try:
+            if overflowed:
+                self._writer.add_metadata(OVERFLOWED, {way: str(count) for way, count in overflowed.items()})
             self._writer.finish({"state": "stopped", "note": ""})
         except RecordingError as error:
             self.fault = str(error)
@@ -172,6 +184,7 @@ def _rows(document: dict[str, Any]) -> list[dict[str, Any]]:
     for what, key in (("delay", "delay_ms"), ("sent late by", "late_ms")):
         for name, share in (("p50", "median"), ("p99", "99 %"), ("max", "longest")):
             rows.append(_row(f"{what}, {share} [ms]", *((way[key] or {}).get(name, "") for way in ways)))
+    rows.append(_row("dropped: the socket had no room", *document["overflowed"].values()))
     rows.append({"what": "datagrams of refused clients", "forward": document["clients_refused"], "backward": ""})
     rows += [{"what": f"unsent: {why}", "forward": count, "backward": ""} for why, count in document["unsent"].items()]
     return rows

@@ -2,9 +2,12 @@
 
 import contextlib
 import errno
+import resource
 import select
 import socket
+import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from proto.errors import ConfigError
@@ -21,6 +24,11 @@ _MOST_A_TURN = 64
 _BUFFER_BYTES = 4 << 20
 # A client that is silent for longer gives its place to a new one, where there is none left.
 IDLE_NS = 10_000_000_000
+# What the link opens besides: the recording, connections of consoles, and files of the kernel that it reads.
+_OTHER_DESCRIPTORS = 32
+# SO_MEMINFO of Linux (include/uapi/asm-generic/socket.h) gives nine counts, the last of which are the drops.
+_SO_MEMINFO = 55
+_MEMINFO_COUNTS = 9
 LOOPBACK = "127.0.0.1"
 
 
@@ -65,7 +73,7 @@ class UdpPorts:
     """Reads datagrams for a node as the bus reads messages, and sends those that the node releases.
 
     `take` is called with the direction, the datagram and the name of its client. A datagram that cannot be sent is
-    counted in `unsent` by the reason, one from a client for which there is no place in `refused`.
+    counted in `unsent` by the reason, one from a client for which there is no place, or no descriptor, in `refused`.
     """
 
     def __init__(self, listen: Place, target: Place, most_clients: int, clock: Clock) -> None:
@@ -80,6 +88,7 @@ class UdpPorts:
         self.clients: dict[str, Client] = {}
         self.unsent: dict[str, int] = {}
         self.refused = 0
+        self._overflowed_backward = 0
         self.target = _resolved(target, "the target", socket.AF_UNSPEC, 0)
         family, address = _resolved(listen, "the address to listen at", socket.AF_UNSPEC, socket.AI_PASSIVE)
         self._listener = _opened(family)
@@ -128,6 +137,11 @@ class UdpPorts:
         except OSError as error:
             self._count(_reason(error))
 
+    def overflowed(self) -> dict[Direction, int]:
+        """Return how many datagrams of each direction the kernel dropped at sockets here that had no room."""
+        backward = sum(overflowed(client.upstream) for client in self.clients.values())
+        return {"forward": overflowed(self._listener), "backward": self._overflowed_backward + backward}
+
     def close(self) -> None:
         """Close all sockets."""
         for client in self.clients.values():
@@ -171,14 +185,15 @@ class UdpPorts:
         if len(self.clients) >= self._most_clients and not self._forget_idle():
             return None
         family, target = self.target
-        upstream = _opened(family)
-        try:
-            upstream.connect(target)
-            self._poll.register(upstream, select.EPOLLIN)
-        except OSError as error:
-            upstream.close()
-            self._count(_reason(error))
-            return None
+        with contextlib.ExitStack() as opened:
+            try:
+                upstream = opened.enter_context(_opened(family))
+                upstream.connect(target)
+                self._poll.register(upstream, select.EPOLLIN)
+            except OSError as error:
+                self._count(_reason(error))
+                return None
+            opened.pop_all()
         self._by_descriptor[upstream.fileno()] = name
         client = self.clients[name] = Client(address, upstream)
         return client
@@ -189,12 +204,39 @@ class UdpPorts:
         if self._clock.monotonic_ns() - client.heard_ns < IDLE_NS:
             return False
         del self.clients[name], self._by_descriptor[client.upstream.fileno()]
+        self._overflowed_backward += overflowed(client.upstream)
         self._poll.unregister(client.upstream)
         client.upstream.close()
         return True
 
     def _count(self, reason: str) -> None:
         self.unsent[reason] = self.unsent.get(reason, 0) + 1
+
+
+def make_room_for(clients: int) -> None:
+    """Let this process have a descriptor for each of a number of clients.
+
+    Raises:
+        ConfigError: The system grants fewer; the message has the most clients that there can be.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = clients + sum(1 for _ in Path("/proc/self/fd").iterdir()) + _OTHER_DESCRIPTORS
+    if hard != resource.RLIM_INFINITY and needed > hard:
+        raise ConfigError(
+            f"--clients {clients}: needs {needed} open files, and this process may have {hard} (ulimit -n): "
+            f"{max(0, clients - (needed - hard))} clients at most"
+        )
+    if soft != resource.RLIM_INFINITY and needed > soft:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
+
+
+def overflowed(opened: socket.socket) -> int:
+    """Return how many datagrams the kernel dropped at a socket without room; 0 where the system does not say so."""
+    try:
+        counts = opened.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 4 * _MEMINFO_COUNTS)
+    except OSError:
+        return 0
+    return int(struct.unpack(f"{_MEMINFO_COUNTS}I", counts)[-1]) if len(counts) == 4 * _MEMINFO_COUNTS else 0
 
 
 def _opened(family: int) -> socket.socket:
@@ -223,5 +265,7 @@ def _reason(error: OSError) -> str:
         errno.ENETUNREACH: "network unreachable",
         errno.EAGAIN: "socket full",
         errno.ENOBUFS: "socket full",
+        errno.EMFILE: "no descriptors",
+        errno.ENFILE: "no descriptors",
     }
     return known.get(error.errno or 0, error.strerror or str(error))

@@ -4,20 +4,21 @@ import errno
 import io
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from telenano_networks.report_command import fates_in, figures
+from telenano_networks.report_command import fates_in, figures, overflows_in
 from telenano_networks.udp_command import Keeper
 from telenano_networks.udp_link import Bounds, UdpLink, quantiles_ms
-from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, place_of
+from telenano_networks.udp_ports import IDLE_NS, Place, UdpPorts, make_room_for, place_of
 
 from proto import encode
 from proto.errors import ConfigError
@@ -25,6 +26,7 @@ from recording.writer import FileSettings, RecordingWriter
 from services.delay_node.config import LinkSettings, changed
 from services.delay_node.fate import Direction
 from services.runtime.clock import SystemClock
+from services.runtime.loop.node import resident_bytes
 from services.signals import children
 from telenano.extend.testing import NodeBench
 
@@ -322,6 +324,66 @@ def test_a_flood_at_one_socket_is_taken_in_parts_and_nothing_is_left(echo: Echo)
         assert taken == [b"%d" % number for number in range(150)]
 
 
+@contextmanager
+def room_for(descriptors: int) -> Iterator[None]:
+    """Let this process open no more than a number of further files while the block runs."""
+    before, lowest = resource.getrlimit(resource.RLIMIT_NOFILE), os.dup(0)
+    os.close(lowest)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest + descriptors, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+def test_a_client_for_which_there_is_no_descriptor_is_counted_and_the_others_go_on(echo: Echo) -> None:
+    with closing(ports_of(echo.address)) as ports, ExitStack() as opened_clients:
+        clients = [opened_clients.enter_context(opened("127.0.0.1")) for _ in range(6)]
+        ports.take = ports.send
+        for descriptors in (0, 2, 100):
+            with room_for(descriptors):
+                for client in clients:
+                    client.sendto(b"hello", ports.address[:2])
+                ports.receive()
+            assert len(ports.clients) == min(descriptors, 6)
+            assert ports.unsent["no descriptors"] == ports.refused > 0
+        # those that were refused are admitted once there are descriptors
+        assert ports.refused == 6 + 4
+
+
+def test_more_clients_than_descriptors_are_refused_at_the_start_with_the_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = {"now": (100, 1000)}
+    monkeypatch.setattr(resource, "getrlimit", lambda which: limits["now"])
+    monkeypatch.setattr(resource, "setrlimit", lambda which, pair: limits.update(now=pair))
+    open_now = len(list(Path("/proc/self/fd").iterdir()))
+    make_room_for(50 - open_now)
+    assert limits["now"] == (100, 1000)
+    # the soft limit is raised as far as it has to be
+    make_room_for(500)
+    assert 500 + open_now <= limits["now"][0] <= 600 + open_now
+    with pytest.raises(
+        ConfigError, match=r"--clients 1000: needs \d+ open files, .* may have 1000 \(ulimit -n\)"
+    ) as said:
+        make_room_for(1000)
+    most = int(str(said.value).split(": ")[-1].split()[0])
+    make_room_for(most)
+    with pytest.raises(ConfigError):
+        make_room_for(most + 2)
+
+
+def test_what_the_kernel_drops_at_a_socket_that_is_not_read_is_counted(echo: Echo) -> None:
+    with closing(ports_of(echo.address)) as ports, closing(opened("127.0.0.1")) as client:
+        taken: list[str] = []
+        ports.take = lambda direction, payload, name: taken.append(name)
+        ports._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        for _ in range(200):
+            client.sendto(bytes(1000), ports.address[:2])
+        while not taken or not ports.drained:
+            ports.receive()
+        assert ports.overflowed() == {"forward": 200 - len(taken), "backward": 0}
+        assert 0 < len(taken) < 200
+
+
 def test_addresses_that_cannot_be_used_are_named(echo: Echo) -> None:
     with closing(opened("127.0.0.1")) as taken:
         place, target = Place(*taken.getsockname()), Place(*echo.address)
@@ -365,6 +427,13 @@ def test_a_full_disk_ends_the_recording_and_not_the_link() -> None:
     keeper.close()
 
 
+def test_what_the_sockets_had_no_room_for_is_in_the_recording_and_its_report(tmp_path: Path) -> None:
+    settings = FileSettings.model_validate({"directory": tmp_path, "file_name": "line.mcap"})
+    keeper = Keeper(RecordingWriter.create("delay_node@master", settings))
+    keeper.close({"forward": 7, "backward": 0})
+    assert overflows_in(keeper.path) == {"forward": 7}
+
+
 def test_quantiles_are_those_of_what_was_counted() -> None:
     assert quantiles_ms({}, 1000) is None
     assert quantiles_ms({2: 989, 7: 10, 40: 1}, MS) == {"p50": 2.0, "p99": 7.0, "p999": 7.0, "max": 40.0}
@@ -399,14 +468,16 @@ def test_the_command_carries_datagrams_changes_records_and_reports(tmp_path: Pat
     )  # fmt: skip
     try:
         assert link.stderr is not None
-        assert f"datagrams to 127.0.0.1:{port} go on to {target} over the network custom" in link.stderr.readline()
+        assert (
+            f"ready: datagrams to 127.0.0.1:{port} go on to {target} over the network custom" in link.stderr.readline()
+        )
         with closing(opened("127.0.0.1")) as client:
             for number in range(100):
                 client.sendto(b"%d" % number, ("127.0.0.1", port))
             assert echo.answer() == [b"%d" % number for number in range(100)]
             change = [*telenano, "link", "set", "profile=clean"]
-            said = children.run(change, env=environment, capture_output=True, text=True)
-            assert said.stdout == "delay_node@master ack: set profile = clean\n", said.stderr
+            answer = children.run(change, env=environment, capture_output=True, text=True)
+            assert answer.stdout == "delay_node@master ack: set profile = clean\n", answer.stderr
             client.sendto(b"last", ("127.0.0.1", port))
             assert echo.answer() == [b"last"]
             assert client.recv(100).startswith(b"last from ")
@@ -423,5 +494,11 @@ def test_the_command_carries_datagrams_changes_records_and_reports(tmp_path: Pat
     assert document["recording"] == str(out)
     fates = fates_in(out)
     assert [row[3] for row in fates["forward"]] == [20 * MS] * 100 + [0]
-    said = children.run([*telenano, "link", "report", str(out), "--json"], capture_output=True, text=True, check=True)
-    assert json.loads(said.stdout)["backward"]["lost_share"] == pytest.approx(100 / 101)
+    report = children.run([*telenano, "link", "report", str(out), "--json"], capture_output=True, text=True, check=True)
+    assert json.loads(report.stdout)["backward"]["lost_share"] == pytest.approx(100 / 101)
+
+
+def test_a_node_without_a_descriptor_left_says_nothing_of_its_memory_and_goes_on() -> None:
+    assert resident_bytes() > 0
+    with room_for(0):
+        assert resident_bytes() == 0

@@ -34,6 +34,8 @@ RETRY_S = 0.5
 _SERVO = (sys.executable, "-m", "services.haptic_node.devices.servo_process")
 OPEN_S = 15.0
 _POLL_S = 0.01
+# What a servo says of its device has some hundred bytes.
+_LONGEST_ANSWER = 1 << 20
 _END_S = 1.0
 # A servo that stood still for longer does not take the whole motion for one step of its filters.
 _LONGEST_STEP_S = 0.05
@@ -226,7 +228,7 @@ class ProcessLink:
         while not answer.endswith(b"\n"):
             ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, end_s - time.monotonic()))
             part = os.read(self._process.stdout.fileno(), 65_536) if ready else b""
-            if not part:
+            if not part or len(answer) > _LONGEST_ANSWER:
                 self.close()
                 what = f"said nothing for {OPEN_S:g} s" if not ready else "ended; its reason is in the log above"
                 raise DeviceError(f"the servo of haptic_node.driver {self._kind} {what}")

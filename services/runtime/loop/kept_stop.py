@@ -7,8 +7,9 @@ It imports no model: an emergency stop has no time for them.
 """
 
 import contextlib
-import os
 from pathlib import Path
+
+from recording.whole_files import write_whole
 
 # A session/control of an emergency stop is far smaller.
 _LARGEST = 4096
@@ -19,17 +20,9 @@ def keep(path: Path, payload: bytes) -> str:
 
     A reader sees the whole file or none, and nothing is written through a link that somebody put there.
     """
-    part = path.with_name(f"{path.name}.{os.getpid()}")
     try:
-        with contextlib.suppress(FileNotFoundError):
-            part.unlink()
-        descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(payload)
-        part.replace(path)
+        write_whole(path, payload, is_forced=False)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
         return f"{path}: the emergency stop cannot be kept: {error.strerror}"
     return ""
 

@@ -191,5 +191,8 @@ class NodeBus(Bus, Protocol):
 
 
 def resident_bytes() -> int:
-    """Return the resident memory of this process [bytes]."""
-    return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    """Return the resident memory of this process [bytes], 0 where it has no descriptor left to look."""
+    try:
+        return int(_STATM.read_bytes().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0

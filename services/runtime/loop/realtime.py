@@ -10,10 +10,10 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from presets.optional_modules import optional_module
 from proto.errors import ConfigError
 from proto.nodes import name_of
 from services.runtime.loop.log import StructuredLog
-from services.runtime.settings.optional_modules import optional_module
 from services.runtime.settings.scenario import RealtimeConfig
 
 # Windows has no such module.

@@ -19,8 +19,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from zmq.utils import z85
 
 from proto.errors import ConfigError
+from recording.whole_files import changed, locked, write_whole
 from services.runtime.bus.address_book import MACHINE_PATTERN
-from services.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted, write_private
+from services.runtime.security.private_files import check_folder_of_files, read_secret, read_trusted
 from services.runtime.settings.config import Settings, parse_yaml, validate
 
 KEYS_DIRECTORY_VARIABLE = "TELENANO_KEYS_DIR"
@@ -180,10 +181,6 @@ class Keyring:
         """Create a key pair; ConfigError when there is one already, unless `replace`."""
         _check_name(name)
         path = self.folder / f"{name}{_SECRET_SUFFIX}"
-        if not replace and name in self.names():
-            raise ConfigError(
-                f"{path} already exists: --replace creates a new key, which the other machines must allow"
-            )
         pair = KeyPair(*zmq.curve_keypair())
         # on a command line, a key that begins with a dash would be taken for an option
         while pair.public.startswith(b"-"):
@@ -192,10 +189,14 @@ class Keyring:
             f'    {half}-key = "{key.decode()}"\n' for half, key in (("public", pair.public), ("secret", pair.secret))
         )
         public += f'    expires = "{expires}"\n' if expires is not None else ""
-        with self._folder_for_writing():
-            write_private(path, _CERTIFICATE.format(kind="secret", name=name) + public + secret)
+        with self._folder_for_writing(), locked(self.allowed_path):
+            if not replace and path.exists():
+                raise ConfigError(
+                    f"{path} already exists: --replace creates a new key, which the other machines must allow"
+                )
+            write_whole(path, (_CERTIFICATE.format(kind="secret", name=name) + public + secret).encode())
             public_path = path.with_suffix(_PUBLIC_SUFFIX)
-            write_private(public_path, _CERTIFICATE.format(kind="public", name=name) + public)
+            write_whole(public_path, (_CERTIFICATE.format(kind="public", name=name) + public).encode())
         return self.own(name)
 
     def misplaced(self, name: str) -> str:
@@ -225,37 +226,44 @@ class Keyring:
             return AllowList()
         except OSError as error:
             raise ConfigError(f"{self.allowed_path}: cannot be read: {error.strerror}") from error
-        return validate(AllowList, parse_yaml(data, str(self.allowed_path)), str(self.allowed_path))
+        return self._parsed(data)
 
     def allow(self, name: str, public_key: str, roles: Sequence[Role], expires: date | None = None) -> AllowedKey:
         """Add a key to the list, or change roles and expiry of one that is there; it replaces one that has expired."""
         _check_name(name)
-        known = self.allowed()
         given = {"name": name, "public_key": public_key, "roles": list(dict.fromkeys(roles)), "expires": expires}
         entry = validate(AllowedKey, given, f"key of {name}")
-        listed, holder = known.of_key(public_key), known.of_machine(name)
-        gone = listed
-        if holder is not None and holder is not listed and holder.has_expired(self.today()):
-            gone, holder = holder, None
-        if listed is not None and listed.revoked:
-            raise ConfigError(f"{public_key} was revoked permanently: create a new key on {name}")
-        if listed is not None and listed.name != name:
-            raise ConfigError(f"{public_key} is already allowed, as {listed.name}")
-        if holder is not None and holder.public_key != public_key:
-            raise ConfigError(f"{name} is already listed with another key: run `telenano keys revoke {name}` first")
-        self._write([*(key for key in known.keys if key not in (listed, gone)), entry])
+
+        def with_entry(known: AllowList) -> list[AllowedKey]:
+            listed, holder = known.of_key(public_key), known.of_machine(name)
+            gone = listed
+            if holder is not None and holder is not listed and holder.has_expired(self.today()):
+                gone, holder = holder, None
+            if listed is not None and listed.revoked:
+                raise ConfigError(f"{public_key} was revoked permanently: create a new key on {name}")
+            if listed is not None and listed.name != name:
+                raise ConfigError(f"{public_key} is already allowed, as {listed.name}")
+            if holder is not None and holder.public_key != public_key:
+                raise ConfigError(f"{name} is already listed with another key: run `telenano keys revoke {name}` first")
+            return [*(key for key in known.keys if key not in (listed, gone)), entry]
+
+        self._change(with_entry)
         return entry
 
     def revoke(self, name_or_key: str) -> AllowedKey:
         """Revoke a key, given by its machine or by itself; running nodes apply it within a second."""
-        known = self.allowed()
-        entry = known.of_machine(name_or_key) or known.of_key(name_or_key)
-        if entry is None:
-            listed = ", ".join(key.name for key in known.keys if not key.revoked) or "none"
-            raise ConfigError(f"{self.allowed_path}: there is no key of {name_or_key}, listed keys are {listed}")
-        gone = entry.model_copy(update={"revoked": True})
-        self._write([gone if key is entry else key for key in known.keys])
-        return gone
+        revoked: list[AllowedKey] = []
+
+        def without_entry(known: AllowList) -> list[AllowedKey]:
+            entry = known.of_machine(name_or_key) or known.of_key(name_or_key)
+            if entry is None:
+                listed = ", ".join(key.name for key in known.keys if not key.revoked) or "none"
+                raise ConfigError(f"{self.allowed_path}: there is no key of {name_or_key}, listed keys are {listed}")
+            revoked.append(entry.model_copy(update={"revoked": True}))
+            return [revoked[0] if key is entry else key for key in known.keys]
+
+        self._change(without_entry)
+        return revoked[0]
 
     def stamp(self) -> tuple[int, int] | None:
         """Return a value that changes whenever the list does, None while there is no list."""
@@ -267,13 +275,20 @@ class Keyring:
             return error.errno or 0, 0
         return found.st_mtime_ns, found.st_ino
 
-    def _write(self, keys: Sequence[AllowedKey]) -> None:
-        document = {
-            "keys": [key.model_dump(mode="json", exclude_none=True) for key in sorted(keys, key=lambda key: key.name)]
-        }
+    def _change(self, step: Callable[[AllowList], Sequence[AllowedKey]]) -> None:
+        """Change the list, whose newest entries the step gets: another command may have added one meanwhile."""
+
+        def changed_bytes(before: bytes | None) -> bytes:
+            keys = sorted(step(AllowList() if before is None else self._parsed(before)), key=lambda key: key.name)
+            document = {"keys": [key.model_dump(mode="json", exclude_none=True) for key in keys]}
+            return yaml.safe_dump(document, sort_keys=False, width=120).encode()
+
         # The folder is whole at every moment, because a running node may read it.
         with self._folder_for_writing():
-            write_private(self.allowed_path, yaml.safe_dump(document, sort_keys=False, width=120))
+            changed(self.allowed_path, changed_bytes, read=read_trusted)
+
+    def _parsed(self, data: bytes) -> AllowList:
+        return validate(AllowList, parse_yaml(data, str(self.allowed_path)), str(self.allowed_path))
 
     @contextmanager
     def _folder_for_writing(self) -> Iterator[None]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import secrets
 from pathlib import Path
 
 from presets.regular_files import NotRegularError, open_regular
@@ -71,27 +70,6 @@ def _check(path: Path, found: os.stat_result, forbidden: int, what: str, right: 
         raise ConfigError(f"{path}: other users can {what} (mode {mode:o}): chmod {right} {path}")
 
 
-def write_private(path: Path, text: str) -> None:
-    """Write a file for this user alone, whole or not at all; a link in its place is replaced, not followed.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
-    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    descriptor = os.open(new, flags, 0o600)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(descriptor)
-        new.replace(path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            new.unlink()
-        raise
-
-
 def check_private_folder(folder: Path, remedy: str) -> None:
     """Raise ConfigError naming the remedy when a folder belongs to another user or is open to others; it may be absent.
 
@@ -99,11 +77,13 @@ def check_private_folder(folder: Path, remedy: str) -> None:
     """
     user = os.geteuid()
     try:
-        link, found = folder.lstat(), folder.stat()
+        link = folder.lstat()
+        # The link of another user is refused by itself: its target may come once it has been judged.
+        found = folder.stat() if link.st_uid in (user, _ROOT) else link
     except OSError:
         # A path that cannot be reached cannot be used either, and its user reports that.
         return
-    owner = found.st_uid if link.st_uid in (user, _ROOT) else link.st_uid
+    owner = found.st_uid
     if owner != user:
         raise ConfigError(f"{folder}: belongs to user {owner}, and this is user {user}: {remedy}")
     if found.st_mode & _ANY_ACCESS:

@@ -83,11 +83,14 @@ def get(
 
 
 def _value(scenario: str, settings: list[str] | None, key: str | None) -> Any:
-    from services.launcher.scenario_keys import filled, value_at
+    from services.launcher.scenario_keys import filled, value_at, with_meant
     from services.runtime.settings.scenario import load_scenario
 
     document = filled(load_scenario(find_scenario(scenario), settings or ()))
-    return document if key is None else value_at(document, key)
+    try:
+        return document if key is None else value_at(document, key)
+    except ConfigError as error:
+        raise ConfigError(with_meant(str(error))) from error
 
 
 def _yaml(value: Any) -> str:

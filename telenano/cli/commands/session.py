@@ -1,6 +1,7 @@
 """`telenano session`: send a command to the nodes of a running rig."""
 
 import contextlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -36,6 +37,8 @@ def session(
     as_json: JsonOption = False,
 ) -> None:
     """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing.
+
+    `set` without --target is for the nodes that have the key; those that do not know it do not count.
 
     Where a person at a page has the hand it is refused, but for stop, estop and mark. TELENANO_NAME names who gives it.
     """
@@ -73,8 +76,16 @@ def send_command(
     if as_json:
         rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
-    if any(event.kind == "refused" for event in answers.values()):
+    refused = [event.text for event in answers.values() if event.kind == "refused"]
+    if (command, target) == ("set", "*") and len(refused) < len(answers):
+        # Without a target each node is asked, and the key is that of one or a few of them.
+        refused = [text for text in refused if not all(_OF_ANOTHER.search(line) for line in text.splitlines())]
+    if refused:
         raise typer.Exit(EXIT_FAILED)
+
+
+# What a node says of a key that it does not have.
+_OF_ANOTHER = re.compile("unknown key|cannot be set: settable are")
 
 
 def _usual_file(site: Site | None) -> Path:

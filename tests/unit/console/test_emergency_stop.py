@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +22,9 @@ from proto.errors import EndpointError, RigError
 from proto.messages import SessionControl
 from proto.nodes import DEVICES
 from proto.topics import TOPICS
+from services.console import command_client, emergency_stop
 from services.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
+from services.player.node import ReplayPublisher
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.clock import SystemClock
@@ -238,6 +241,64 @@ def test_a_device_that_does_not_answer_is_named(
     kept = decode("session/control", (site_file.parent / f"{TIP}.estop.kept").read_bytes())
     assert isinstance(kept, SessionControl)
     assert (kept.src, kept.command, kept.target) == ("estop@slave", "estop", "*")
+
+
+class Endless:
+    """A socket at which something waits always."""
+
+    def poll(self, timeout: int) -> int:
+        return 1
+
+    def get(self, option: int) -> int:
+        return zmq.POLLIN
+
+    def recv(self) -> bytes:
+        return b"\x01session/control"
+
+
+def test_readers_that_subscribe_for_ever_keep_nothing_from_being_sent() -> None:
+    socket: Any = SimpleNamespace(socket=Endless())
+    assert command_client._new_subscriptions(socket) > 0
+    inlet = _Inlet.__new__(_Inlet)
+    inlet.socket, inlet.ready, inlet._whole, inlet._taken = socket.socket, False, False, 0
+    assert inlet.read_subscription(0)
+    player = ReplayPublisher.__new__(ReplayPublisher)
+    player.publisher, player.subscriptions, player.was_read = socket, set(), False
+    assert player.read_subscriptions()
+
+
+def test_events_that_come_faster_than_they_are_read_do_not_keep_a_stop_from_being_sent_again(
+    site_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(emergency_stop, "_DEADLINE_S", 0.5)
+    # an event takes longer to be read than to be sent
+    monkeypatch.setattr(emergency_stop, "_answer", lambda *_: time.sleep(0.01))
+    ended = threading.Event()
+    address = f"ipc://{site_file.parent}/{TIP}"
+    with zmq.Context() as context, closing(EstopInlet(context, SystemClock(), TIP, f"{address}.estop")) as inlet:
+
+        def flood() -> None:
+            with closing(context.socket(zmq.PUB)) as publisher:
+                publisher.set(zmq.LINGER, 0)
+                publisher.bind(address)
+                end_s = time.monotonic() + 3.0
+                while time.monotonic() < end_s and not ended.is_set():
+                    publisher.send_multipart([b"session/event", b"x"])
+                    time.sleep(0.001)
+
+        flooding = threading.Thread(target=flood)
+        flooding.start()
+        stopping = threading.Thread(target=run_estop, args=(EstopRequest(target=TIP, site_file=site_file),))
+        stopping.start()
+        stops = 0
+        while stopping.is_alive():
+            if inlet.socket.poll(10):
+                inlet.socket.recv_multipart()
+                stops += 1
+        ended.set()
+        flooding.join()
+        stopping.join()
+    assert stops >= 3
 
 
 def test_a_stop_needs_nothing_that_another_sender_has(run: Callable[..., Device], site_file: Path) -> None:

@@ -1,13 +1,17 @@
 """The lease of the hand as a pure machine: who may do what, and what becomes of who vanishes."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from proto.errors import RefusedError, RigError
+from recording.whole_files import changed
 from services.console import lease_register
 from services.console.lease import (
+    ASKED_NS,
     VANISHED_NS,
+    Asking,
     Lease,
     Party,
     act,
@@ -18,6 +22,7 @@ from services.console.lease import (
     let_go,
     packed,
     seen,
+    still_asks,
     stood_still,
     take,
     unpacked,
@@ -66,6 +71,44 @@ def test_a_pupil_has_the_hand_when_it_is_handed_over_and_gives_it_back() -> None
     with pytest.raises(RefusedError, match="nobody asks"):
         hand_over(lease, PUPIL, "", 8, lease.number)
     assert let_go(lease, PUPIL, 9).holder is None
+
+
+def test_a_person_asks_once_however_many_pages_are_open() -> None:
+    lease = held_by(OWNER)
+    for number in range(16):
+        lease = ask(lease, Party(f"p{number}", "Paul", "pupil"), 6)
+    # the page that was used last is the one that gets it
+    assert [each.party.id for each in lease.asking] == ["p15"]
+    for number in range(15):
+        lease = ask(lease, Party(f"x{number}", f"Pupil {number}", "pupil"), 6)
+    assert len(lease.asking) == 16
+    with pytest.raises(RefusedError, match="16 ask for the hand already"):
+        ask(lease, OTHER, 6)
+    # pages without a name are of the one whose rig it is
+    lease = ask(ask(held_by(TEACHER), OWNER, 6), SECOND, 6)
+    assert [each.party.id for each in lease.asking] == ["2"]
+
+
+def test_a_page_asks_one_of_the_same_address_that_has_the_hand() -> None:
+    named = [Party(f"o{number}", "Otto", "operator") for number in range(2)]
+    for first, second in ((OWNER, SECOND), named):
+        for kept in (True, False):
+            lease = ask(held_by(first)._replace(kept=kept), second, 6)
+            assert [each.party for each in lease.asking] == [second]
+            assert hand_over(lease, first, second.id, 7, lease.number).holder == second
+
+
+def test_who_asks_and_is_not_heard_any_more_is_gone() -> None:
+    lease = ask(ask(held_by(OWNER), PUPIL, 6), OTHER, 6)
+    now_ns = ASKED_NS + 5
+    lease = still_asks(lease._replace(seen_ns=now_ns), {"p": now_ns, "unknown": now_ns}, now_ns)
+    assert len(lease.asking) == 2
+    lease = current(lease._replace(seen_ns=now_ns + 9), now_ns + 9)
+    assert [each.party for each in lease.asking] == [PUPIL]
+    lease = current(lease._replace(seen_ns=2 * now_ns), 2 * now_ns)
+    assert (lease.holder, lease.asking) == (OWNER, ())
+    # a time ahead is one of before the machine was started again
+    assert current(Lease(asking=(Asking(PUPIL, 9),)), 8).asking == ()
 
 
 def test_a_teacher_takes_it_without_being_granted_and_grants_what_others_have() -> None:
@@ -161,13 +204,13 @@ def test_processes_share_the_lease_by_a_file(tmp_path: Path, monkeypatch: pytest
 def test_a_process_that_stands_still_with_the_file_holds_up_nobody_for_long(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lease_register, "_PATIENCE_S", 0.02)
+    monkeypatch.setattr(lease_register, "changed", partial(changed, wait_s=0.02))
     first, second = LeaseRegister(tmp_path), LeaseRegister(tmp_path)
     first.change(lambda lease, now_ns: take(lease, OWNER, now_ns))
 
     def stands_still(lease: Lease, now_ns: int) -> Lease:
         assert second.look().holder == OWNER
-        with pytest.raises(RigError, match="stands still"):
+        with pytest.raises(RigError, match=r"another process has had it for 0\.02 s"):
             second.change(current)
         return lease
 

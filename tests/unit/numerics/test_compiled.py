@@ -194,6 +194,7 @@ assert [run(), run()] == [(0, []), (1, [])]
 
 # Nothing of a folder that others can write is ever unpickled.
 others = [lambda: cache_folder().chmod(0o777), lambda: cache_folder().chmod(0o720)]
+others.append(lambda: cache_folder().parent.chmod(0o777))
 if os.getuid() == 0:
     others.append(lambda: os.chown(cache_folder(), 12345, -1))
 for spoil in others:
@@ -202,6 +203,7 @@ for spoil in others:
     assert [run(), run()] == [(0, found), (0, found)]
     os.chown(cache_folder(), os.getuid(), -1)
     cache_folder().chmod(0o700)
+    cache_folder().parent.chmod(0o700)
     assert run() == (1, [])
 
 # code that checks its indices is neither found as the other, nor left for it

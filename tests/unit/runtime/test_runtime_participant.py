@@ -216,12 +216,13 @@ def test_a_folder_of_sockets_that_others_can_reach_is_refused(
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 @pytest.mark.parametrize("publisher", [True, False])
-@pytest.mark.parametrize("link", [True, False])
+@pytest.mark.parametrize("link", ["to a folder of one's own", "to nothing", ""])
 def test_a_folder_of_sockets_of_another_user_is_refused(
-    folder: Path, private_book: AddressBook, publisher: bool, link: bool
+    folder: Path, private_book: AddressBook, publisher: bool, link: str
 ) -> None:
     if link:
-        (folder.parent / "own").mkdir(mode=0o700)
+        if link != "to nothing":
+            (folder.parent / "own").mkdir(mode=0o700)
         folder.symlink_to(folder.parent / "own")
     else:
         folder.mkdir(mode=0o700)

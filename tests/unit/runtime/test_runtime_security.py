@@ -9,7 +9,7 @@ import yaml
 import zmq
 from zmq.utils import z85
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
 from services.runtime.bus.address_book import AddressBook
 from services.runtime.security.access_control import AccessControl, relay_key
 from services.runtime.security.keyring import AllowedKey, KeyPair, Keyring, key_text, keys_directory, this_machine
@@ -60,6 +60,7 @@ def test_a_key_pair_is_made_for_this_user_alone(ring: Keyring) -> None:
     assert ring.names() == ["master"]
     assert ring.folder.stat().st_mode & 0o777 == 0o700
     assert {path.name: path.stat().st_mode & 0o777 for path in ring.folder.iterdir()} == {
+        "allowed.yaml.lock": 0o600,
         "master.key": 0o600,
         "master.key_secret": 0o600,
     }
@@ -121,7 +122,12 @@ def test_a_link_in_the_place_of_a_key_is_replaced_and_its_target_left_alone(ring
     assert (target.read_text(), target.stat().st_mode & 0o777) == ("of somebody else", 0o644)
     assert not (tmp_path / "absent").exists()
     assert ring.own("master") == pair
-    assert sorted(path.name for path in ring.folder.iterdir()) == ["allowed.yaml", "master.key", "master.key_secret"]
+    assert sorted(path.name for path in ring.folder.iterdir()) == [
+        "allowed.yaml",
+        "allowed.yaml.lock",
+        "master.key",
+        "master.key_secret",
+    ]
     assert not [path for path in ring.folder.iterdir() if path.is_symlink() or path.stat().st_mode & 0o077]
 
 
@@ -136,7 +142,10 @@ def test_a_key_that_cannot_be_put_in_place_leaves_the_old_one(ring: Keyring, mon
         text = refusal_of(ring.create, "master", replace=True)
     assert text == f"{ring.folder}: cannot be written: No space left on device"
     assert ring.own("master") == pair
-    assert sorted(path.name for path in ring.folder.iterdir()) == ["master.key", "master.key_secret"]
+    assert sorted(path.name for path in ring.folder.iterdir() if path.suffix != ".lock") == [
+        "master.key",
+        "master.key_secret",
+    ]
 
 
 def test_a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for(ring: Keyring) -> None:
@@ -328,19 +337,20 @@ def test_the_list_is_replaced_whole_and_leaves_nothing_beside_it(
 ) -> None:
     ring.allow("slave", KEY, ["data"])
     before, stamp = ring.allowed_path.read_bytes(), ring.stamp()
-    assert [path.name for path in ring.folder.iterdir()] == ["allowed.yaml"]
+    assert sorted(path.name for path in ring.folder.iterdir()) == ["allowed.yaml", "allowed.yaml.lock"]
 
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", fail)
-        text = refusal_of(ring.allow, "laptop", OTHER, ["data"])
-    assert text == f"{ring.folder}: cannot be written: No space left on device"
+        with pytest.raises(RigError) as caught:
+            ring.allow("laptop", OTHER, ["data"])
+    assert str(caught.value) == f"{ring.allowed_path}: cannot be changed: No space left on device"
     assert ring.allowed_path.read_bytes() == before
     assert ring.stamp() == stamp
     ring.allow("laptop", OTHER, ["data"])
-    assert [path.name for path in ring.folder.iterdir()] == ["allowed.yaml"]
+    assert sorted(path.name for path in ring.folder.iterdir()) == ["allowed.yaml", "allowed.yaml.lock"]
     assert ring.stamp() != stamp
 
 

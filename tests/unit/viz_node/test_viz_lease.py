@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from proto.errors import RefusedError
-from services.console.lease import VANISHED_NS, Lease, act, take
+from services.console.lease import ASKED_NS, VANISHED_NS, Lease, act, take
 from services.viz_node.access import Role
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.page_session import Session
@@ -204,3 +204,22 @@ def test_who_vanishes_has_lost_it_within_a_second_and_a_pressed_tip_is_withdrawn
     assert world.lease.holder != party
     assert len(world.withdrawn) == before + 1
     assert world.withdrawn[-1] - begun_ns <= VANISHED_NS + HERE_NS + 2 * TICK_NS
+
+
+def test_pages_that_ask_are_shown_for_as_long_as_they_are_open_and_not_after_a_kill_of_the_server() -> None:
+    world = World()
+    teacher, pupils = world.pages[0], world.pages[1:3]
+    world.do("take", 0)
+    for index in (1, 2):
+        world.do("ask", index)
+    # longer than who asks may be silent
+    world.pass_time(round(2 * ASKED_NS / TICK_NS))
+    assert [each[0] for each in world.desk.facts()["asking"]] == [page.session.party.id for page in pupils]
+    assert world.desk.has(teacher.session)
+    pupils[0].stalled = True
+    world.pass_time(round(1.5 * ASKED_NS / TICK_NS))
+    assert [each[0] for each in world.desk.facts()["asking"]] == [pupils[1].session.party.id]
+    # a server that was killed has said of none of its pages that they have left
+    world.do("restart server", 0)
+    world.pass_time(round(1.5 * ASKED_NS / TICK_NS))
+    assert world.desk.facts()["asking"] == []

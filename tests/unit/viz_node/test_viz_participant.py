@@ -4,6 +4,7 @@ Every message that pages are told of carries the condition in words and numbers 
 but for what a participant sees and feels: where hand and tip are, and the forces on them.
 """
 
+import random
 import struct
 import time
 from collections import deque
@@ -29,6 +30,7 @@ from services.viz_node.access import Access
 from services.viz_node.feed import Seen
 from services.viz_node.hub import Hub
 from services.viz_node.participant import CUE_KEYS, TRIAL_KEYS, ParticipantPicture
+from services.viz_node.requests import COMMANDS
 from services.viz_node.source import TOPICS_SHOWN, NoTransport
 from services.viz_node.streams import described
 
@@ -373,3 +375,47 @@ def test_a_participant_has_a_token_of_its_own() -> None:
 def test_a_page_is_told_all_of_a_cue_but_its_header() -> None:
     header = {"seq", "t_ns", "src", "v"}
     assert set(CUE_KEYS) == set(TOPICS["experiment/cue"].model.model_fields) - header
+
+
+def test_nothing_that_the_page_of_a_participant_asks_commands_the_rig_or_tells_the_condition(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commanded: list[Any] = []
+    monkeypatch.setattr(Commander, "send", lambda self, *given: commanded.append(given) or {})
+    monkeypatch.setattr(Commander, "estop", lambda self, by: {"afm_node@slave": ("ack", " ".join(WORDS))})
+    # another limit keeps a page from asking more often than a person could
+    monkeypatch.setattr(hubs.Session, "may_ask", lambda self, now_s: True)
+    draw = random.Random(72)
+    page = Page(stack, client)
+    rig.trial(PICTURE_S)
+    rig.cue()
+    page.take(stage("trial"))
+    numbers = (0, 1, rig.hub.desk.lease.number, 2**53)
+    texts = ("", "*", "afm_node", "c-1", "c-0", "x" * 256, "\x1b[2J", "play", "../..")
+    values: tuple[Any, ...] = ({}, {"felt": "now"}, {"law": "wave"}, {f"n{n}": n for n in range(60)})
+    reals = (0.0, -1.0, 1e308, 5e-324)
+
+    def drawn() -> dict[str, Any]:
+        kinds: tuple[dict[str, Any], ...] = (
+            {"k": "command", "command": draw.choice(COMMANDS), "target": draw.choice(texts),
+             "parameters": draw.choice(values), "lease": draw.choice(numbers)},
+            {"k": "lease", "action": draw.choice(("ask", "take", "hand_over", "let_go")), "to": draw.choice(texts),
+             "lease": draw.choice(numbers)},
+            {"k": "transport", "action": draw.choice(texts), "value": draw.choice(reals)},
+            {"k": "document"},
+            {"k": "part", "from_s": draw.choice(reals), "to_s": draw.choice(reals), "spans": draw.choice((0, 2**60))},
+            {"k": "estop"},
+            {"k": "experiment", "cue": draw.choice(texts), "values": draw.choice(values), "shown_s": reals[0]},
+        )  # fmt: skip
+        return draw.choice(kinds)
+
+    for _ in range(150):
+        asked = drawn()
+        is_ok = page.answer(**asked)["ok"]
+        is_own = asked["k"] == "experiment" and asked["cue"] == "c-1"
+        assert is_ok == (asked["k"] == "estop") or is_own, asked
+        page.send(k="here", stamp_s=draw.choice(reals), waited_s=draw.choice(reals))
+    assert commanded == []
+    assert rig.hub.desk.lease.holder is None and rig.hub.desk.lease.asking == ()
+    page.assert_blind()
+    assert rig.hub.desk.refused.rejected["role"] > 20

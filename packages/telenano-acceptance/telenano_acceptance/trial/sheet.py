@@ -1,5 +1,7 @@
 """The page of a trial, as Markdown: made of the file alone, so that it is the same everywhere."""
 
+import warnings
+
 from telenano_acceptance.take import LOADS
 from telenano_acceptance.trial.trial_file import Trial, kind_of, lines_of
 
@@ -39,11 +41,18 @@ def sheet_of(trial: Trial) -> str:
 
 
 def judged_again(trial: Trial) -> list[str]:
-    """Return the checks whose result is another one when the recording is judged by the version here."""
+    """Return the checks whose result is another one when the recording is judged by the version here.
+
+    It is one sentence where the recording holds what no device says, which may lead a check anywhere.
+    """
     if trial.take is None:
         return []
     before = {line.check: line.result for line in trial.acceptance.lines}
-    now = lines_of(kind_of(trial.take), trial.take)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            now = lines_of(kind_of(trial.take), trial.take)
+    except Exception as error:  # noqa: BLE001
+        return [f"the recording in it cannot be judged ({type(error).__name__}: {_cell(str(error))[:200]})"]
     return [
         f"{line.check}: {line.result} here, {before.get(line.check, 'not judged')} in the file"
         for line in now
@@ -60,6 +69,6 @@ def _places(places: list[str]) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text for one line of Markdown; what a terminal would obey is left out."""
+    """Return a text for one line of Markdown; what a terminal would obey is left out, and what ends a code span."""
     plain = "".join(letter for letter in " ".join(text.split()) if letter.isprintable())
-    return plain.replace("|", "\\|")
+    return plain.replace("|", "\\|").replace("`", "'")

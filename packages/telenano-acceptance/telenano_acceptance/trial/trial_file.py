@@ -16,6 +16,7 @@ import msgspec
 from presets.plugins import all_installed
 from proto.errors import ConfigError
 from telenano.extend.exports import whole_file
+from telenano.extend.readers import open_regular
 from telenano_acceptance.handle.checks import HANDLE
 from telenano_acceptance.haptic_device.checks import HAPTIC_DEVICE
 from telenano_acceptance.instrument.checks import INSTRUMENT
@@ -132,8 +133,14 @@ def read_trial(path: Path) -> Trial:
         ConfigError: The file cannot be read, is damaged, has more in it than a trial, or is no such file.
     """
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-            contents = {member.filename: _content(archive, member) for member in archive.infolist()}
+        opened = open_regular(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        with opened as file, zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            _require_once(members)
+            contents = {member.filename: _content(archive, member) for member in members}
         acceptance = msgspec.json.decode(contents[ACCEPTANCE], type=Acceptance)
         if acceptance.schema != _SCHEMA:
             raise ValueError(f"{ACCEPTANCE}: has schema {acceptance.schema}, and {_SCHEMA} is read here")
@@ -160,6 +167,15 @@ def _member(name: str) -> zipfile.ZipInfo:
     member = zipfile.ZipInfo(name, _TIME)
     member.compress_type = zipfile.ZIP_DEFLATED
     return member
+
+
+def _require_once(members: list[zipfile.ZipInfo]) -> None:
+    """Raise ValueError for a name that comes twice, before anything is unpacked: it would be unpacked as often."""
+    names = [member.filename for member in members]
+    if len(names) > len(_MOST):
+        raise ValueError(f"it has {len(names)} members, and a trial has {len(_MOST)} at most")
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ValueError(f"its member {twice[:80]!r} comes twice")
 
 
 def _content(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:

@@ -74,9 +74,16 @@ def _opened(port: Path, baud: int) -> tuple[Write, Callable[[], None]]:
     if os.isatty(descriptor):
         close()
         return _serial(port, baud)
+    if stat.S_ISREG(found.st_mode) and found.st_size:
+        close()
+        raise ValueError("it is a file with a content, to which bytes would be appended: name a port or an empty file")
     if stat.S_ISCHR(found.st_mode) and os.major(found.st_rdev) == _PARALLEL:
-        fcntl.ioctl(descriptor, _EXCLUSIVE)
-        fcntl.ioctl(descriptor, _CLAIM)
+        try:
+            fcntl.ioctl(descriptor, _EXCLUSIVE)
+            fcntl.ioctl(descriptor, _CLAIM)
+        except OSError:
+            close()
+            raise
         return lambda code: fcntl.ioctl(descriptor, _DATA, bytes([code])), close
     return lambda code: os.write(descriptor, bytes([code])), close
 

@@ -15,7 +15,8 @@ from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from proto.errors import ConfigError
+from proto.errors import ConfigError, RigError
+from recording.whole_files import locked
 from services.signals import children
 from services.signals.interrupts import kept_from_children
 from telenano_studies.loops.cells import Cell, CellResult, run_cell
@@ -91,16 +92,27 @@ class Journal:
         entries = [(result.cell.key, result) for result in results]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         lines = [json.dumps({"key": key, "result": result.as_dict()}, allow_nan=False) for key, result in entries]
-        with self.path.open("ab") as file:
-            file.write("".join(line + "\n" for line in lines).encode())
+        content = "".join(line + "\n" for line in lines).encode()
+        # Another sweep into this folder may be reading, and takes a line that is not whole out of the file.
+        with locked(self.path, mode=0o666):
+            try:
+                size = self.path.stat().st_size if self.path.exists() else 0
+                with self.path.open("ab") as file:
+                    file.write(content)
+            except OSError as error:
+                with contextlib.suppress(OSError):
+                    os.truncate(self.path, size)
+                raise RigError(f"{self.path}: results cannot be written: {error.strerror}") from error
         self.results.update(entries)
 
     def _whole_lines(self) -> list[bytes]:
         """Return the lines that were written to their end; one that was cut off is taken out of the file."""
         data = self.path.read_bytes() if self.path.exists() else b""
+        if data and not data.endswith(b"\n"):
+            with locked(self.path, mode=0o666):
+                data = self.path.read_bytes()
+                os.truncate(self.path, data.rfind(b"\n") + 1)
         end = data.rfind(b"\n") + 1
-        if end < len(data):
-            os.truncate(self.path, end)
         return data[:end].splitlines()
 
 

@@ -21,10 +21,14 @@ export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: s
   if (role === "observer" || role === "participant") return { text, actions };
   const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];
   if (isMine && lease.kept) return { text: text + asks, actions: [...handOver, { text: "Let go", action: "let_go" }] };
-  const isFree = !lease.holder || isMine;
+  if (isMine && role !== "teacher") {
+    const take: LeaseAction[] = role === "operator" ? [{ text: "Take", action: "take" }] : [];
+    return { text: text + asks, actions: [...take, ...handOver] };
+  }
+  const isFree = !lease.holder;
   const isOwnProcess = role === "operator" && lease.what !== "page";
   if (role === "teacher") return { text: text + asks, actions: [{ text: "Take", action: "take" }, ...handOver] };
-  if (role === "operator" && (isFree || isOwnProcess)) return { text, actions: [{ text: "Take", action: "take" }] };
+  if (role === "operator" && (isFree || isOwnProcess)) return { text: text + asks, actions: [{ text: "Take", action: "take" }] };
   const hasAsked = lease.asking.some(([id]) => id === me);
   return { text: hasAsked ? `${text}; you have asked` : text, actions: hasAsked ? [] : [{ text: "Ask", action: "ask" }] };
 }

@@ -24,6 +24,16 @@ describe("the lease of the hand on the page", () => {
     expect(said(lease({ holder: ME, label: "Otto" }), "operator")).toEqual(["You have the hand for now", "Take"]);
     expect(said(lease({ holder: "x", label: "the program at the rig", what: "program", kept: true }), "operator")).toEqual(["Hand: the program at the rig", "Take"]);
   });
+  test("who asks is shown to each page that could give the hand, also while it has it for an act alone", () => {
+    const asking: [string, string][] = [["q", "Petra"]];
+    const forNow = { holder: ME, label: "Otto", what: "page" };
+    expect(said(lease({ ...forNow, asking }), "operator")).toEqual(["You have the hand for now; Petra asks for it", "Take", "Hand over to Petra"]);
+    expect(said(lease({ ...forNow, asking }), "pupil")).toEqual(["You have the hand for now; Petra asks for it", "Hand over to Petra"]);
+    expect(said(lease({ asking }), "operator")).toEqual(["Nobody has the hand; Petra asks for it", "Take"]);
+    // a second page of the same address is another page
+    const second: [string, string][] = [["me2", "the operator's page"]];
+    expect(said(lease({ ...forNow, kept: true, asking: second }), "operator")).toEqual(["You have the hand; the operator's page asks for it", "Hand over to the operator's page", "Let go"]);
+  });
   test("a command names the lease that was taken, and not that of the command before it", () => {
     const store = new Store();
     store.me = ME;
