@@ -64,7 +64,7 @@ from telenano_laws.ports import (
     of_scales,
     opened,
     opened_anew,
-    paid_damped_way,
+    paid_way,
     received_anew,
     sent_on,
     slid_work,
@@ -619,7 +619,7 @@ def slave_receive(
     else:
         allowed = max(pressed, 0.0) + params.margin_n - force
         way = min(due, p.period_s / params.approach_n_s_per_m * allowed)
-    way = paid_damped_way(way, force, params.servo_n_s_per_m, p.period_s, store.left_j)
+    way = paid_way(way, force, 2.0 * params.servo_n_s_per_m / p.period_s, store.left_j)
     base = start + p.position_scale * way
     return SlaveState(base, here, force, store, True), SlaveReference(base, True)
 

@@ -353,6 +353,6 @@ MODEL_MEDIATED = law_of(
     local_loop=True,
     link_loop=False,
     must_know=("cantilever_stiffness_n_per_m",),
-    fixed_in_contact=("cantilever_stiffness_n_per_m",),
+    fixed_in_contact=("adhesion_range_m", "cantilever_stiffness_n_per_m"),
     rest_force=the_hands_force,
 )
