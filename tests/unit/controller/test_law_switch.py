@@ -38,6 +38,7 @@ class Rig:
         self.tip_status: list[Any] = []
         self.answers: list[Any] = []
         self.forwards = 0
+        self.drift_m_per_s = 0.0
         for direction in ("forward", "backward"):
             self.master.on_message(self.at_hand.link_delay(direction, delay * PERIOD_NS))
         self.slave.on_message(self.at_tip.link_delay("forward", delay * PERIOD_NS))
@@ -69,7 +70,7 @@ class Rig:
                 command_seq=message.seq,
                 base_position_m=(0.0, 0.0, -self.base),
                 deflection_m=0.0,
-                tip_force_n=(0.0, 0.0, 20.0 * self.base),
+                tip_force_n=(0.0, 0.0, 20.0 * (self.base - self.drift_m_per_s * 1e-3 * self.n)),
                 separation_m=0.0,
                 separation_valid=False,
                 in_contact=True,
@@ -258,6 +259,22 @@ def test_dead_band_saves_messages_and_the_loop_lives(bench_of: Any, law: str) ->
     assert law == "virtual_impedance" or all(status.passive for status in rig.statuses)
     assert rig.statuses[-1].saved_percent == pytest.approx(100.0 * (1.0 - rig.forwards / 3000), rel=0.02, abs=0.0)
     assert 1e8 * 20.0 * rig.base == pytest.approx(1.0, rel=0.15, abs=0.0)
+
+
+@pytest.mark.parametrize(("drift_m_per_s", "ticks", "said"), [(-6e-11, 8000, "comes nearer"), (0.0, 3000, "")])
+def test_a_sample_that_drifts_is_warned_of_once_with_the_error(
+    bench_of: Any, drift_m_per_s: float, ticks: int, said: str
+) -> None:
+    rig = Rig(bench_of, "model_mediated", delay=8)
+    rig.drift_m_per_s = drift_m_per_s
+    rig.tick(ticks)
+    found = [event for event in rig.at_hand.take("session/event") if "sample" in event.text]
+    assert [event.level for event in found] == ["warning"] * bool(said)
+    if said:
+        assert f"the sample {said} by" in found[0].text
+        told, error = found[0].data["drift_m_per_s"], found[0].data["error_m_per_s"]
+        assert abs(told) - 2.0 * error > 1e-11
+        assert abs(told - drift_m_per_s) <= 2.0 * error + 1.5e-11
 
 
 @pytest.mark.parametrize("later", [1, 24])
