@@ -261,6 +261,7 @@ def test_dead_band_saves_messages_and_the_loop_lives(bench_of: Any, law: str) ->
     assert 1e8 * 20.0 * rig.base == pytest.approx(1.0, rel=0.15, abs=0.0)
 
 
+@pytest.mark.check("eight seconds of both halves as nodes")
 @pytest.mark.parametrize(("drift_m_per_s", "ticks", "said"), [(-6e-11, 8000, "comes nearer"), (0.0, 3000, "")])
 def test_a_sample_that_drifts_is_warned_of_once_with_the_error(
     bench_of: Any, drift_m_per_s: float, ticks: int, said: str
