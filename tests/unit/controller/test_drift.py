@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from services.controller.config import LAWS
 from services.controller.law import NO_SIGNAL, HandSample, TipMeasurement
 from services.controller.law_rules import known_law
 from services.controller.laws.shared.drift import Drift, drifted, error_of, no_drift
@@ -89,9 +90,11 @@ def swung(name: str, drift_m_per_s: float, delay: int) -> tuple[float, float, fl
     return 0.3 / swing_m, parts_m, sum(row[4] for row in rows) / len(rows), law.sample_drift(params, master)
 
 
+@pytest.mark.check("twelve seconds of each installed law that tells a drift")
+@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.sample_drift is not None])
 @pytest.mark.parametrize(("drift_m_per_s", "delay"), [(5e-11, 0), (-5e-11, 25)])
-def test_a_law_with_a_model_feels_the_sample_and_not_its_drift(drift_m_per_s: float, delay: int) -> None:
-    felt, parts_m, pressed_n, (speed, error) = swung("model_mediated", drift_m_per_s, delay)
+def test_a_law_with_a_model_feels_the_sample_and_not_its_drift(name: str, drift_m_per_s: float, delay: int) -> None:
+    felt, parts_m, pressed_n, (speed, error) = swung(name, drift_m_per_s, delay)
     assert felt == pytest.approx(3000.0, rel=0.25)
     assert pressed_n == pytest.approx(1.0, rel=0.06)
     # a sample that comes nearer has to push the hand back, which the hand's motion pays for
