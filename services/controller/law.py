@@ -191,6 +191,8 @@ class Law:
     - `master_energy_account(params, state) -> EnergyAccount` and `slave_energy_account`: what the half knows of energy
     - `rest_force(params, force) -> float`: alpha_f F_s [N] at which the law rests in contact under a constant force F_m
       of the hand [N]; a law that leaves it out is not judged by it
+    - `sample_drift(params, state) -> (speed, error)`: how fast the sample recedes, by the master half, and the standard
+      error of that [m/s]; the half warns of one that hand and tip cannot stay together on
 
     The slave half steps on each signal, and, where `local_loop` is set, also each time that the instrument has stepped
     by itself, with the newest signal and the time since; what `slave_send` returns then is not sent. So its local loop
@@ -227,6 +229,7 @@ class Law:
     master_energy_account: Steps = no_energy_account
     slave_energy_account: Steps = no_energy_account
     rest_force: Steps | None = None
+    sample_drift: Steps | None = None
     uses_waves: bool = False
     uses_energy: bool = False
     local_loop: bool = False
@@ -239,7 +242,7 @@ class Law:
 
 _MASTER_STEPS = ("master_start", "master_resume", "master_send", "master_receive", "retune")
 _SLAVE_STEPS = ("slave_start", "slave_receive", "slave_send")
-_OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force")
+_OPTIONAL = ("master_energy_account", "slave_energy_account", "rest_force", "sample_drift")
 _SCALES = ("position_scale", "force_scale")
 
 

@@ -39,7 +39,7 @@ _WALL_M, _NEAR_LIMIT = 3e-9, 0.9
 _SESSION_TICKS, _HOLD_TICKS = 3000, 500
 # By what a setting is multiplied in a held contact, for how long that is watched [periods], and the most that may come
 # of it: a share of the force, and a way of the hand [m].
-_RETUNED_BY, _RETUNED_TICKS, _FORCE_STEP, _HAND_STEP_M = (0.8, 1.25), 300, 0.05, 1e-4
+_RETUNED_BY, _RETUNED_TICKS, _FORCE_STEP, _HAND_STEP_M = (0.5, 3.0), 300, 0.05, 1e-4
 # How late an instrument behind a serial line or a network answers, that a law is tried with as well [periods].
 LATE_PERIODS = 4
 

@@ -30,6 +30,9 @@ from services.runtime.loop.node_state import FindInput
 _FOLLOWING_DEVICE = (None, "ok")
 # The hand comes to rest like a free virtual mass while this half waits for the other one.
 _COASTING_S = 0.005
+# A sample that drifts faster parts hand and tip by more than 0.1 mm in a quarter of a minute, at a scale of 1.5e-6
+# [m/s].
+_LEAST_DRIFT_M_PER_S = 1e-11
 # A way of the tip across the sample that is worth a signal of its own [m].
 _LEAST_SENT_M = 1e-10
 _NEWS = {
@@ -41,10 +44,11 @@ _NEWS = {
 class MasterState(NamedTuple):
     """The state of the master half.
 
-    across: the lateral path, where it has a mode of its own, and sent_m, its reference as it was sent last [m]; hand,
-    reference: the newest sample, and the newest reference; tip_reference_m: the last one sent to the slave [m];
-    switch_s: time since a change of law [s]; armed: whether the hand was armed in its newest sample; answered: number
-    and time stamp [ns] of the sample of the hand that the newest answer descends from.
+    drifts: whether the newest warning of a drift stands; across: the lateral path, where it has a mode of its own, and
+    sent_m, its reference as it was sent last [m]; hand, reference: the newest sample, and the newest reference;
+    tip_reference_m: the last one sent to the slave [m]; switch_s: time since a change of law [s]; armed: whether the
+    hand was armed in its newest sample; answered: number and time stamp [ns] of the sample of the hand that the newest
+    answer descends from.
     """
 
     half: HalfState
@@ -58,6 +62,7 @@ class MasterState(NamedTuple):
     slave_status: LawStatus | None
     across: LateralMasterState
     sent_m: tuple[float, float]
+    drifts: bool
 
 
 class MasterController(ControllerHalf):
@@ -83,6 +88,7 @@ class MasterController(ControllerHalf):
         self._answered_hand_stamp = (0, 0)
         self._slave_status: LawStatus | None = None
         self._across = lateral_at_rest()
+        self._drifts = False
 
     def capture(self) -> MasterState:
         return MasterState(
@@ -97,6 +103,7 @@ class MasterController(ControllerHalf):
             slave_status=self._slave_status,
             across=self._across,
             sent_m=self.across.sent_m,
+            drifts=self._drifts,
         )
 
     def restore(self, state: MasterState, find: FindInput) -> None:
@@ -105,7 +112,7 @@ class MasterController(ControllerHalf):
         self._tip_reference_m, self._switch_s = state.tip_reference_m, state.switch_s
         self._armed = state.armed
         self._answered_hand_stamp, self._slave_status = state.answered, state.slave_status
-        self._across, self.across.sent_m = state.across, state.sent_m
+        self._across, self.across.sent_m, self._drifts = state.across, state.sent_m, state.drifts
 
     def started(self) -> Any:
         return self.law.master_start(self.params, self.hand)
@@ -217,8 +224,22 @@ class MasterController(ControllerHalf):
             force_n = to_site_frame(signal.force_n)
             self.publish("teleop/forward", **self.signal_fields(signal), force_n=force_n, hand_armed=self._armed)
         self.steps += 1
+        self._watch_drift()
         slave = self._slave_status
         self.report_status(slave.port_energy_j if slave is not None and slave.law == self.law.name else None)
+
+    def _watch_drift(self) -> None:
+        """Warn of a sample that surely drifts faster than hand and tip can stay together on, once until it does not."""
+        if self.law.sample_drift is None or self.switching or not self.touches:
+            return
+        speed, error = self.law.sample_drift(self.params, self.law_state)
+        if self._drifts:
+            self._drifts = abs(speed) + 2.0 * error > _LEAST_DRIFT_M_PER_S
+        elif abs(speed) - 2.0 * error > _LEAST_DRIFT_M_PER_S:
+            self._drifts = True
+            way = "recedes" if speed > 0.0 else "comes nearer"
+            text = f"the sample {way} by {1e12 * abs(speed):.3g} ± {2e12 * error:.2g} pm/s: hand and tip may part"
+            self.event("mode", "warning", text, drift_m_per_s=speed, error_m_per_s=error)
 
     def _move_across(self, message: HapticState, dt_s: float) -> None:
         """Take the hand's way across, in a mode of its own, and say what it has met or lost."""

@@ -13,6 +13,7 @@ from services.controller.law import law_of as law_of
 from services.controller.law import port_signal as port_signal
 from services.controller.law import the_hands_force as the_hands_force
 from services.controller.law import tip_signal as tip_signal
+from services.controller.laws.shared import drift as drift
 from services.controller.laws.shared import pass_through as pass_through
 from services.controller.laws.shared import virtual_mass as virtual_mass
 from services.controller.laws.shared.virtual_mass import Mass as Mass

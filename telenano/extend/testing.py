@@ -1,13 +1,8 @@
-"""What the tests of a package put around their code: messages of a rig, nodes in virtual time, hostile services.
+"""What the tests of a package put around their code: messages of a rig, and nodes in virtual time."""
 
-A test of a driver gives the time, and lets the place that its service answers with be the time at which it was taken.
-So it knows the true age of every reading, and compares it with the age that the driver tells.
-"""
-
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
-from typing import Any, NamedTuple
+from typing import Any
 
 from proto import TOPICS, encode
 from proto.errors import RefusedError as RefusedError
@@ -25,19 +20,7 @@ from services.runtime.settings.config import merge as merge
 from services.runtime.settings.config import validate as validate
 from telenano.extend.messages import RecordedMessage, example, recorded
 
-HOSTILITIES = {
-    "none": "each answer comes once, at once",
-    "twice": "each answer comes again, a moment later",
-    "late": "each answer comes 80 ms late",
-    "held": "nothing comes for 0.2 s, and then all of it at once, again and again",
-    "never": "no answer comes",
-    "reordered": "each second answer comes behind the one that follows it",
-    "pushed": "forty answers of before come at once, now and then, and nobody has asked for them",
-    "repeated": "the same answer comes each time",
-    "half": "the second half of each answer is lost",
-}
 _MS = 1_000_000
-_LATE_NS, _HELD_NS, _AGAIN_NS, _PUSHED = 80 * _MS, 200 * _MS, _MS // 2, 40
 # when the message with the number 0 was sent [ns since 1970]; each is sent a millisecond after the one before
 EPOCH_NS = 1_750_000_000_000_000_000
 
@@ -63,70 +46,6 @@ def hand_state(seq: int, **changes: Any) -> Message:
 def received(topic: str, message: Message, number: int, site: str = "") -> RecordedMessage:
     """Return a message as received `number` milliseconds after `EPOCH_NS`; for `site` see `messages.recorded`."""
     return recorded(topic, message, EPOCH_NS + number * _MS, site)
-
-
-class HostileService:
-    """What is between a service and a driver.
-
-    Args:
-        kind: One of `HOSTILITIES`.
-        begins_ns: The time from which on it is hostile [ns].
-    """
-
-    def __init__(self, kind: str, begins_ns: int) -> None:
-        if kind not in HOSTILITIES:
-            raise ValueError(f"{kind} is no hostility: known are {', '.join(HOSTILITIES)}")
-        self.kind, self._begins_ns = kind, begins_ns
-        self._due: list[tuple[int, bytes]] = []
-        self._before: deque[bytes] = deque(maxlen=_PUSHED)
-        self._kept: bytes | None = None
-        self._count = 0
-
-    def put(self, answer: bytes, now_ns: int) -> None:
-        """Take an answer of the service at a time [ns]."""
-        kind = self.kind if now_ns >= self._begins_ns else "none"
-        self._count += 1
-        if kind == "half":
-            answer = answer[: len(answer) // 2]
-        elif kind == "repeated":
-            answer = self._kept = answer if self._kept is None else self._kept
-        elif kind == "reordered" and self._kept is None:
-            self._kept = answer
-            return
-        if kind != "never":
-            held_ns = (now_ns // _HELD_NS + 1) * _HELD_NS
-            self._due.append(({"late": now_ns + _LATE_NS, "held": held_ns}.get(kind, now_ns), answer))
-        if kind == "twice":
-            self._due.append((now_ns + _AGAIN_NS, answer))
-        elif kind == "reordered" and self._kept is not None:
-            self._due.append((now_ns, self._kept))
-            self._kept = None
-        elif kind == "pushed" and self._count % _PUSHED == 0:
-            self._due += [(now_ns + _AGAIN_NS, before) for before in self._before]
-        self._before.append(answer)
-
-    def take(self, now_ns: int) -> list[bytes]:
-        """Return what has come to the driver by a time [ns], each answer once."""
-        come = [answer for due_ns, answer in self._due if due_ns <= now_ns]
-        self._due = [(due_ns, answer) for due_ns, answer in self._due if due_ns > now_ns]
-        return come
-
-    def forget(self) -> None:
-        """Lose what is under way, as a connection that ends does."""
-        self._due.clear()
-
-
-class TakenReading(NamedTuple):
-    """A reading: the age that the driver tells and the true one [s], and whether the driver calls it good."""
-
-    told_s: float
-    true_s: float
-    is_good: bool
-
-
-def unseen(readings: Iterable[TakenReading], limit_s: float = 0.05) -> list[TakenReading]:
-    """Return the readings that are older than a limit, while the driver calls them good and not older than that."""
-    return [found for found in readings if found.is_good and found.told_s <= limit_s < found.true_s]
 
 
 class VirtualClock:

@@ -287,6 +287,22 @@ def test_a_wide_interval_is_named_beside_its_threshold() -> None:
     assert little["2 down, ratios"] >= 10
 
 
+def test_a_factor_without_a_method_has_quest_plus_whose_intervals_are_narrower_of_as_many_trials() -> None:
+    named = made_observers.METHODS["QUEST+ 40"]
+    method = make({key: value for key, value in named.items() if key != "method"}, 0)
+    assert isinstance(method, QuestPlus) and method.settings == make(named, 0).settings
+    tracks = {
+        name: sorted(covered_width(tracked(name, number)) for number in range(9))
+        for name in ("QUEST+ 40", "2 down, ratios")
+    }
+    assert tracks["QUEST+ 40"][4] < 0.75 * tracks["2 down, ratios"][4]
+
+
+def covered_width(found: Any) -> float:
+    """Return the width of an interval; an open one is as wide as can be."""
+    return math.inf if found.low is None or found.high is None else float(found.high - found.low)
+
+
 def test_an_observer_who_learns_is_named_and_one_who_does_not_is_not() -> None:
     still = [tracked("2 down", number).note for number in range(40)]
     assert sum("the observer learns" in note for note in still) <= 3

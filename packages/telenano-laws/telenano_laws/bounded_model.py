@@ -38,6 +38,7 @@ from telenano.extend.laws import (
     TipMeasurement,
     at_rest,
     compiled,
+    drift,
     is_coupled,
     law_of,
     let_go,
@@ -64,7 +65,7 @@ from telenano_laws.ports import (
     of_scales,
     opened,
     opened_anew,
-    paid_damped_way,
+    paid_way,
     received_anew,
     sent_on,
     slid_work,
@@ -72,6 +73,10 @@ from telenano_laws.ports import (
 )
 
 bounded = virtual_mass.bounded
+Drift = drift.Drift
+drifted = drift.drifted
+error_of = drift.error_of
+no_drift = drift.no_drift
 _FARTHEST_M, _FASTEST_M_PER_S = virtual_mass.FARTHEST_M, virtual_mass.FASTEST_M_PER_S
 # the longest lag that the hand is held back by [s], and the time constants of lag and fading [s]
 _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
@@ -79,12 +84,8 @@ _LONGEST_LAG_S, _LAG_S, _FADE_S = 1.0, 1.0, 0.1
 _AGREES_N = 0.5
 # A device that follows is behind its reference by less than this [m].
 _LONGEST_LEAD_M = 2e-3
-# time constant over which the changes of force and place are taken for a drift [s]
-_STEADY_S = 0.1
 # A drift is seen where the force changes by less than this [N/s].
 _STANDS_N_PER_S = 0.2
-# time constant with which the speed of a drift is learnt where the force stands [s]
-_DRIFT_S = 1.0
 # No sample is taken to drift faster, at the tip [m/s].
 _FASTEST_DRIFT_M_PER_S = 5e-10
 # a part of `memory_m` over which the slope is the one assumed beforehand
@@ -202,8 +203,7 @@ class Contact(NamedTuple):
 class Seen(NamedTuple):
     """What came back from contact: newest pair, means and sums of products with fading weights, greatest pull [N].
 
-    Places are less drifted_m, by which the sample has drifted while the tip was in contact [m]; drift_m_per_s: its
-    speed; slow_m, slow_n: place and force as they were lately, the place as measured [m, N].
+    Places are less what the sample has drifted while the tip was in contact.
     """
 
     known: bool
@@ -214,10 +214,7 @@ class Seen(NamedTuple):
     square_m2: float
     product_n_m: float
     pull_n: float
-    slow_m: float
-    slow_n: float
-    drift_m_per_s: float
-    drifted_m: float
+    drift: Drift
 
 
 class MasterState(NamedTuple):
@@ -254,7 +251,7 @@ class SlaveState(NamedTuple):
 @compiled
 def nothing_seen() -> Seen:
     """Return what is known before the first contact."""
-    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Seen(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, no_drift(0.0, 0.0))
 
 
 @compiled
@@ -272,35 +269,6 @@ def potential(contact: Contact, y_m: float) -> float:
 
 
 @compiled
-def drifted(params: BoundedModelParams, seen: Seen, position_m: float, force_n: float, elapsed_s: float) -> Seen:
-    """Learn how fast the sample drifts: what the tip goes beyond the change of its force over the slope.
-
-    x' = F' / K + v, taken over the last `_STEADY_S`, and with the more weight the less the force changes: there the
-    slope says nothing and the drift is all. So a place is regressed on force and time, each where it can be told.
-    """
-    share = min(elapsed_s / _STEADY_S, 1.0)
-    speed, rate = (position_m - seen.slow_m) / _STEADY_S, (force_n - seen.slow_n) / _STEADY_S
-    stands = 1.0 / (1.0 + (rate / _STANDS_N_PER_S) ** 2)
-    drift = speed - rate / slope_of(params, seen)
-    drift = seen.drift_m_per_s + stands * stands * min(elapsed_s / _DRIFT_S, 1.0) * (drift - seen.drift_m_per_s)
-    drift = bounded(drift, _FASTEST_DRIFT_M_PER_S / params.mass.position_scale)
-    return Seen(
-        known=seen.known,
-        last_m=seen.last_m,
-        last_n=seen.last_n,
-        mean_m=seen.mean_m,
-        mean_n=seen.mean_n,
-        square_m2=seen.square_m2,
-        product_n_m=seen.product_n_m,
-        pull_n=seen.pull_n,
-        slow_m=seen.slow_m + share * (position_m - seen.slow_m),
-        slow_n=seen.slow_n + share * (force_n - seen.slow_n),
-        drift_m_per_s=drift,
-        drifted_m=seen.drifted_m + drift * elapsed_s,
-    )
-
-
-@compiled
 def taught(
     params: BoundedModelParams, seen: Seen, measured_m: float, force_n: float, touches: bool, elapsed_s: float
 ) -> Seen:
@@ -309,9 +277,12 @@ def taught(
     A pair has a weight by the way since the one before, less the drift, so a tip that stands forgets nothing, and
     neither does one that is carried along.
     """
+    drift = seen.drift
     if touches and seen.known:
-        seen = drifted(params, seen, measured_m, force_n, elapsed_s)
-    position_m = measured_m - seen.drifted_m
+        most = _FASTEST_DRIFT_M_PER_S / params.mass.position_scale
+        slope = slope_of(params, seen)
+        drift = drifted(drift, measured_m, force_n, force_n, slope, elapsed_s, _STANDS_N_PER_S, most)
+    position_m = measured_m - drift.gone
     if not touches:
         slope = slope_of(params, seen)
         beyond = seen.known and position_m > seen.last_m - (seen.last_n + seen.pull_n) / slope
@@ -326,14 +297,12 @@ def taught(
             seen.square_m2,
             seen.product_n_m,
             seen.pull_n,
-            measured_m,
-            -seen.pull_n,
-            seen.drift_m_per_s,
-            seen.drifted_m,
+            Drift(measured_m, -seen.pull_n, drift.speed, drift.square, drift.gone),
         )
     if not seen.known:
         pull_n = max(-force_n, 0.0)
-        return Seen(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, measured_m, force_n, 0.0, 0.0)
+        here = no_drift(measured_m, force_n)
+        return Seen(True, measured_m, force_n, measured_m, force_n, 0.0, 0.0, pull_n, here)
     way = abs(position_m - seen.last_m) / params.memory_m
     gain = way / (1.0 + way)
     by_m, by_n, kept = position_m - seen.mean_m, force_n - seen.mean_n, 1.0 - gain
@@ -346,10 +315,7 @@ def taught(
         square_m2=kept * (seen.square_m2 + gain * by_m * by_m),
         product_n_m=kept * (seen.product_n_m + gain * by_m * by_n),
         pull_n=max(seen.pull_n, -force_n),
-        slow_m=seen.slow_m,
-        slow_n=seen.slow_n,
-        drift_m_per_s=seen.drift_m_per_s,
-        drifted_m=seen.drifted_m,
+        drift=drift,
     )
 
 
@@ -366,7 +332,7 @@ def goal_of(params: BoundedModelParams, seen: Seen) -> Contact:
     """Return the model that what was seen speaks for, with a well no deeper than allowed."""
     slope = slope_of(params, seen)
     pull = min(seen.pull_n, math.sqrt(2.0 * slope * params.well_j))
-    return Contact(slope, seen.last_m + seen.drifted_m - seen.last_n / slope, pull)
+    return Contact(slope, seen.last_m + seen.drift.gone - seen.last_n / slope, pull)
 
 
 @compiled
@@ -619,7 +585,7 @@ def slave_receive(
     else:
         allowed = max(pressed, 0.0) + params.margin_n - force
         way = min(due, p.period_s / params.approach_n_s_per_m * allowed)
-    way = paid_damped_way(way, force, params.servo_n_s_per_m, p.period_s, store.left_j)
+    way = paid_way(way, force, 2.0 * params.servo_n_s_per_m / p.period_s, store.left_j)
     base = start + p.position_scale * way
     return SlaveState(base, here, force, store, True), SlaveReference(base, True)
 
@@ -651,10 +617,13 @@ def retune(old: BoundedModelParams, new: BoundedModelParams, state: MasterState)
         square_m2=longer * longer * seen.square_m2,
         product_n_m=longer * stronger * seen.product_n_m,
         pull_n=stronger * seen.pull_n,
-        slow_m=longer * seen.slow_m,
-        slow_n=stronger * seen.slow_n,
-        drift_m_per_s=longer * seen.drift_m_per_s,
-        drifted_m=longer * seen.drifted_m,
+        drift=Drift(
+            slow_place=longer * seen.drift.slow_place,
+            slow_force=stronger * seen.drift.slow_force,
+            speed=longer * seen.drift.speed,
+            square=longer * longer * seen.drift.square,
+            gone=longer * seen.drift.gone,
+        ),
     )
     mass = rescaled(old.mass, new.mass, state.mass)
     scaled = Contact(contact.stiffness_n_per_m * stronger / longer, longer * contact.zero_m, stronger * contact.pull_n)
@@ -696,6 +665,13 @@ def master_energy_account(params: BoundedModelParams, state: MasterState) -> Ene
 def slave_energy_account(params: BoundedModelParams, state: SlaveState) -> EnergyAccount:
     """Return what the tip may still get, and what both ports were granted."""
     return account_of(state.store)
+
+
+@compiled
+def sample_drift(params: BoundedModelParams, state: MasterState) -> tuple[float, float]:
+    """Return how fast the sample recedes, and the standard error of that [m/s]."""
+    scale = params.mass.position_scale
+    return scale * state.seen.drift.speed, scale * error_of(state.seen.drift)
 
 
 BOUNDED_MODEL = law_of(

@@ -53,7 +53,19 @@ from telenano.extend.laws import (
     tip_signal,
     virtual_mass,
 )
-from telenano_laws.ports import followed, goes_on, of_scales, slid_work
+from telenano_laws.ports import (
+    HandPort,
+    begun_again,
+    followed,
+    goes_on,
+    is_retracted,
+    kept_near,
+    of_scales,
+    port_at,
+    put_in,
+    slid_work,
+    worked_at,
+)
 
 # after such a silence no wave is on its way any more, and the base stands [s]
 _STANDS_S = 0.02
@@ -113,6 +125,7 @@ class MasterState(NamedTuple):
     sent_j: float
     wave_sqrt_w: float
     stood_s: float
+    port: HandPort
 
 
 class SlaveState(NamedTuple):
@@ -185,16 +198,20 @@ def drawn(params: MatchedWaveParams, inbox: Inbox, wave_sqrt_w: float) -> tuple[
 
 
 @compiled
+def _begun(mass: Mass) -> MasterState:
+    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, port_at(mass.position_m))
+
+
+@compiled
 def master_start(params: MatchedWaveParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+    return _begun(at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: MatchedWaveParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    mass = resumed(params.mass, hand, tip_reference_m)
-    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0)
+    return _begun(resumed(params.mass, hand, tip_reference_m))
 
 
 @compiled
@@ -208,7 +225,7 @@ def master_send(
         velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
         force_n=hand.force_n / p.force_scale,
         wave_sqrt_w=state.wave_sqrt_w,
-        energy_j=state.sent_j,
+        energy_j=state.port.sent_j,
         active=mass.coupled,
     )
 
@@ -221,9 +238,18 @@ def master_receive(
     p, b = params.mass, params.impedance_n_s_per_m
     position = signal.position_m / p.position_scale
     off_s = 0.0 if hand.following else state.stood_s + dt
+    port = worked_at(state, hand)
     if not goes_on(p, state.mass, hand, signal, off_s):
         mass = let_go(p, state.mass, hand, signal)
-        state = MasterState(mass, emptied(position, signal.energy_j), 0.0, state.sent_j, 0.0, off_s)
+        state = MasterState(
+            mass,
+            emptied(position, signal.energy_j),
+            0.0,
+            port.sent_j,
+            0.0,
+            off_s,
+            begun_again(port, state.sent_j, is_retracted(p, signal)),
+        )
         return state, MasterReference(hand.position_m, 0.0, 0.0, is_coupled(p, signal))
     # Signals that were sent before the tip was felt are no waves, so counting starts here.
     inbox = received(state.inbox, position, signal.energy_j)
@@ -236,13 +262,14 @@ def master_receive(
         inbox, wave = drawn(params, inbox, signal.wave_sqrt_w)
         before = mass.position_m
         if hand.following:
-            mass = moved(p, mass, hand.force_n + math.sqrt(2.0 * b) * wave)
+            mass = kept_near(mass, moved(p, mass, hand.force_n + math.sqrt(2.0 * b) * wave), hand.position_m)
         # The mean velocity gives the mean force of the damper b exactly.
         force, out = hand_end(b, (mass.position_m - before) / p.period_s, wave)
         impulse += force * p.period_s / b
         sent += 0.5 * out * out * p.period_s
+        port = put_in(port, force * (mass.position_m - before), sent)
     mass = Mass(mass.position_m, mass.velocity_m_per_s, mass.tip_offset_m, True)
-    state = MasterState(mass, inbox, impulse, sent, out, off_s)
+    state = MasterState(mass, inbox, impulse, sent, out, off_s, port)
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
@@ -347,7 +374,7 @@ def retune(old: MatchedWaveParams, new: MatchedWaveParams, state: MasterState) -
     longer, _ = of_scales(old.mass, new.mass)
     impulse = state.impulse_m * (old.impedance_n_s_per_m / new.impedance_n_s_per_m) * longer
     mass, inbox = rescaled(old.mass, new.mass, state.mass), _rescaled_inbox(state.inbox, longer)
-    return MasterState(mass, inbox, impulse, state.sent_j, state.wave_sqrt_w, state.stood_s)
+    return MasterState(mass, inbox, impulse, state.sent_j, state.wave_sqrt_w, state.stood_s, state.port)
 
 
 @compiled
@@ -371,7 +398,7 @@ def slave_retune(old: MatchedWaveParams, new: MatchedWaveParams, state: SlaveSta
 @compiled
 def master_energy_account(params: MatchedWaveParams, state: MasterState) -> EnergyAccount:
     """Return the wave energy that has arrived and is not yet taken."""
-    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j, 0.0, 0.0)
+    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j, 0.0, state.port.granted_j)
 
 
 @compiled

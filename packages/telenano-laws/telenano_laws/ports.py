@@ -4,7 +4,7 @@ All quantities are at the hand's scale, x = x_s / alpha_p and F = alpha_f F_s, s
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from telenano.extend.laws import (
     EnergyAccount,
@@ -19,7 +19,14 @@ from telenano.extend.laws import (
 )
 
 # numba compiles what a module names itself
+HandPort = virtual_mass.HandPort
 followed = virtual_mass.followed
+begun_again = virtual_mass.begun_again
+port_at = virtual_mass.port_at
+kept_near = virtual_mass.kept_near
+worked = virtual_mass.worked
+unpaid_j = virtual_mass.unpaid_j
+put_in = virtual_mass.put_in
 is_retracted = virtual_mass.is_retracted
 
 
@@ -118,24 +125,50 @@ def clipped_force(force_n: float, own_m: float, way_m_per_n: float, left_j: floa
 
 
 @compiled
-def paid_way(way_m: float, force_n: float, left_j: float) -> float:
-    """Return the part of a way [m] against a force [N] of the sample that the energy pays for."""
-    work = force_n * way_m
-    paid = max(left_j, 0.0)
-    return way_m if work <= paid else way_m * (paid / work)
+def paid_way(way_m: float, force_n: float, stiffness_n_per_m: float, left_j: float) -> float:
+    """Return the part of a way [m] that the energy pays for whatever the sample does in it.
+
+    Up to the stiffness K a sample takes at most F d + K d^2 / 2 over a way d that begins at the force F.
+    """
+    side = math.copysign(1.0, way_m)
+    against = force_n * side
+    root = math.sqrt(against * against + 2.0 * stiffness_n_per_m * max(left_j, 0.0))
+    most = max(root - against, 0.0) / stiffness_n_per_m
+    return side * min(abs(way_m), most)
 
 
 @compiled
-def paid_damped_way(way_m: float, force_n: float, damping_n_s_per_m: float, period_s: float, left_j: float) -> float:
-    """Return the part of a way [m] that the energy pays for whatever the sample does in it.
+def paid_base(
+    params: MassParams,
+    position_m: float,
+    tip: TipMeasurement,
+    way_m: float,
+    stiffness_n_per_m: float,
+    left_j: float,
+    unpaid_m: float,
+) -> float:
+    """Return where the base goes [m]: a way further than it was sent, as far as the energy pays for all that is ahead.
 
-    Up to a stiffness of 2 B / Ts a sample takes at most F d + B d^2 / Ts over a way d that begins at the force F.
+    What a late instrument has not carried out yet is ahead as well. A tip in the air meets nothing on its way back.
+
+    Args:
+        params: The scales.
+        position_m: Where the base was sent last [m].
+        tip: Where it is, and against what force.
+        way_m: How far it should go on, at the hand's scale [m].
+        stiffness_n_per_m: The stiffest sample that is paid for, at the hand's scale [N/m].
+        left_j: The energy that may leave [J].
+        unpaid_m: How far it goes without energy where no force is against that, at the hand's scale [m].
     """
-    side, step = math.copysign(1.0, way_m), damping_n_s_per_m / period_s
-    against = force_n * side
-    root = math.sqrt(against * against + 4.0 * step * max(left_j, 0.0))
-    most = max(root - against, 0.0) / (2.0 * step)
-    return side * min(abs(way_m), most)
+    scale = params.position_scale
+    ahead = (followed(params, position_m, tip) - tip.base_position_m) / scale + way_m
+    if ahead < 0.0 and not tip.in_contact:
+        return tip.base_position_m + scale * ahead
+    force_n = params.force_scale * tip.force_n
+    paid = paid_way(ahead, force_n, stiffness_n_per_m, left_j)
+    if force_n * ahead <= 0.0 and abs(paid) < unpaid_m:
+        paid = virtual_mass.bounded(ahead, unpaid_m)
+    return tip.base_position_m + scale * paid
 
 
 @compiled
@@ -160,6 +193,20 @@ def has_to_be_armed(tip: TipMeasurement) -> bool:
 def goes_on(params: MassParams, mass: Mass, hand: HandSample, signal: PortSignal, stood_s: float) -> bool:
     """Return whether a master half moves or, its device being off for a moment, stands; else it lets the hand go."""
     return is_coupled(params, signal) and (hand.following or (mass.coupled and stood_s <= params.silence_limit_s))
+
+
+@compiled
+def worked_at(state: Any, hand: HandSample) -> HandPort:
+    """Count the work of the hand at a device that follows, for states with `port`, `mass` and `stood_s`."""
+    return worked(state.port, hand, hand.following and state.mass.coupled and state.stood_s == 0.0)
+
+
+@compiled
+def armed_anew(store: Store, port: HandPort, energy_j: float, heard: bool, start_j: float) -> tuple[Store, HandPort]:
+    """Begin once more at the hand's port, with what no hand has paid of what was sent granted."""
+    port = begun_again(port, store.sent_j, True)
+    paid = Store(port.sent_j, store.received_j, store.left_j, store.granted_j)
+    return opened_anew(paid, energy_j, heard, start_j), port
 
 
 @compiled

@@ -22,6 +22,7 @@ textbook is a clip of the force that the virtual mass feels; and 1 N presses a b
 that one period's way costs much of what E_0 is.
 """
 
+import math
 from typing import Any, NamedTuple
 
 from pydantic import Field
@@ -52,8 +53,10 @@ from telenano.extend.laws import (
     tip_signal,
 )
 from telenano_laws.ports import (
+    HandPort,
     Store,
     account_of,
+    armed_anew,
     clipped_force,
     credited,
     followed,
@@ -62,28 +65,51 @@ from telenano_laws.ports import (
     is_heard,
     is_retracted,
     kept_below,
+    kept_near,
     of_scales,
     opened,
     opened_anew,
+    paid_base,
     paid_or_granted,
-    paid_way,
+    port_at,
+    put_in,
     received_anew,
     slid_work,
     stood,
     two_counters,
+    unpaid_j,
+    worked_at,
 )
+
+# A tip whose account is empty goes on through the air, by so much that meeting the sample costs no more, which is
+# granted [J]. Else it could never be brought back to the sample.
+_TOUCH_J = 1e-6
 
 
 class TdpaParams(NamedTuple):
-    """Constants of the law; made_up is the share kappa Ts of a period."""
+    """Constants of the law; made_up is the share kappa Ts of a period, unpaid_m the way that costs no energy in air."""
 
     mass: MassParams
     made_up: float
     start_j: float
     cap_j: float
+    stiffest_n_per_m: float
+    unpaid_m: float
 
 
-class TdpaConfig(MassConfig):
+class PaidConfig(MassConfig):
+    """What laws share whose tip goes no further than its account pays for."""
+
+    stiffest_n_per_m: ranges.StiffnessNPerM = Field(
+        default=6e4, description="Stiffest sample that a step of the tip is paid for, at the hand's scale K [N/m]"
+    )
+
+    def stiffness_limit_n_per_m(self, period_s: float) -> float:
+        """Return the stiffest sample [N/m] for which a step of the tip is paid, whatever the period [s]."""
+        return self.stiffest_n_per_m / (self.force_scale * self.position_scale)
+
+
+class TdpaConfig(PaidConfig):
     """Section `controller.tdpa`; energies at the hand's scale."""
 
     silence_limit_s: ranges.TimeS = Field(
@@ -101,15 +127,18 @@ class TdpaConfig(MassConfig):
         """Return the constants of the compiled steps for a period [s] of the hand."""
         start_j = min(self.start_energy_j, self.energy_cap_j)
         made_up = min(self.drift_rate_per_s * period_s, 1.0)
-        return TdpaParams(self.mass_params(period_s), made_up, start_j, self.energy_cap_j)
+        unpaid_m = math.sqrt(2.0 * _TOUCH_J / self.stiffest_n_per_m)
+        mass, stiffest = self.mass_params(period_s), self.stiffest_n_per_m
+        return TdpaParams(mass, made_up, start_j, self.energy_cap_j, stiffest, unpaid_m)
 
 
 class MasterState(NamedTuple):
-    """The mass, what may leave the hand's port, and for how long the hand has stood, its device being off [s]."""
+    """The mass, what may leave the hand's port, how long the hand has stood, its device being off [s], and its work."""
 
     mass: Mass
     store: Store
     stood_s: float
+    port: HandPort
 
 
 class SlaveState(NamedTuple):
@@ -124,15 +153,20 @@ class SlaveState(NamedTuple):
 
 
 @compiled
+def _begun(params: Any, mass: Mass) -> MasterState:
+    return MasterState(mass, opened(params.start_j), 0.0, port_at(mass.position_m))
+
+
+@compiled
 def master_start(params: TdpaParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0)
+    return _begun(params, at_rest(hand.position_m))
 
 
 @compiled
 def master_resume(params: TdpaParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return MasterState(resumed(params.mass, hand, tip_reference_m), opened(params.start_j), 0.0)
+    return _begun(params, resumed(params.mass, hand, tip_reference_m))
 
 
 @compiled
@@ -143,7 +177,7 @@ def master_send(params: TdpaParams, state: MasterState, hand: HandSample, dt: fl
         position_m=tip_reference(p, mass),
         velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
         force_n=hand.force_n / p.force_scale,
-        energy_j=state.store.sent_j,
+        energy_j=state.port.sent_j,
         active=mass.coupled,
     )
 
@@ -157,24 +191,28 @@ def master_receive(
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
     off_s = 0.0 if hand.following else state.stood_s + dt
+    port = worked_at(state, hand)
     if not goes_on(p, mass, hand, signal, off_s):
         heard = is_heard(signal, p.silence_limit_s)
         store = received_anew(state.store, signal.energy_j, heard)
         if is_retracted(p, signal):
-            store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), store, off_s)
+            store, port = armed_anew(store, port, signal.energy_j, heard, params.start_j)
+        state = MasterState(let_go(p, mass, hand, signal), store, off_s, port)
         return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
     store = credited(state.store, signal.energy_j, params.cap_j)
     if not hand.following:
-        store = paid_or_granted(store, force * (hand.position_m - mass.position_m))
-        return MasterState(stood(mass, hand), store, off_s), MasterReference(hand.position_m, 0.0, force, True)
+        back_j = force * (hand.position_m - mass.position_m)
+        store = paid_or_granted(store, back_j)
+        state = MasterState(stood(mass, hand), store, off_s, put_in(port, back_j, store.sent_j))
+        return state, MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
         own = moved(p, mass, hand.force_n).position_m - mass.position_m
-        force = clipped_force(p.force_scale * signal.force_n, own, p.gamma_x_m_per_n, store.left_j)
-        after = moved(p, mass, hand.force_n - force)
-        store = two_counters(store, force * (after.position_m - mass.position_m))
-        mass = after
-    return MasterState(mass, store, 0.0), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+        force = clipped_force(p.force_scale * signal.force_n, own, p.gamma_x_m_per_n, store.left_j - unpaid_j(port))
+        after = kept_near(mass, moved(p, mass, hand.force_n - force), hand.position_m)
+        into_j = force * (after.position_m - mass.position_m)
+        store = two_counters(store, into_j)
+        mass, port = after, put_in(port, into_j, store.sent_j)
+    return MasterState(mass, store, 0.0, port), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
 @compiled
@@ -192,6 +230,18 @@ def standing(params: Any, position_m: float, tip: TipMeasurement, store: Store) 
 
 
 @compiled
+def tip_worked(store: Store, last_m: float, last_n: float, here_m: float, force_n: float) -> Store:
+    """Book the work of the tip's port by direction; what the store lacks to meet a sample is granted."""
+    out_j = slid_work(last_m, last_n, here_m, force_n)
+    store = two_counters(store, -out_j)
+    if last_n * (here_m - last_m) > 0.0:
+        return store
+    lacking_j = min(max(-store.left_j, 0.0), max(out_j, 0.0), _TOUCH_J)
+    # this port alone is granted it, and `account_of` counts what is granted at both
+    return Store(store.sent_j, store.received_j, store.left_j + lacking_j, store.granted_j + 0.5 * lacking_j)
+
+
+@compiled
 def drift_free_way(heard_m: float, target_m: float, here_m: float, made_up: float) -> float:
     """Return the way of a period [m]: that of the reference, and a share of what was missing before it."""
     return target_m - heard_m + made_up * (heard_m - here_m)
@@ -206,22 +256,23 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p = params.mass
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    store = state.store
+    if state.coupled and tip.following:
+        store = tip_worked(store, state.last_m, state.last_n, here, force)
     if not (is_coupled(p, signal) and tip.following):
         heard = is_heard(signal, p.silence_limit_s)
-        store = received_anew(state.store, signal.energy_j, heard)
+        store = received_anew(store, signal.energy_j, heard)
         if has_to_be_armed(tip):
             store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
         base = state.position_m if tip.following else signal.position_m
         return standing(params, base, tip, store), SlaveReference(base, True)
-    store = credited(state.store, signal.energy_j, params.cap_j)
-    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
-    if state.coupled:
-        store = two_counters(store, -slid_work(state.last_m, state.last_n, here, force))
+    store = credited(store, signal.energy_j, params.cap_j)
     start = followed(p, state.position_m, tip)
     target = signal.position_m / p.position_scale
     before = state.heard_m if state.coupled else target
     wanted = drift_free_way(before, target, start / p.position_scale, params.made_up)
-    base = start + p.position_scale * paid_way(wanted, force, store.left_j)
+    base = paid_base(p, state.position_m, tip, wanted, params.stiffest_n_per_m, store.left_j, params.unpaid_m)
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 
@@ -234,7 +285,9 @@ def slave_send(params: TdpaParams, state: SlaveState, tip: TipMeasurement, dt: f
 @compiled
 def retune(old: Any, new: Any, state: MasterState) -> MasterState:
     """Keep the tip's reference constant when alpha_p changes; what may leave stays below the new cap."""
-    return MasterState(rescaled(old.mass, new.mass, state.mass), kept_below(state.store, new.cap_j), state.stood_s)
+    return MasterState(
+        rescaled(old.mass, new.mass, state.mass), kept_below(state.store, new.cap_j), state.stood_s, state.port
+    )
 
 
 @compiled
@@ -254,7 +307,8 @@ def slave_retune(old: Any, new: Any, state: SlaveState) -> SlaveState:
 @compiled
 def master_energy_account(params: TdpaParams, state: MasterState) -> EnergyAccount:
     """Return what may still leave this port, and what both were granted."""
-    return account_of(state.store)
+    account = account_of(state.store)
+    return EnergyAccount(account.remaining_j, account.dissipated_j, account.granted_j + state.port.granted_j)
 
 
 @compiled

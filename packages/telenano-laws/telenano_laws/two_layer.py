@@ -23,7 +23,6 @@ from pydantic import Field
 
 from telenano.extend.laws import (
     HandSample,
-    MassConfig,
     MassParams,
     MasterReference,
     PortSignal,
@@ -39,6 +38,7 @@ from telenano.extend.laws import (
     the_hands_force,
 )
 from telenano_laws.ports import (
+    armed_anew,
     clipped_force,
     credited,
     followed,
@@ -46,16 +46,20 @@ from telenano_laws.ports import (
     has_to_be_armed,
     is_heard,
     is_retracted,
+    kept_near,
     opened_anew,
+    paid_base,
     paid_or_granted,
-    paid_way,
+    put_in,
     received_anew,
     sent_on,
     slid_work,
     stood,
     tank,
+    unpaid_j,
+    worked_at,
 )
-from telenano_laws.tdpa import MasterState, SlaveState, standing
+from telenano_laws.tdpa import MasterState, PaidConfig, SlaveState, standing
 from telenano_laws.tdpa import master_energy_account as master_energy_account
 from telenano_laws.tdpa import master_resume as master_resume
 from telenano_laws.tdpa import master_send as master_send
@@ -80,9 +84,10 @@ class TwoLayerParams(NamedTuple):
     shared: float
     start_j: float
     cap_j: float
+    stiffest_n_per_m: float
 
 
-class TwoLayerConfig(MassConfig):
+class TwoLayerConfig(PaidConfig):
     """Section `controller.two_layer`; energies at the hand's scale."""
 
     silence_limit_s: ranges.TimeS = Field(
@@ -108,6 +113,7 @@ class TwoLayerConfig(MassConfig):
             shared=min(period_s / self.exchange_s, 1.0),
             start_j=min(self.start_energy_j, self.energy_cap_j),
             cap_j=self.energy_cap_j,
+            stiffest_n_per_m=self.stiffest_n_per_m,
         )
 
 
@@ -126,27 +132,33 @@ def master_receive(
     received = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
     off_s = 0.0 if hand.following else state.stood_s + dt
+    port = worked_at(state, hand)
     if not goes_on(p, mass, hand, signal, off_s):
         heard = is_heard(signal, p.silence_limit_s)
         store = received_anew(state.store, signal.energy_j, heard)
         if is_retracted(p, signal):
-            store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), store, off_s)
+            store, port = armed_anew(store, port, signal.energy_j, heard, params.start_j)
+        state = MasterState(let_go(p, mass, hand, signal), store, off_s, port)
         return state, MasterReference(hand.position_m, 0.0, received if coupled else 0.0, coupled)
     store = credited(state.store, signal.energy_j, params.cap_j)
     if not hand.following:
-        store = paid_or_granted(store, received * (hand.position_m - mass.position_m))
-        return MasterState(stood(mass, hand), store, off_s), MasterReference(hand.position_m, 0.0, received, True)
+        back_j = received * (hand.position_m - mass.position_m)
+        store = paid_or_granted(store, back_j)
+        state = MasterState(stood(mass, hand), store, off_s, put_in(port, back_j, store.sent_j))
+        return state, MasterReference(hand.position_m, 0.0, received, True)
     force = received
     for _ in range(periods_in(dt, p.period_s)):
         wanted = received + level_damper(params, store.left_j) * mass.velocity_m_per_s
         own = moved(p, mass, hand.force_n).position_m - mass.position_m
-        force = clipped_force(wanted, own, p.gamma_x_m_per_n, store.left_j)
-        after = moved(p, mass, hand.force_n - force)
-        store = tank(store, force * (after.position_m - mass.position_m), params.cap_j)
-        store = sent_on(store, params.shared * max(store.left_j, 0.0))
+        force = clipped_force(wanted, own, p.gamma_x_m_per_n, store.left_j - unpaid_j(port))
+        after = kept_near(mass, moved(p, mass, hand.force_n - force), hand.position_m)
+        into_j = force * (after.position_m - mass.position_m)
+        store = tank(store, into_j, params.cap_j)
+        port = put_in(port, into_j, 0.0)
+        store = sent_on(store, params.shared * max(store.left_j - unpaid_j(port), 0.0))
         mass = after
-    return MasterState(mass, store, 0.0), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+    port = put_in(port, 0.0, store.sent_j + unpaid_j(port))
+    return MasterState(mass, store, 0.0, port), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
 @compiled
@@ -158,21 +170,23 @@ def slave_receive(
     While the tip does not follow, the reference is the master's; while the master does not, the base stays.
     """
     p = params.mass
+    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
+    store = state.store
+    if state.coupled and tip.following:
+        store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
     if not (is_coupled(p, signal) and tip.following):
         heard = is_heard(signal, p.silence_limit_s)
-        store = received_anew(state.store, signal.energy_j, heard)
+        store = received_anew(store, signal.energy_j, heard)
         if has_to_be_armed(tip):
             store = opened_anew(state.store, signal.energy_j, heard, params.start_j)
         base = state.position_m if tip.following else signal.position_m
         return standing(params, base, tip, store), SlaveReference(base, True)
-    store = credited(state.store, signal.energy_j, params.cap_j)
-    here, force = tip.base_position_m / p.position_scale, p.force_scale * tip.force_n
-    if state.coupled:
-        store = tank(store, -slid_work(state.last_m, state.last_n, here, force), params.cap_j)
+    store = credited(store, signal.energy_j, params.cap_j)
     start, target = followed(p, state.position_m, tip), signal.position_m / p.position_scale
-    way = paid_way(target - start / p.position_scale, force, store.left_j)
+    # what is sent is no longer there to pay for the way
     store = sent_on(store, params.shared * max(store.left_j, 0.0))
-    base = start + p.position_scale * way
+    way = target - start / p.position_scale
+    base = paid_base(p, state.position_m, tip, way, params.stiffest_n_per_m, store.left_j, 0.0)
     return SlaveState(base, target, here, force, store, True), SlaveReference(base, True)
 
 

@@ -60,7 +60,7 @@ def test_a_drift_is_told_from_a_slope(speed_m_per_s: float) -> None:
         seen = taught(params, seen, drift * time_s + force / 3000.0, force, True, PERIOD_S)
         if time_s > 9.0:
             slopes.append(goal_of(params, seen).stiffness_n_per_m)
-            speeds.append(seen.drift_m_per_s)
+            speeds.append(seen.drift.speed)
     assert 0.75 * 3000.0 < min(slopes) <= max(slopes) < 1.25 * 3000.0
     assert sum(speeds) / len(speeds) == pytest.approx(drift, rel=0.1)
 

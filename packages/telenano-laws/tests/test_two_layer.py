@@ -6,6 +6,8 @@ from telenano_laws.two_layer import TwoLayerConfig, level_damper
 
 import telenano
 
+# The check case is that of a force that does not change over a step.
+SOFT_N_PER_M = 1e-4
 PERIOD_S, SHARE, CAP_J = 1e-3, 0.01, 1.0
 
 
@@ -36,11 +38,11 @@ def test_the_tip_stands_when_its_tank_is_empty() -> None:
         store = credited(store, received, CAP_J)
         sent = SHARE * store.left_j
         store = sent_on(store, sent)
-        way = paid_way(speed * PERIOD_S, force, store.left_j)
+        way = paid_way(speed * PERIOD_S, force, SOFT_N_PER_M, store.left_j)
         store = tank(store, -force * way, CAP_J)
         seen.append((way / PERIOD_S, sent, store.left_j))
     expected = [(0.02, 5e-7, 2.95e-5), (0.029205, 2.95e-7, 0.0), (-0.03, 1e-7, 3.99e-5)]
-    assert seen == [pytest.approx(row, rel=1e-6, abs=1e-15) for row in expected]
+    assert seen == [pytest.approx(row, rel=1e-6, abs=1e-11) for row in expected]
 
 
 @pytest.mark.check("compiles the law")

@@ -42,6 +42,7 @@ from services.controller.law import (
     port_signal,
     the_hands_force,
 )
+from services.controller.laws.shared.drift import Drift, drifted, error_of, no_drift
 from services.controller.laws.shared.pass_through import SlaveState
 from services.controller.laws.shared.pass_through import slave_send as slave_send
 from services.controller.laws.shared.pass_through import slave_start as slave_start
@@ -53,8 +54,10 @@ from services.controller.laws.shared.surface import (
     Surface,
     fitted,
     force_and_potential,
+    gradient,
     met,
     over,
+    root_of,
     unknown,
 )
 from services.controller.laws.shared.virtual_mass import (
@@ -84,6 +87,13 @@ from services.controller.ranges import (
     TimeS,
 )
 from services.numerics.compiled import compiled
+
+# A drift is seen where the force at the tip changes by less than this [nN/s].
+_STANDS_NN_PER_S = 2.0
+# No sample is taken to drift faster, at the tip [nm/s].
+_FASTEST_NM_PER_S = 0.5
+# where the contact ends it has no slope, and nothing is told of a drift [N/m]
+_LEAST_SLOPE = 1e-3
 
 
 class ModelMediatedParams(NamedTuple):
@@ -154,6 +164,8 @@ class ModelMediatedConfig(MassConfig):
 class MasterState(NamedTuple):
     """The mass, the fit, the model in force and whether there is one, and the energy kept for updates [J].
 
+    The places of the fit are less what the sample has drifted since it was met, `drift` in nm and nN; since_s: time
+    since the newest answer [s].
     `injected_j`, `dissipated_j`: all that updates have put into the hand's side, and all that the damper has taken.
     """
 
@@ -164,6 +176,8 @@ class MasterState(NamedTuple):
     store_j: float
     injected_j: float
     dissipated_j: float
+    drift: Drift
+    since_s: float
 
 
 @compiled
@@ -176,6 +190,8 @@ def _begun(params: ModelMediatedParams, mass: Mass) -> MasterState:
         store_j=0.0,
         injected_j=0.0,
         dissipated_j=0.0,
+        drift=no_drift(0.0, 0.0),
+        since_s=0.0,
     )
 
 
@@ -206,15 +222,30 @@ def master_send(
 
 
 @compiled
-def learnt(params: ModelMediatedParams, fit: Fit, signal: PortSignal) -> Fit:
-    """Update the fit by a sample of the tip; outside of contact it can only move the surface further away."""
-    position, force = signal.position_m / NANO, signal.force_n / NANO
+def learnt(
+    params: ModelMediatedParams, fit: Fit, drift: Drift, signal: PortSignal, elapsed_s: float
+) -> tuple[Fit, Drift]:
+    """Update fit and drift by a sample of the tip; outside of contact it can only move the surface further away."""
+    place, force = signal.position_m / NANO, signal.force_n / NANO
     if signal.in_contact:
-        return fitted(params.fit, fit, position, force) if fit.known else met(params.fit, position, force)
+        if not fit.known:
+            return met(params.fit, place, force), no_drift(place, force)
+        r = root_of(place - drift.gone - fit.surface.contact_nm, fit.surface.kappa / params.fit.cantilever)
+        slope = max(-gradient(fit.surface, params.fit.cantilever, r)[0], _LEAST_SLOPE)
+        known = fit.surface.kappa * r * r * r - fit.surface.adhesion_nn
+        drift = drifted(drift, place, force, known, slope, elapsed_s, _STANDS_NN_PER_S, _FASTEST_NM_PER_S)
+        return fitted(params.fit, fit, place - drift.gone, force), drift
+    position = place - drift.gone
     if fit.known and position > fit.surface.contact_nm + params.fit.range_nm:
         surface = Surface(position - params.fit.range_nm, fit.surface.kappa, fit.surface.adhesion_nn)
-        return over(params.fit, fit, surface)
-    return fit
+        return over(params.fit, fit, surface), drift
+    return fit, drift
+
+
+@compiled
+def _now(fit: Fit, drift: Drift) -> Surface:
+    """Return the surface of the fit where it has drifted to."""
+    return Surface(fit.surface.contact_nm + drift.gone, fit.surface.kappa, fit.surface.adhesion_nn)
 
 
 @compiled
@@ -229,9 +260,9 @@ def between(start: Surface, end: Surface, share: float) -> Surface:
 
 @compiled
 def updated(
-    params: ModelMediatedParams, model: Surface, goal: Surface, reference_m: float, store_j: float
+    params: ModelMediatedParams, model: Surface, goal: Surface, share: float, reference_m: float, store_j: float
 ) -> tuple[Surface, float, float]:
-    """Move the model towards the goal as far as force and energy at the hand allow.
+    """Move the model a share of the way to the goal, as far as force and energy at the hand allow.
 
     The share is halved until both limits hold, so the rule is exact whatever the surface's shape; if it gets too small
     the model stays. Returned are the model, the energy used [J] and the force of the model [nN].
@@ -240,7 +271,6 @@ def updated(
     # The factor takes nN nm at the tip to J at the hand.
     joules = NANO * NANO * p.force_scale / p.position_scale
     force, stored = force_and_potential(model, k, span, x)
-    share = params.follow
     for _ in range(12):
         tried = between(model, goal, share)
         tried_nn, potential = force_and_potential(tried, k, span, x)
@@ -260,35 +290,46 @@ def master_receive(
     p, q = params.mass, params.fit
     coupled = is_coupled(p, signal)
     mass, fit, model, rendered = state.mass, state.fit, state.model, state.rendered
+    drift, since_s = state.drift, state.since_s + dt
     if coupled and signal.silence_s < 0.5 * p.period_s:
-        fit = learnt(params, fit, signal)
+        fit, drift = learnt(params, fit, drift, signal, since_s)
+        since_s = 0.0
     if not (coupled and hand.following):
         mass = let_go(p, mass, hand, signal)
         if fit.known and is_retracted(p, signal):
             # After arming anew the tip may meet another surface.
-            fit = unknown(params.fit)
+            fit, drift = unknown(params.fit), no_drift(0.0, 0.0)
         state = MasterState(
             mass=mass,
             fit=fit,
-            model=fit.surface,
+            model=_now(fit, drift),
             rendered=fit.known,
             store_j=0.0,
             injected_j=state.injected_j,
             dissipated_j=state.dissipated_j,
+            drift=drift,
+            since_s=since_s,
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
+    goal = _now(fit, drift)
     if fit.known and not rendered:
         here = tip_reference(p, mass) / NANO
         # If the hand is already beyond the surface, the surface begins under the hand, without force.
-        out = max(fit.surface.contact_nm, here + q.range_nm)
+        out = max(goal.contact_nm, here + q.range_nm)
         if abs(here - signal.position_m / NANO) <= q.bin_nm:
             # Hand and tip are at one place, so the force of the tip is the first one.
-            out = fit.surface.contact_nm
+            out = goal.contact_nm
         model, rendered = Surface(out, fit.surface.kappa, fit.surface.adhesion_nn), True
     store, injected, dissipated, force = state.store_j, state.injected_j, state.dissipated_j, 0.0
+    if rendered:
+        # What a sample drifts takes the model along as it is: only one that comes nearer has to be paid.
+        gone = Surface(model.contact_nm + drift.gone - state.drift.gone, model.kappa, model.adhesion_nn)
+        model, used, _ = updated(params, model, gone, 1.0, tip_reference(p, mass), store)
+        store -= used
+        injected += used
     for _ in range(periods_in(dt, p.period_s)):
         if rendered:
-            model, used, model_nn = updated(params, model, fit.surface, tip_reference(p, mass), store)
+            model, used, model_nn = updated(params, model, goal, params.follow, tip_reference(p, mass), store)
             store -= used
             injected += used
             force = model_nn * NANO * p.force_scale
@@ -300,7 +341,15 @@ def master_receive(
         store = min(store + taken, params.cap_j)
         dissipated += taken
     state = MasterState(
-        mass=mass, fit=fit, model=model, rendered=rendered, store_j=store, injected_j=injected, dissipated_j=dissipated
+        mass=mass,
+        fit=fit,
+        model=model,
+        rendered=rendered,
+        store_j=store,
+        injected_j=injected,
+        dissipated_j=dissipated,
+        drift=drift,
+        since_s=since_s,
     )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
@@ -338,6 +387,8 @@ def retune(old: ModelMediatedParams, new: ModelMediatedParams, state: MasterStat
         store_j=store,
         injected_j=state.injected_j,
         dissipated_j=state.dissipated_j,
+        drift=state.drift,
+        since_s=state.since_s,
     )
 
 
@@ -347,12 +398,18 @@ def master_energy_account(params: ModelMediatedParams, state: MasterState) -> En
     return EnergyAccount(state.store_j, state.dissipated_j - state.injected_j, 0.0)
 
 
+@compiled
+def sample_drift(params: ModelMediatedParams, state: MasterState) -> tuple[float, float]:
+    """Return how fast the sample recedes, and the standard error of that [m/s]."""
+    return state.drift.speed * NANO, error_of(state.drift) * NANO
+
+
 MODEL_MEDIATED = law_of(
     __name__,
     ModelMediatedConfig,
     local_loop=True,
     link_loop=False,
     must_know=("cantilever_stiffness_n_per_m",),
-    fixed_in_contact=("cantilever_stiffness_n_per_m",),
+    fixed_in_contact=("adhesion_range_m", "cantilever_stiffness_n_per_m"),
     rest_force=the_hands_force,
 )

@@ -82,21 +82,28 @@ from services.controller.law import (
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
+    HandPort,
     Mass,
     MassConfig,
     MassParams,
     at_rest,
+    begun_again,
     followed,
     has_arrived,
     is_coupled,
     is_retracted,
+    kept_near,
     let_go,
     moved,
     periods_in,
     placed,
+    port_at,
+    put_in,
     rescaled,
     resumed,
     tip_reference,
+    unpaid_j,
+    worked,
 )
 from services.controller.ranges import (
     DampingNSPerM,
@@ -212,6 +219,7 @@ class MasterState(NamedTuple):
     mass: Mass
     account: Account
     stood_s: float
+    port: HandPort
 
 
 class SlaveState(NamedTuple):
@@ -292,23 +300,27 @@ def opened(start_j: float) -> Account:
 
 
 @compiled
-def opened_anew(account: Account, start_j: float) -> Account:
-    """Let the port begin with E_0 [J] once more; what is left beyond it is dissipated, what is missing granted."""
+def opened_anew(account: Account, start_j: float, sent_j: float) -> Account:
+    """Let the port begin with E_0 [J] once more; what is left beyond it is dissipated, what is missing granted.
+
+    sent_j: what was sent of what was put in, as a hand has paid for it [J].
+    """
     missing = start_j - account.remaining_j
     lost, granted = account.lost_j + max(-missing, 0.0), account.granted_j + max(missing, 0.0)
-    return Account(account.in_j, account.received_j, start_j, lost, granted)
+    return Account(sent_j, account.received_j, start_j, lost, granted)
 
 
 @compiled
 def master_start(params: PassivityParams, hand: HandSample) -> MasterState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0)
+    return MasterState(at_rest(hand.position_m), opened(params.start_j), 0.0, port_at(hand.position_m))
 
 
 @compiled
 def master_resume(params: PassivityParams, hand: HandSample, tip_reference_m: float) -> MasterState:
     """Continue with the hand's motion and the tip's reference."""
-    return MasterState(resumed(params.mass, hand, tip_reference_m), opened(params.start_j), 0.0)
+    mass, port = resumed(params.mass, hand, tip_reference_m), port_at(hand.position_m)
+    return MasterState(mass, opened(params.start_j), 0.0, port)
 
 
 @compiled
@@ -323,7 +335,7 @@ def master_send(
         position_m=tip_reference(p, mass),
         velocity_m_per_s=velocity,
         force_n=force,
-        energy_j=state.account.in_j,
+        energy_j=state.port.sent_j,
         active=mass.coupled,
     )
 
@@ -352,28 +364,34 @@ def charged_or_granted(account: Account, work_j: float) -> Account:
 
 @compiled
 def moved_by_what_is_paid(
-    params: PassivityParams, mass: Mass, account: Account, hand_n: float, force_n: float
-) -> tuple[Mass, Account]:
-    """Move the mass by a period under the hand's force and the channel's [N]; return it with the account.
+    params: PassivityParams, mass: Mass, account: Account, hand: HandSample, force_n: float, port: HandPort
+) -> tuple[Mass, Account, HandPort]:
+    """Move the mass by a period under the hand's force and the channel's [N]; return it with the account and the port.
 
     The damper that fills the store is solved with the mean velocity of the period, so what it takes is exact.
     """
     p = params.mass
     damper = params.refill_n_s_per_m * min(max(1.0 - account.remaining_j / params.level_j, 0.0), 1.0)
+    left, hand_n = account.remaining_j - unpaid_j(port), hand.force_n
     way = moved(p, mass, hand_n - force_n).position_m - mass.position_m
     taken_n = damper * way / (p.period_s + damper * p.gamma_x_m_per_n)
-    after = moved(p, mass, hand_n - force_n - taken_n)
+    after = kept_near(mass, moved(p, mass, hand_n - force_n - taken_n), hand.position_m)
     wanted = after.position_m - mass.position_m
-    own = moved(p, mass, hand_n - taken_n).position_m - mass.position_m
-    motion, work = paid_motion(wanted, own, force_n, account.remaining_j)
+    own = kept_near(mass, moved(p, mass, hand_n - taken_n), hand.position_m).position_m - mass.position_m
+    motion, work = paid_motion(wanted, own, force_n, max(left, 0.0))
     account = charged(account, work, work - force_n * wanted)
+    into_j = work
     if motion == wanted:
-        account = taken(account, damper * motion * motion / p.period_s, params.cap_j)
+        into_j += damper * motion * motion / p.period_s
+        account = taken(account, into_j - work, params.cap_j)
     else:
         mean = motion / p.period_s
         speed = min(abs(after.velocity_m_per_s), abs(mean))
         after = placed(after, mass.position_m + motion, math.copysign(speed, mean))
-    return after, shared_out(account, params.shared)
+    port = put_in(port, into_j, 0.0)
+    if unpaid_j(port) == 0.0:
+        account = shared_out(account, params.shared)
+    return after, account, put_in(port, 0.0, account.in_j)
 
 
 @compiled
@@ -385,23 +403,26 @@ def master_receive(
     force = p.force_scale * signal.force_n
     coupled = is_coupled(p, signal)
     stood = 0.0 if hand.following else state.stood_s + dt
+    port = worked(state.port, hand, hand.following and mass.coupled and state.stood_s == 0.0)
     if not (coupled and (hand.following or (mass.coupled and stood <= p.silence_limit_s))):
         account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if is_retracted(p, signal):
-            account = opened_anew(account, params.start_j)
-        state = MasterState(let_go(p, mass, hand, signal), account, stood)
+            port = begun_again(port, account.in_j, True)
+            account = opened_anew(account, params.start_j, port.sent_j)
+        state = MasterState(let_go(p, mass, hand, signal), account, stood, port)
         return state, MasterReference(hand.position_m, 0.0, force if coupled else 0.0, coupled)
     account = credited(state.account, signal.energy_j, params.cap_j)
     if not mass.coupled:
         account = granted(account, 0.5 * force * force / params.coupling_n_per_m)
     if not hand.following:
         # A device that is off for a moment stands still: the lead of its reference is undone, and paid like a motion.
-        account = shared_out(charged_or_granted(account, force * (hand.position_m - mass.position_m)), params.shared)
-        mass = placed(mass, hand.position_m, 0.0)
-        return MasterState(mass, account, stood), MasterReference(hand.position_m, 0.0, force, True)
+        back_j = force * (hand.position_m - mass.position_m)
+        account = shared_out(charged_or_granted(account, back_j), params.shared)
+        mass, port = placed(mass, hand.position_m, 0.0), put_in(port, back_j, account.in_j)
+        return MasterState(mass, account, stood, port), MasterReference(hand.position_m, 0.0, force, True)
     for _ in range(periods_in(dt, p.period_s)):
-        mass, account = moved_by_what_is_paid(params, mass, account, hand.force_n, force)
-    return MasterState(mass, account, 0.0), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
+        mass, account, port = moved_by_what_is_paid(params, mass, account, hand, force, port)
+    return MasterState(mass, account, 0.0, port), MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
 
 @compiled
@@ -457,7 +478,7 @@ def slave_receive(
         base = state.position_m if tip.following else signal.position_m
         account = received_anew(state.account, signal.energy_j, signal.silence_s <= p.silence_limit_s)
         if not tip.following and not tip.in_contact:
-            account = opened_anew(account, params.start_j)
+            account = opened_anew(account, params.start_j, account.in_j)
         return _standing(params, base, tip, account), SlaveReference(base, True)
     force = p.force_scale * tip.force_n
     account = credited(state.account, signal.energy_j, params.cap_j)
@@ -514,7 +535,7 @@ def retune(old: PassivityParams, new: PassivityParams, state: MasterState) -> Ma
     """Keep the tip's reference constant when alpha_p changes; the energy left stays below the new cap."""
     a = state.account
     account = Account(a.in_j, a.received_j, min(a.remaining_j, new.cap_j), a.lost_j, a.granted_j)
-    return MasterState(rescaled(old.mass, new.mass, state.mass), account, state.stood_s)
+    return MasterState(rescaled(old.mass, new.mass, state.mass), account, state.stood_s, state.port)
 
 
 @compiled
@@ -545,7 +566,8 @@ def slave_retune(old: PassivityParams, new: PassivityParams, state: SlaveState) 
 @compiled
 def master_energy_account(params: PassivityParams, state: MasterState) -> EnergyAccount:
     """Return what this port may still give out, what its controller dissipated, and what both ports were granted."""
-    return EnergyAccount(state.account.remaining_j, state.account.lost_j, 2.0 * state.account.granted_j)
+    granted_j = 2.0 * state.account.granted_j + state.port.granted_j
+    return EnergyAccount(state.account.remaining_j, state.account.lost_j, granted_j)
 
 
 @compiled

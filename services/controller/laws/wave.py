@@ -65,19 +65,26 @@ from services.controller.law import (
     tip_signal,
 )
 from services.controller.laws.shared.virtual_mass import (
+    HandPort,
     Mass,
     MassConfig,
     MassParams,
     at_rest,
+    begun_again,
     followed,
     is_coupled,
+    is_retracted,
+    kept_near,
     let_go,
     moved,
     periods_in,
+    port_at,
+    put_in,
     rescaled,
     resumed,
     stiffness_limit_n_per_m,
     tip_reference,
+    worked,
 )
 from services.controller.ranges import DampingNSPerM, TimeOrNoneS, TimeS
 from services.numerics.compiled import compiled
@@ -152,6 +159,7 @@ class MasterState(NamedTuple):
     begun: bool
     up: bool
     stood_s: float
+    port: HandPort
 
 
 class SlaveState(NamedTuple):
@@ -205,7 +213,7 @@ def emptied(position_m: float, energy_j: float) -> Inbox:
 
 @compiled
 def _begun(mass: Mass) -> MasterState:
-    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0)
+    return MasterState(mass, emptied(0.0, 0.0), 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, port_at(mass.position_m))
 
 
 @compiled
@@ -230,7 +238,7 @@ def master_send(params: WaveParams, state: MasterState, hand: HandSample, dt: fl
         velocity_m_per_s=p.position_scale * mass.velocity_m_per_s,
         force_n=hand.force_n / p.force_scale,
         wave_sqrt_w=state.wave_sqrt_w,
-        energy_j=state.sent_j,
+        energy_j=state.port.sent_j,
         active=state.up,
     )
 
@@ -244,18 +252,20 @@ def master_receive(
     position = signal.position_m / p.position_scale
     coupled = is_coupled(p, signal)
     stood = 0.0 if hand.following else state.stood_s + dt
+    port = worked(state.port, hand, hand.following and state.up and state.stood_s == 0.0)
     if not (coupled and (hand.following or (state.up and stood <= p.silence_limit_s))):
         state = MasterState(
             mass=let_go(p, state.mass, hand, signal),
             inbox=emptied(position, signal.energy_j),
             impulse_m=0.0,
-            sent_j=state.sent_j,
+            sent_j=port.sent_j,
             wave_sqrt_w=0.0,
             bias_n=0.0,
             granted_j=state.granted_j,
             begun=state.begun,
             up=False,
             stood_s=stood,
+            port=begun_again(port, state.sent_j, is_retracted(p, signal)),
         )
         return state, MasterReference(hand.position_m, 0.0, 0.0, coupled)
     # Signals that were sent before the tip was felt are no waves, so counting starts here.
@@ -271,7 +281,7 @@ def master_receive(
         inbox, wave = drawn(inbox, params.share, b, period)
         before = mass.position_m
         if hand.following:
-            mass = moved(p, mass, hand.force_n - bias + root * wave)
+            mass = kept_near(mass, moved(p, mass, hand.force_n - bias + root * wave), hand.position_m)
         # the mean velocity gives the mean force of the damper b exactly, and never more energy than it took
         velocity = (mass.position_m - before) / period
         force = b * velocity - root * wave
@@ -280,6 +290,7 @@ def master_receive(
         sent += 0.5 * out * out * period
         granted += abs(bias * velocity) * period
         force += bias
+        port = put_in(port, force * velocity * period, sent)
         bias *= params.fade
     state = MasterState(
         mass=mass,
@@ -292,6 +303,7 @@ def master_receive(
         begun=True,
         up=True,
         stood_s=stood,
+        port=port,
     )
     return state, MasterReference(mass.position_m, mass.velocity_m_per_s, force, True)
 
@@ -415,9 +427,12 @@ def slave_send(params: WaveParams, state: SlaveState, tip: TipMeasurement, dt: f
 def _retuned_inbox(old: WaveParams, new: WaveParams, inbox: Inbox) -> tuple[Inbox, float]:
     """Return the counters under other parameters, such that the wave that is drawn stays, and the energy granted [J].
 
-    A wave is a share of what is due, so another share needs as much more or less of that, and of its energy.
+    A wave is a share of what is due and of what comes in its period, so what is left of that after a steady wave is
+    1 / share - 1 of it, and as much more or less is needed, and of its energy.
     """
-    longer, more = old.mass.position_scale / new.mass.position_scale, old.share / new.share
+    longer, more = old.mass.position_scale / new.mass.position_scale, 1.0
+    if old.share < 1.0:
+        more = old.share * (1.0 - new.share) / (new.share * (1.0 - old.share))
     due_m, due_j = inbox.received_m - inbox.taken_m, max(inbox.received_j - inbox.taken_j, 0.0)
     received_m = longer * inbox.received_m
     retuned = Inbox(received_m, received_m - more * due_m, inbox.received_j, inbox.received_j - more * due_j)
@@ -441,6 +456,7 @@ def retune(old: WaveParams, new: WaveParams, state: MasterState) -> MasterState:
         begun=state.begun,
         up=state.up,
         stood_s=state.stood_s,
+        port=state.port,
     )
 
 
@@ -469,7 +485,9 @@ def slave_retune(old: WaveParams, new: WaveParams, state: SlaveState) -> SlaveSt
 @compiled
 def master_energy_account(params: WaveParams, state: MasterState) -> EnergyAccount:
     """Return the wave energy that has arrived and is not yet taken, and the most that F_0 may have put in."""
-    return EnergyAccount(state.inbox.received_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j)
+    return EnergyAccount(
+        state.inbox.received_j - state.inbox.taken_j, 0.0, 2.0 * state.granted_j + state.port.granted_j
+    )
 
 
 @compiled

@@ -34,7 +34,7 @@ surfaces = st.builds(Surface, st.floats(-5.0, 5.0), st.floats(1.0, 100.0), st.fl
 
 @given(surfaces, surfaces, st.floats(-10e-9, 10e-9), st.floats(0.0, 1e-3))
 def test_update_never_uses_more_energy_than_there_is(old: Surface, new: Surface, x: float, store: float) -> None:
-    model, used, force = updated(PARAMS, old, new, x, store)
+    model, used, force = updated(PARAMS, old, new, PARAMS.follow, x, store)
     assert force == force_nn(model, K, RANGE, x / 1e-9)
     rise = (potential(model, K, RANGE, 1e9 * x) - potential(old, K, RANGE, 1e9 * x)) * JOULES
     assert rise <= store + 1e-18
@@ -47,10 +47,10 @@ def test_update_at_the_bound_passes_and_a_millionth_past_it_does_not() -> None:
     # pressed 1 nm in, the surface rises by a millionth of the way to the goal, well below the limit of the force
     old, x = Surface(0.0, 18.0, 0.0), 1e-9
     goal = Surface(-1e-3, 18.0, 0.0)
-    model, used, force = updated(PARAMS, old, goal, x, 1.0)
+    model, used, force = updated(PARAMS, old, goal, PARAMS.follow, x, 1.0)
     assert used > 0.0
-    assert updated(PARAMS, old, goal, x, used) == (model, used, force)
-    less, cost, _ = updated(PARAMS, old, goal, x, used * (1.0 - 1e-6))
+    assert updated(PARAMS, old, goal, PARAMS.follow, x, used) == (model, used, force)
+    less, cost, _ = updated(PARAMS, old, goal, PARAMS.follow, x, used * (1.0 - 1e-6))
     assert cost < used
     assert abs(less.contact_nm) < abs(model.contact_nm)
 

@@ -29,7 +29,7 @@ from services.controller.laws.passivity import (
     slave_start,
     taken,
 )
-from services.controller.laws.shared.virtual_mass import Mass, moved
+from services.controller.laws.shared.virtual_mass import HandPort, Mass, moved
 
 T = 1e-3
 SHIPPED = PassivityConfig().to_params(T)
@@ -52,6 +52,11 @@ def slave(
 ) -> SlaveState:
     account = Account(0.0, 0.0, remaining_j, 0.0, 1e-3)
     return SlaveState(base_m, stretch_m, 0.0, limit_n, base_m, 0.0, account, True)
+
+
+def master(mass: Mass, account: Account) -> MasterState:
+    """Return a half whose hand has worked enough at its device to pay for all that it has put in."""
+    return MasterState(mass, account, 0.0, HandPort(0.0, 1e-3, account.in_j, 0.0))
 
 
 def test_the_constants_of_the_steps_follow_from_the_settings() -> None:
@@ -93,27 +98,28 @@ def test_an_account_keeps_each_direction_by_itself() -> None:
 
 
 def test_a_port_that_is_opened_anew_is_granted_what_is_missing_and_loses_what_is_too_much() -> None:
-    poor = opened_anew(Account(1.0, 2.0, 0.25e-3, 4.0, 5.0), 1e-3)
+    poor = opened_anew(Account(1.0, 2.0, 0.25e-3, 4.0, 5.0), 1e-3, 0.5)
     assert (poor.remaining_j, poor.lost_j, poor.granted_j) == (1e-3, 4.0, exactly(5.00075))
-    rich = opened_anew(Account(1.0, 2.0, 3e-3, 4.0, 5.0), 1e-3)
+    rich = opened_anew(Account(1.0, 2.0, 3e-3, 4.0, 5.0), 1e-3, 1.0)
     assert (rich.remaining_j, rich.lost_j, rich.granted_j) == (1e-3, exactly(4.002), 5.0)
-    assert (poor.in_j, poor.received_j) == (rich.in_j, rich.received_j) == (1.0, 2.0)
+    assert (poor.in_j, poor.received_j) == (0.5, 2.0)
+    assert (rich.in_j, rich.received_j) == (1.0, 2.0)
 
 
 @pytest.mark.parametrize("remaining_j", [0.0, 4e-3])
 def test_both_ports_begin_with_the_starting_energy_again_when_the_tip_was_retracted(remaining_j: float) -> None:
     account = Account(7e-3, 6e-3, remaining_j, 0.0, 1e-3)
     retracted = NO_SIGNAL._replace(active=False, in_contact=False, silence_s=0.0, energy_j=6e-3)
-    master, _ = master_receive(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account, 0.0), HAND, retracted, T)
+    hand, _ = master_receive(PARAMS, master(Mass(0.0, 0.0, 0.0, True), account), HAND, retracted, T)
     away = FREE._replace(following=False)
     base, _ = slave_receive(PARAMS, slave()._replace(account=account), ANSWER._replace(energy_j=6e-3), away, T)
-    for after in (master.account, base.account):
+    for after in (hand.account, base.account):
         assert after.remaining_j == PARAMS.start_j
         assert after.granted_j - after.lost_j == exactly(1e-3 + PARAMS.start_j - remaining_j)
     # a tip that still touches, or one that nothing is heard of, leaves the account as it is
     for signal in (retracted._replace(in_contact=True), retracted._replace(silence_s=1.0)):
-        master, _ = master_receive(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account, 0.0), HAND, signal, T)
-        assert master.account == account
+        hand, _ = master_receive(PARAMS, master(Mass(0.0, 0.0, 0.0, True), account), HAND, signal, T)
+        assert hand.account == account
     held = slave()._replace(account=account)
     signal = ANSWER._replace(active=False, energy_j=6e-3)
     for tip in (away._replace(in_contact=True), FREE):
@@ -230,8 +236,8 @@ def test_each_side_sends_a_share_of_its_store_and_no_energy_is_made_of_it() -> N
     for share in (SHIPPED.shared, 1.0):
         sent = shared_out(account, share)
         assert sent.in_j + sent.remaining_j == exactly(account.in_j + account.remaining_j)
-    master, _ = master_receive(SHIPPED, pressed(1e-3), HAND, ANSWER, T)
-    assert master.account.in_j == exactly(SHIPPED.shared * 1e-3)
+    hand, _ = master_receive(SHIPPED, pressed(1e-3), HAND, ANSWER, T)
+    assert hand.account.in_j == exactly(SHIPPED.shared * 1e-3)
     base, _ = slave_receive(SHIPPED, slave(), ANSWER, FREE, T)
     assert base.account.in_j == exactly(SHIPPED.shared * 4e-3)
 
@@ -299,10 +305,10 @@ def test_what_a_take_up_puts_into_the_coupling_is_granted() -> None:
     assert state.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
     again, _ = slave_receive(PARAMS, state, signal, tip, T)
     assert again.account.granted_j == state.account.granted_j
-    master, _ = master_receive(PARAMS, master_start(PARAMS, HAND), HAND, signal, T)
-    assert master.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
-    master, _ = master_receive(PARAMS, master, HAND, signal, T)
-    assert master.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
+    hand, _ = master_receive(PARAMS, master_start(PARAMS, HAND), HAND, signal, T)
+    assert hand.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
+    hand, _ = master_receive(PARAMS, hand, HAND, signal, T)
+    assert hand.account.granted_j == exactly(1e-3 + 0.5 * force**2 / k)
 
 
 def test_a_half_begins_with_the_stretch_of_the_force_that_the_tip_feels() -> None:
@@ -329,7 +335,7 @@ def test_the_lead_of_a_half_that_was_taken_up_stays_between_coupling_and_referen
 
 
 def pressed(remaining_j: float) -> MasterState:
-    return MasterState(Mass(1e-3, 0.0, 0.0, True), Account(0.0, 0.0, remaining_j, 0.0, 1e-3), 0.0)
+    return master(Mass(1e-3, 0.0, 0.0, True), Account(0.0, 0.0, remaining_j, 0.0, 1e-3))
 
 
 def test_a_free_hand_moves_the_mass_and_charges_the_work_against_the_channel() -> None:
@@ -344,6 +350,21 @@ def test_a_free_hand_moves_the_mass_and_charges_the_work_against_the_channel() -
     # two periods are two steps
     twice, _ = master_receive(PARAMS, pressed(4e-3), hand, ANSWER._replace(force_n=force), 2.0 * T)
     assert twice.mass == moved(PARAMS.mass, free, 8.0)
+
+
+def test_what_the_reference_puts_in_while_the_device_is_stuck_is_neither_sent_nor_shared() -> None:
+    force, start = 2.0 / PARAMS.mass.force_scale, Account(0.0, 0.0, 4e-3, 0.0, 1e-3)
+    stuck = HAND._replace(force_n=10.0)
+    state = MasterState(Mass(0.0, 0.0, 0.0, True), start, 0.0, HandPort(0.0, 0.0, 0.0, 0.0))
+    for _ in range(200):
+        state, reference = master_receive(SHIPPED, state, stuck, ANSWER._replace(force_n=force), T)
+    assert state.account.in_j > 1e-3
+    assert master_send(SHIPPED, state, stuck, T)[1].energy_j == 0.0
+    # the reference stops where a device that follows cannot be any more, and what it undoes there it takes back
+    assert (reference.position_m, reference.velocity_m_per_s) == (exactly(2e-3), 0.0)
+    # a device that comes after all pays for it
+    came, _ = master_receive(SHIPPED, state, stuck._replace(position_m=2e-3), ANSWER._replace(force_n=force), T)
+    assert master_send(SHIPPED, came, stuck, T)[1].energy_j == came.account.in_j > 1e-3
 
 
 def test_a_motion_that_was_cut_is_slower_and_what_it_would_have_taken_is_dissipated() -> None:
@@ -372,7 +393,7 @@ def test_a_cut_motion_keeps_the_speed_of_the_free_one_where_that_is_lower() -> N
     wanted = free.position_m - 1e-3
     assert wanted < own < 0.0
     assert abs(free.velocity_m_per_s) < abs(wanted) / T
-    state, _ = master_receive(PARAMS, MasterState(start, Account(0.0, 0.0, 0.0, 0.0, 0.0), 0.0), hand,
+    state, _ = master_receive(PARAMS, master(start, Account(0.0, 0.0, 0.0, 0.0, 0.0)), hand,
                               ANSWER._replace(force_n=force), T)  # fmt: skip
     # what the hand does by itself costs nothing
     assert state.mass.position_m - 1e-3 == pytest.approx(own, rel=1e-9, abs=0.0)
@@ -412,13 +433,13 @@ def test_an_uncoupled_master_leaves_the_hand_alone_and_names_the_force_only_whil
 def test_each_port_sends_its_place_its_force_and_the_energy_that_went_in() -> None:
     mass = Mass(2e-3, 0.05, 1e-9, True)
     account = Account(4e-4, 0.0, 1e-3, 0.0, 1e-3)
-    state = MasterState(mass, account, 0.0)
+    state = master(mass, account)
     hand = HAND._replace(force_n=3.0)
     assert master_send(PARAMS, state, hand, T)[0] == state
     sent = master_send(PARAMS, state, hand, T)[1]
     assert sent == (exactly(SCALE * 2e-3 + 1e-9), exactly(SCALE * 0.05), exactly(3e-8), 0.0, 4e-4, 0.0, False, False,
                     True, 0.0, 0.0)  # fmt: skip
-    assert not master_send(PARAMS, MasterState(mass._replace(coupled=False), account, 0.0), hand, T)[1].active
+    assert not master_send(PARAMS, master(mass._replace(coupled=False), account), hand, T)[1].active
     base = SlaveState(1e-9, 2e-4, 0.0, 0.0, 1e-9, 0.0, account, True)
     tip = TipMeasurement(3e-9, 1e-9, 5e-9, True, False, True, 0.0)
     expected = exactly(PARAMS.coupling_n_per_m * 2e-4 / PARAMS.mass.force_scale)
@@ -432,7 +453,7 @@ def test_each_port_sends_its_place_its_force_and_the_energy_that_went_in() -> No
 
 def test_the_energy_account_of_each_half_has_the_grants_of_both() -> None:
     account = Account(4e-4, 2e-4, 3e-4, 5e-4, 1e-3)
-    assert PASSIVITY.master_energy_account(PARAMS, MasterState(Mass(0.0, 0.0, 0.0, True), account, 0.0)) == (
+    assert PASSIVITY.master_energy_account(PARAMS, master(Mass(0.0, 0.0, 0.0, True), account)) == (
         3e-4,
         5e-4,
         2e-3,

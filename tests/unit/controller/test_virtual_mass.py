@@ -6,16 +6,24 @@ import pytest
 
 from services.controller.law import NO_SIGNAL, HandSample
 from services.controller.laws.shared.virtual_mass import (
+    LONGEST_LEAD_M,
+    HandPort,
     Mass,
     MassConfig,
     at_rest,
+    begun_again,
     is_coupled,
+    kept_near,
     let_go,
     moved,
     periods_in,
+    port_at,
+    put_in,
     rescaled,
     resumed,
     tip_reference,
+    unpaid_j,
+    worked,
 )
 
 PERIOD_S = 1e-3
@@ -83,3 +91,34 @@ def test_coupling_needs_a_tip_that_follows_and_sends(active: bool, silence_s: fl
 @pytest.mark.parametrize(("dt", "count"), [(0.0, 1), (1e-3, 1), (1.4e-3, 1), (1.6e-3, 2), (0.05, 50)])
 def test_whole_periods_in_a_time(dt: float, count: int) -> None:
     assert periods_in(dt, PERIOD_S) == count
+
+
+def test_energy_of_the_channel_is_sent_when_the_hand_has_worked_for_it_at_its_device() -> None:
+    hand = HandSample(0.0, 0.0, 2.0, True)
+    # the reference goes 1 mm against 1 N and the device stands
+    port = put_in(worked(port_at(0.0), hand, True), 1e-3, 1e-3)
+    assert (port.sent_j, unpaid_j(port)) == (0.0, 1e-3)
+    # the device comes a quarter of the way under 2 N, and all of it later
+    port = put_in(worked(port, hand._replace(position_m=2.5e-4), True), 0.0, 1e-3)
+    assert port.sent_j == pytest.approx(5e-4, rel=1e-12)
+    port = put_in(worked(port, hand._replace(position_m=1e-3), True), 0.0, 1e-3)
+    assert (port.sent_j, unpaid_j(port)) == (1e-3, 0.0)
+    # a device that was moved by no law has not worked
+    assert worked(port, hand._replace(position_m=0.1), False).credit_j == port.credit_j
+
+
+def test_what_is_left_over_of_the_work_of_a_hand_is_forgotten_and_what_is_owed_is_not() -> None:
+    assert begun_again(HandPort(0.0, 5e-4, 1e-3, 0.0), 1e-3, False).credit_j == 0.0
+    # what was never sent need not be paid
+    assert begun_again(HandPort(0.0, -2e-4, 1e-3, 0.0), 1.25e-3, False).credit_j == 0.0
+    owed = HandPort(0.0, -5e-4, 1e-3, 0.0)
+    assert begun_again(owed, 1.2e-3, False).credit_j == pytest.approx(-3e-4, rel=1e-12)
+    assert begun_again(owed, 1.2e-3, True) == (0.0, 0.0, 1e-3, pytest.approx(3e-4, rel=1e-12))
+
+
+def test_a_reference_stops_where_its_device_cannot_be_following_and_never_jumps_back() -> None:
+    before, after = Mass(1.9e-3, 0.5, 0.0, True), Mass(2.4e-3, 0.5, 0.0, True)
+    assert kept_near(before, after, 0.5e-3) == after
+    assert kept_near(before, after, 0.0) == Mass(LONGEST_LEAD_M, 0.0, 0.0, True)
+    assert kept_near(before, after, -1e-3).position_m == pytest.approx(before.position_m, rel=1e-12)
+    assert kept_near(before, Mass(1.5e-3, -0.4, 0.0, True), -1e-3).velocity_m_per_s == -0.4

@@ -324,10 +324,12 @@ class QuestPlus(_Base):
 def checked(settings: Mapping[str, Any], origin: str = "adaptive") -> Any:
     """Return the settings of a method, from those of an experiment's file.
 
+    Without a `method` it is QUEST+, whose intervals are the narrowest of as many trials (docs/experiments.md).
+
     Raises:
         ConfigError: A key is wrong; the error names it after `origin`.
     """
-    return validate(Adaptive, settings, origin).root
+    return validate(Adaptive, {"method": "quest_plus", **settings}, origin).root
 
 
 def most_trials(settings: Mapping[str, Any]) -> int:

@@ -29,6 +29,11 @@ FOLLOWED_M = 6e-11
 # A base that is further away than this, at the hand's scale, was sent there by something else than the loop of the half
 # [m].
 ARRIVED_M = 1e-3
+# A device that follows is behind its reference by less than this [m]; a reference goes no further from one that is
+# stuck, at the end of its travel say.
+LONGEST_LEAD_M = 2e-3
+# Work of the hand that a law has not used is kept up to this, for the energy of its moving mass [J].
+_KEPT_WORK_J = 1e-3
 
 
 class MassParams(NamedTuple):
@@ -51,6 +56,18 @@ class Mass(NamedTuple):
     velocity_m_per_s: float
     tip_offset_m: float
     coupled: bool
+
+
+class HandPort(NamedTuple):
+    """Where the device was [m], the work of the hand there less what the channel got, what is sent, and granted [J].
+
+    The channel gets its energy from the reference, and the hand gives its at the device, which is late or stuck.
+    """
+
+    device_m: float
+    credit_j: float
+    sent_j: float
+    granted_j: float
 
 
 class ScaledConfig(Settings):
@@ -194,6 +211,52 @@ def moved(params: MassParams, mass: Mass, force_n: float) -> Mass:
     position = mass.position_m + params.phi_xv_s * mass.velocity_m_per_s + params.gamma_x_m_per_n * force_n
     velocity = params.phi_vv * mass.velocity_m_per_s + params.gamma_v_m_per_n_s * force_n
     return Mass(bounded(position, FARTHEST_M), bounded(velocity, FASTEST_M_PER_S), mass.tip_offset_m, True)
+
+
+@compiled
+def kept_near(mass: Mass, after: Mass, hand_m: float) -> Mass:
+    """Return the mass after a step, stopped where its device cannot be following any more [m]."""
+    most = max(LONGEST_LEAD_M, abs(mass.position_m - hand_m))
+    lead = after.position_m - hand_m
+    if abs(lead) <= most:
+        return after
+    return Mass(hand_m + bounded(lead, most), 0.0, after.tip_offset_m, after.coupled)
+
+
+@compiled
+def worked(port: HandPort, hand: HandSample, counts: bool) -> HandPort:
+    """Count the work of the hand at its device since the last sample, where a law moved it."""
+    work_j = hand.force_n * (hand.position_m - port.device_m) if counts else 0.0
+    return HandPort(hand.position_m, port.credit_j + work_j, port.sent_j, port.granted_j)
+
+
+@compiled
+def port_at(device_m: float) -> HandPort:
+    """Return the port of a half that begins, with a device at a place [m]."""
+    return HandPort(device_m, 0.0, 0.0, 0.0)
+
+
+@compiled
+def begun_again(port: HandPort, all_j: float, anew: bool) -> HandPort:
+    """Forget what the hand has left over, and what was not sent of all that there was to send [J], as it is not paid.
+
+    What was sent and is not paid stays so; anew, after an arming, it is granted.
+    """
+    owed_j = max(port.sent_j - all_j - port.credit_j, 0.0)
+    return HandPort(port.device_m, 0.0 if anew else -owed_j, port.sent_j, port.granted_j + (owed_j if anew else 0.0))
+
+
+@compiled
+def unpaid_j(port: HandPort) -> float:
+    """Return the energy [J] that the channel has got and no hand has put into its device: it is not to be spent."""
+    return max(-port.credit_j, 0.0)
+
+
+@compiled
+def put_in(port: HandPort, into_j: float, all_j: float) -> HandPort:
+    """Book what the channel got at the reference [J], and send as much of all that it has to send as is paid."""
+    credit_j = min(port.credit_j - into_j, _KEPT_WORK_J)
+    return HandPort(port.device_m, credit_j, max(port.sent_j, all_j + min(credit_j, 0.0)), port.granted_j)
 
 
 @compiled
