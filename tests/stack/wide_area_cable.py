@@ -283,7 +283,8 @@ def fig12(
         cable_late = lateness(counts, before, begin_ns, end_ns)
         rig.slave.stop()
         summary = rig.master.summary()
-        recording = recording_of(rig.slave.out)
+        # Where the slave's recording was fetched, that of both sites has the instrument.
+        recording, both = recording_of(rig.slave.out), rig.master.out / "both.mcap"
         events = events_of_session(recording)
         deadlines = [event for event in events if "command_deadline" in str(event["data"].get("reason", ""))]
         delays = {site.name: one_way_ms(site.out, begin_ns, end_ns) for site in (rig.master, rig.slave)}
@@ -303,7 +304,7 @@ def fig12(
             "injected_ms": injected_ms(rig.master.out) if measured is not None else {},
             "deadlines_missed": len(deadlines),
             "lines": summary.get("lines", []),
-            "tip": tip_of(recording, begin_ns, end_ns),
+            "tip": tip_of(both if both.exists() else recording, begin_ns, end_ns),
             "cable": cable_late,
             "distorted": distorted(cable_late),
             "sent_bytes": counts["bytes_taken"],

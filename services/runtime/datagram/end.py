@@ -17,7 +17,7 @@ from typing import Any, Literal, cast
 from proto.messages import InputHealth, Message
 from proto.network_messages import LinkKey
 from services.runtime.bus.address_book import LinkTransport
-from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, Taken
 from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.datagram.agreement import Agreement
 from services.runtime.datagram.arrivals import ArrivalRecord
@@ -197,14 +197,14 @@ class DatagramEnd:
         """Whether the other end has lately said, by datagram or over TCP, that datagrams arrive there."""
         return self._clock.monotonic_ns() - self._acknowledged_ns < _UNHEARD_NS and self._expected > 0
 
-    def carry(self, topic: str, payload: bytes) -> bool:
+    def carry(self, topic: str, payload: bytes) -> bytes | None:
         """Send a sample that was published, at once, if it is one of those that cross as datagrams.
 
         Returns:
-            Whether it is one of the few that are sent over TCP as well.
+            By which of SPARSE it is sent over TCP as well, None for most.
         """
         if topic not in self._sent_topics:
-            return False
+            return None
         now = self._clock.monotonic_ns()
         # Where no acknowledgement comes and the other end receives over TCP, the signs of life that `maintain` sends
         # will tell when that changes.
@@ -520,6 +520,15 @@ class DatagramEnd:
         if is_blocked and self._blocked_since_ns is None:
             self._blocked_since_ns = self._reception.arrived_ns + self._clock.epoch_offset_ns
             self._reception.remind(now_ns)
+
+    def take_sparse(self, waiting: Sequence[Taken]) -> list[Received]:
+        """Return what brings something new of the sparse samples that came by a connection beside the subscriber's."""
+        sifted = [(self._sift(list(frames)), received_ns) for frames, received_ns in waiting]
+        return self.subscriber.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
+
+    def connect_beside(self, beside: Subscriber) -> None:
+        """Take a further connection to the other machine, for the sparse samples that go by it."""
+        self._reception.connect_beside(beside)
 
     def _sift(self, frames: list[bytes]) -> list[bytes] | None:
         sifted = self._reception.sift(frames, self._clock.monotonic_ns())

@@ -79,11 +79,18 @@ class Reception:
         # Whether TCP can carry all samples, and not only the sparse ones.
         self._roomy = True
         self._subscribed: set[bytes] = {topic.encode() for topic in topics}
-        self._names = {SPARSE + topic.encode(): topic.encode() for topic in topics}
+        self._names = {sparse + topic.encode(): topic.encode() for sparse in SPARSE for topic in topics}
+        # What the socket of all samples carries of them, and what a connection beside it does.
+        self._first, self._second = ([sparse + topic.encode() for topic in topics] for sparse in SPARSE)
+        self._beside: Subscriber | None = None
         # The newest sample that came over TCP in its own right: a sparse one is sent right behind it.
         self._whole = b""
         self._next_reminder_ns = now_ns + _UNOFFERED_NS
         self._subscribe(streaming=False)
+
+    def connect_beside(self, beside: Subscriber) -> None:
+        """Take a further connection to the other machine, for the sparse samples that go by it."""
+        self._beside = beside
 
     def silence_ns(self, now_ns: int) -> int:
         """Return the time since the newest datagram [ns]."""
@@ -183,7 +190,11 @@ class Reception:
         self._streaming = streaming
         wanted = set(self._names.values()) if streaming and self._roomy else set()
         if self._falls_back and (streaming or self.way == "datagram"):
-            wanted |= set(self._names)
+            wanted |= set(self._first)
+            beside, self._beside = self._beside, None
+            if beside is not None:
+                for frame in self._second:
+                    beside.socket.subscribe(frame)
         for frame in sorted(wanted - self._subscribed):
             self._subscriber.socket.subscribe(frame)
         for frame in sorted(self._subscribed - wanted):

@@ -4,17 +4,18 @@ The ends are those of the product, with every datagram and every message over TC
 to a sample: in order, and late by the time of a retransmission where a packet is lost, so that what follows waits.
 """
 
+import heapq
 import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import zmq
 from datagram_bench import SOURCES, Side, SocketLog
 from network_bench import payload
 
-from services.runtime.bus.publisher import SPARSE
 from services.runtime.datagram.pacing import NETWORK_BYTES
 
 MS, S = 1_000_000, 1_000_000_000
@@ -46,12 +47,14 @@ class Way:
     block: Block
     draw: random.Random
     free_ns: int = 0
-    tcp_ns: int = 0
+    # When the newest message of each connection of TCP arrives.
+    tcp_ns: list[int] = field(default_factory=lambda: [0, 0])
     tcp_is_cut: bool = False
+    sent: int = 0
     # How often the unluckiest packet of TCP was sent again.
     worst_again: int = 0
     datagrams: deque[tuple[int, bytes]] = field(default_factory=deque)
-    messages: deque[tuple[int, Callable[[], None]]] = field(default_factory=deque)
+    messages: list[tuple[int, int, Callable[[], None]]] = field(default_factory=list)
 
     def _through(self, size_bytes: int, now_ns: int) -> int | None:
         """Return when a packet has passed the bottleneck and the delay; None where its queue is full."""
@@ -70,8 +73,8 @@ class Way:
         if at_ns is not None:
             self.datagrams.append((at_ns, data))
 
-    def message(self, size_bytes: int, act: Callable[[], None], now_ns: int) -> None:
-        """Carry a message over TCP and act when it has arrived; nothing overtakes one that has to be sent again."""
+    def message(self, size_bytes: int, act: Callable[[], None], now_ns: int, connection: int = 0) -> None:
+        """Carry a message over TCP and act when it has arrived; nothing overtakes another one of its connection."""
         if self.tcp_is_cut and self.block[0] <= now_ns < self.block[1]:
             now_ns = self.block[1]
         at_ns, again = self._through(size_bytes + _TCP_BYTES, now_ns), 0
@@ -79,12 +82,13 @@ class Way:
             at_ns = (at_ns or now_ns + round(self.network.delay_s * S)) + round(_AGAIN * 2.0 * self.network.delay_s * S)
             again += 1
         self.worst_again = max(self.worst_again, again)
-        self.tcp_ns = max(self.tcp_ns, at_ns)
-        self.messages.append((self.tcp_ns, act))
+        self.tcp_ns[connection] = at_ns = max(self.tcp_ns[connection], at_ns)
+        self.sent += 1
+        heapq.heappush(self.messages, (at_ns, self.sent, act))
 
     def arrived(self, now_ns: int) -> None:
         while self.messages and self.messages[0][0] <= now_ns:
-            self.messages.popleft()[1]()
+            heapq.heappop(self.messages)[2]()
 
 
 class Port:
@@ -109,16 +113,16 @@ class Port:
 class Log(SocketLog):
     """Carries subscriptions to the other end, where they hold once they have arrived."""
 
-    def __init__(self, way: Way, clock: Any) -> None:
+    def __init__(self, way: Way, clock: Any, connection: int) -> None:
         super().__init__([])
         self.there: set[bytes] = set()
-        self._way, self._clock = way, clock
+        self._way, self._clock, self._connection = way, clock, connection
 
     def subscribe(self, topic: bytes) -> None:
-        self._way.message(40, lambda: self.there.add(topic), self._clock.monotonic_ns())
+        self._way.message(40, lambda: self.there.add(topic), self._clock.monotonic_ns(), self._connection)
 
     def unsubscribe(self, topic: bytes) -> None:
-        self._way.message(40, lambda: self.there.discard(topic), self._clock.monotonic_ns())
+        self._way.message(40, lambda: self.there.discard(topic), self._clock.monotonic_ns(), self._connection)
 
 
 class Session:
@@ -131,6 +135,7 @@ class Session:
         self.master, self.slave = (Side(self._context, is_master=first, **common) for first in (True, False))
         begin_ns = self.master.clock.monotonic_ns()
         self.ways = {}
+        self.logs: dict[str, tuple[Log, Log]] = {}
         for place, name in enumerate(("forward", "backward")):
             first, last = network.blocks.get(name, (1, 0))
             way = Way(network, (begin_ns + first, begin_ns + last), random.Random(2 * network.seed + place))
@@ -138,8 +143,11 @@ class Session:
         for side, out, into in ((self.master, "forward", "backward"), (self.slave, "backward", "forward")):
             side.end.socket.close()
             side.end.socket = Port(self.ways[out], self.ways[into], side.clock)  # type: ignore[assignment]
-            side.log = Log(self.ways[out], side.clock)
+            side.log = Log(self.ways[out], side.clock, 0)
             side.subscriber.socket = side.log  # type: ignore[assignment]
+            # Whose end it is has the same name here, whatever it subscribes to.
+            logs = self.logs[side.outgoing] = (side.log, Log(self.ways[out], side.clock, 1))
+            side.end.connect_beside(SimpleNamespace(socket=logs[1]))  # type: ignore[arg-type]
         self.silences_s: dict[str, list[tuple[float, float]]] = {"master": [], "slave": []}
         self._newest_ns: dict[str, int] = {}
         self._keys = {"master": 0, "slave": 0}
@@ -162,10 +170,11 @@ class Session:
                 way.message(300, lambda m=message, o=other: o.end._hear_offer(m), now)  # type: ignore[misc]
             made = payload(side.outgoing, SOURCES[side.outgoing], side.seq)
             side.seq += 1
-            is_sparse, topic = side.end.carry(side.outgoing, made), side.outgoing.encode()
-            for frame, goes in ((topic, True), (SPARSE + topic, is_sparse)):
-                if goes and frame in other.log.there:
-                    way.message(len(made), lambda f=frame, m=made, o=other: self._over_tcp(o, [f, m]), now)  # type: ignore[misc]
+            sparse, topic = side.end.carry(side.outgoing, made), side.outgoing.encode()
+            for frame in (topic, (sparse or b"none/") + topic):
+                for connection, log in enumerate(self.logs[other.outgoing]):
+                    if frame in log.there:
+                        self._publish(way, other, connection, [frame, made], now)
         for way in self.ways.values():
             way.arrived(now)
         for name, side, _, _ in sides:
@@ -180,11 +189,11 @@ class Session:
             side.received.clear()
 
     @staticmethod
-    def _over_tcp(side: Side, frames: list[bytes]) -> None:
-        assert side.subscriber.sift is not None
-        sifted = side.subscriber.sift(frames)
-        if sifted is not None:
-            side.received += side.subscriber.take([(sifted, side.clock.now_ns())])
+    def _publish(way: Way, to: Side, connection: int, frames: list[bytes], now_ns: int) -> None:
+        def act() -> None:
+            to.received += to.end.take_sparse([(frames, to.clock.now_ns())])
+
+        way.message(len(frames[-1]), act, now_ns, connection)
 
     @property
     def worst_again(self) -> int:

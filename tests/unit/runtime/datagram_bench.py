@@ -51,7 +51,7 @@ class SocketLog:
     @property
     def whole(self) -> set[str]:
         """The topics of which all is subscribed to, and not only the sparse samples."""
-        return {topic for topic in self.topics if not topic.startswith(SPARSE.decode())}
+        return {topic for topic in self.topics if not topic.encode().startswith(SPARSE)}
 
     def unsubscribe(self, topic: bytes) -> None:
         self.topics.discard(topic.decode())

@@ -1,6 +1,7 @@
 """UDP that is blocked one way or both, over networks that are drawn: the tip is held shortly and never withdrawn."""
 
 import random
+from itertools import pairwise
 
 import pytest
 from blocked_line_bench import DEADLINE_S, MS, WITHDRAWN_S, Network, S, Session
@@ -51,7 +52,7 @@ def test_a_block_holds_the_tip_for_a_deadline_and_a_round_trip_at_most(number: i
                 # A packet of TCP that is lost holds up what follows until it was sent again.
                 most_s = 2.0 * DEADLINE_S + 2.0 * network.delay_s + again_s
                 assert silence_s <= most_s, way
-                assert silence_s < WITHDRAWN_S or session.worst_again > 1, way
+                assert silence_s < WITHDRAWN_S, way
             else:
                 assert silence_s <= DEADLINE_S, f"{way} was not blocked"
                 assert session.end_of(way).receiving == "datagram"
@@ -112,7 +113,11 @@ def test_what_tcp_carries_follows_the_capacity_and_the_losses() -> None:
 def test_sparse_samples_take_a_share_of_a_narrow_line(carried: float, alone: bool, share: float) -> None:
     sparse = SparseSamples()
     sparse.carried, sparse.alone = carried, alone
-    taken = sum(sparse.takes("teleop/forward", 300, at_ms * MS) for at_ms in range(10_000))
+    found = [sparse.takes("teleop/forward", 300, at_ms * MS) for at_ms in range(10_000)]
+    prefixes = [prefix for prefix in found if prefix is not None]
+    # By turns, so that a connection that waits holds up every other one.
+    assert all(before != after for before, after in pairwise(prefixes))
+    taken = len(prefixes)
     assert taken * 8 * (300 + 250) / 10.0 <= 1.01 * share * carried
     assert taken >= 10_000 * MS // (5 * CALM_NS)
-    assert sum(sparse.takes("law/status", 300, at_ms * MS) for at_ms in range(10_000)) <= 101
+    assert sum(sparse.takes("law/status", 300, at_ms * MS) is not None for at_ms in range(10_000)) <= 101
