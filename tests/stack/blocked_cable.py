@@ -3,8 +3,9 @@
     python tests/stack/blocked_cable.py blocked.jsonl [--cells N] [--only TEXT] [--show]
 
 runs `fig12` at both sites over the cable of tun_cable.py once for each cell of the table that is not in the file yet,
-in an order drawn from a seed, so that a part of the table is a fair sample of it; `--show` prints what is there. A
-session in which the cable itself was late is no measurement, and is run again the next time. It needs root.
+in an order drawn from a seed, so that a part of the table is a fair sample of it, and prints what is there by round
+trip and loss, with `--show` session by session. A session in which the cable itself was late is no measurement, and is
+run again the next time. It needs root.
 
 The tip may stand still for a deadline of 50 ms and a round trip, and a lost packet of TCP for a round trip more.
 """
@@ -15,8 +16,10 @@ import json
 import random
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
 
 from two_sites import why_not
@@ -88,20 +91,37 @@ def run(cell: Cell, folder: Path, law: str = _LAW, seed: int = 1) -> dict[str, A
     return {"cell": cell._asdict(), **{key: found[key] for key in kept}}
 
 
-def _shown(path: Path) -> Iterator[str]:
-    """Yield the rows of the table in Markdown, and how many of the sessions are as they should be."""
+def _good(path: Path) -> list[dict[str, Any]]:
+    """Return the sessions over a cable that was in time, with the instrument in their recording."""
     rows = [json.loads(line) for line in path.read_text().splitlines()]
-    good = [row for row in rows if not row["distorted"]]
+    return [row for row in rows if not row["distorted"] and row["tip"]["modes"]]
+
+
+def each_of(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield a row of Markdown for each session."""
     yield "| round trip, UDP blocked, when, rate, loss, line | tip stood still [ms], at most | withdrawn | named |"
     yield "|---|---|---|---|"
-    for row in sorted(good, key=lambda row: list(row["cell"].values())):
+    for row in sorted(rows, key=lambda row: list(row["cell"].values())):
         cell, tip = Cell(**row["cell"]), row["tip"]
         named = ", ".join(f"{line['direction']} {span}" for line in row["lines"] for span in line["blocked_s"])
         withdrawn = "yes" if tip["withdrawn"] else "no"
         yield f"| {cell.name} | {tip['stood_ms']:g}, {cell.most_ms:g} | {withdrawn} | {named} |"
-    held = sum(row["tip"]["stood_ms"] <= Cell(**row["cell"]).most_ms for row in good)
-    withdrawn = sum(row["tip"]["withdrawn"] for row in good)
-    yield f"{len(good)} sessions: {held} within the bound, {withdrawn} withdrawn; {len(rows) - len(good)} left out"
+
+
+def table_of(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield a row of Markdown for each round trip and loss."""
+    groups: dict[tuple[float, float], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["cell"]["round_trip_ms"], row["cell"]["loss"]), []).append(row)
+    yield "| round trip, loss | sessions | tip stood still, median / longest [ms] | may | withdrawn | named | verdict |"
+    yield "|---|---|---|---|---|---|---|"
+    for (round_trip_ms, loss), found in sorted(groups.items()):
+        stood_ms = [row["tip"]["stood_ms"] for row in found]
+        withdrawn = sum(row["tip"]["withdrawn"] for row in found)
+        named = sum(any(line["blocked_s"] for line in row["lines"]) for row in found)
+        verdicts = ", ".join(f"{count} {kind}" for kind, count in Counter(r["verdict"] for r in found).most_common())
+        shown = f"{median(stood_ms):.0f} / {max(stood_ms):.0f} | {Cell(**found[0]['cell']).most_ms:g}"
+        yield f"| {round_trip_ms:g} ms, {loss:.0%} | {len(found)} | {shown} | {withdrawn} | {named} | {verdicts} |"
 
 
 def main() -> int:
@@ -110,13 +130,13 @@ def main() -> int:
     parser.add_argument("table", type=Path, help="file of the cells, one JSON object a line")
     parser.add_argument("--cells", type=int, default=1000, help="most sessions to run now")
     parser.add_argument("--only", default="", help="run cells whose name has this text")
-    parser.add_argument("--show", action="store_true", help="run nothing")
+    parser.add_argument("--show", action="store_true", help="run nothing, and show each session")
     given = parser.parse_args()
     if (reason := why_not()) and not given.show:
         sys.stderr.write(f"{reason}\n")
         return 1
-    lines = given.table.read_text().splitlines() if given.table.exists() else []
-    known = {Cell(**row["cell"]) for row in map(json.loads, lines) if not row["distorted"]}
+    given.table.touch()
+    known = {Cell(**row["cell"]) for row in _good(given.table)}
     wanted = [cell for cell in cells() if cell not in known and given.only in cell.name]
     for cell in [] if given.show else wanted[: given.cells]:
         with tempfile.TemporaryDirectory() as folder:
@@ -124,7 +144,8 @@ def main() -> int:
         with given.table.open("a") as out:
             out.write(json.dumps(row) + "\n")
         sys.stderr.write(f"{cell.name}: {row['verdict']}, {row['tip']}, {row['distorted']}\n")
-    for line in _shown(given.table):
+    good = _good(given.table)
+    for line in each_of(good) if given.show else table_of(good):
         sys.stdout.write(line + "\n")
     return 0
 
