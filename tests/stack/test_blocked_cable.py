@@ -1,4 +1,4 @@
-"""UDP blocked one way between two machines, at 250 Hz and with 2 % lost: the tip is never withdrawn, and the summary names the way."""
+"""UDP blocked between two machines, one way or both: the tip is never withdrawn, and the summary names the way."""
 
 from pathlib import Path
 
