@@ -142,9 +142,9 @@ def test_a_relay_that_is_killed_leaves_both_sides_safe_and_is_taken_up_again(rig
     )
     rig.end_session()
     record(
-        "the relay is killed and started again" + (", at 1 kHz" if rate_hz == 1000 else ""),
-        f"tip held after {held_s * 1e3:.0f} ms, withdrawn after {withdrawn_s * 1e3:.0f} ms, hand off after "
-        f"{let_go_s * 1e3:.0f} ms; datagrams again {back_s:.0f} s after its start command, armed and going on",
+        "the relay is killed and started again",
+        f"at {rate_hz} Hz: tip held after {held_s * 1e3:.0f} ms, withdrawn after {withdrawn_s * 1e3:.0f} ms, hand off "
+        f"after {let_go_s * 1e3:.0f} ms; datagrams again {back_s:.0f} s after its start command, armed and going on",
     )
 
 
