@@ -540,24 +540,38 @@ def _clocks(session: Session) -> dict[str, Any] | None:
 
 
 def lines_of(recording: RecordingSource, timeline: Timeline, start_ns: int, end_ns: int) -> list[dict[str, Any]]:
-    """Return the figures of each direction while the session ran; none without reports of a queue."""
+    """Return the figures of each direction while the session ran; none without reports of a queue or of a block."""
     reports: dict[str, dict[tuple[str, int], Mapping[str, Any]]] = {}
     found = recording.select(lambda channel: channel.topic == "link/network")
     for message, fields in readable(found, recording.left_out):
         first_ns, last_ns = (timeline.stamp_ns(message.src, end) for end in (start_ns, end_ns))
         # The report of the slave is in the master's recording twice, as it came and through the link.
-        if first_ns <= message.publish_ns <= last_ns and fields.get("queue_s") is not None:
+        is_known = fields.get("queue_s") is not None or fields.get("blocked_since_ns") is not None
+        if first_ns <= message.publish_ns <= last_ns and is_known:
             reports.setdefault(fields["direction"], {})[message.src, message.seq] = fields
     told = {way: list(found.values()) for way, found in reports.items()}
     # Whether a line is full says who sends over it, and that is who receives the other direction.
     others = {"forward": "backward", "backward": "forward"}
-    return [_line_figures(way, own, told.get(others[way], [])) for way, own in sorted(told.items(), reverse=True)]
+    figures = [_line_figures(way, own, told.get(others[way], [])) for way, own in sorted(told.items(), reverse=True)]
+    for way in figures:
+        begin_ns = timeline.stamp_ns(told[way["direction"]][0]["src"], start_ns)
+        way["blocked_s"] = _blocked_s(told[way["direction"]], begin_ns)
+    return figures
+
+
+def _blocked_s(reports: list[Mapping[str, Any]], begin_ns: int) -> list[list[float]]:
+    """Return when none of the datagrams of a direction arrived though they were sent, from and to [s]."""
+    spans: dict[int, int] = {}
+    for report in reports:
+        if (since_ns := report.get("blocked_since_ns")) is not None:
+            spans[since_ns] = report["t_ns"]
+    return [[round((at_ns - begin_ns) * 1e-9, 3) for at_ns in span] for span in spans.items()]
 
 
 def _line_figures(way: str, reports: list[Mapping[str, Any]], of_sender: list[Mapping[str, Any]]) -> dict[str, Any]:
     first, last = reports[0], reports[-1]
-    queues_ms = [1e3 * report["queue_s"] for report in reports]
-    settled, lost = last["settled"] - first["settled"], max(0, last["lost"] - first["lost"])
+    queues_ms = [1e3 * (report.get("queue_s") or 0.0) for report in reports]
+    settled, lost = last.get("settled", 0) - first.get("settled", 0), max(0, last["lost"] - first["lost"])
     capacity = last.get("capacity_bit_per_s")
     return {
         "direction": way,

@@ -148,6 +148,11 @@ class LineSummary(_Part):
         description="Datagrams sent in a second [1/s]; fewer than 1000 where the line was full"
     )
     lost_share: float | None = Field(description="Share lost of the datagrams of which it is known; null where none is")
+    blocked_s: list[list[float]] = Field(
+        default=[],
+        description="From when to when [s] UDP was blocked this way: its sender sent on, none of it arrived, and TCP"
+        " went on; a block that began before the session begins below 0",
+    )
 
 
 class IntervalsSummary(_Part):

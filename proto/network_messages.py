@@ -9,12 +9,31 @@ from proto.messages import Array, Count, Counts, LinkClock, Message, _Extended
 from proto.ranges import DurationS
 
 
-class LinkKey(Message):
-    """The public key of one end of the link between two machines, for the keys of its datagrams."""
+class LinkKey(_Extended):
+    """The public key of one end of the link between two machines, for the keys of its datagrams, and what it received.
+
+    It crosses over TCP both ways, so that each end knows what arrives of its datagrams where none comes back.
+    """
+
+    version: ClassVar[int] = 2
+    additions: ClassVar[Mapping[str, int]] = dict.fromkeys(
+        ("receiving", "sent", "arrived", "lost", "capacity_bit_per_s"), 2
+    )
 
     public_key: str = Field(pattern=r"^[0-9a-f]{64}$", description="Ephemeral X25519 key of this end, in hexadecimal")
     answers: str = Field(
         pattern=r"^([0-9a-f]{64})?$", description="Key of the other end that it is the answer to; empty = none"
+    )
+    receiving: Literal["datagram", "stream"] | None = Field(
+        default=None, description="How this end receives the samples of the other one now"
+    )
+    sent: Count | None = Field(default=None, description="Datagrams that this end has sent under its present keys")
+    arrived: Count | None = Field(default=None, description="Datagrams that arrived here under the present keys")
+    lost: Count | None = Field(
+        default=None, description="Datagrams sent to here before the newest of those, which have not arrived"
+    )
+    capacity_bit_per_s: Count | None = Field(
+        default=None, description="What this end has measured of the line to here [bit/s]; 0 = not known"
     )
 
 
@@ -38,7 +57,7 @@ class LinkNetwork(_Extended):
 
     version: ClassVar[int] = 2
     additions: ClassVar[Mapping[str, int]] = dict.fromkeys(
-        ("settled", "queue_s", "capacity_bit_per_s", "line", "limit_bit_per_s"), 2
+        ("settled", "queue_s", "capacity_bit_per_s", "line", "limit_bit_per_s", "blocked_since_ns"), 2
     )
 
     direction: Literal["forward", "backward"] = Field(description="forward: from the master to the slave")
@@ -81,4 +100,9 @@ class LinkNetwork(_Extended):
     )
     limit_bit_per_s: Count | None = Field(
         default=None, description="Most that this end sends now [bit/s], network headers included"
+    )
+    blocked_since_ns: Count | None = Field(
+        default=None,
+        description="Arrival of the newest datagram, on this end's clock, where the other end says that it sends on and"
+        " none arrives [ns]; absent while datagrams arrive, and where the other end sends none",
     )

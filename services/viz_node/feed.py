@@ -119,6 +119,7 @@ class Feed:
             facts = {"queue_s": None if queue_s is None else round(queue_s, 3), "capacity_bit_per_s": carries}
             # Of the other direction, which this end sends.
             facts["sends"] = seen.fields.get("line")
+            facts["blocked_since_ns"] = seen.fields.get("blocked_since_ns")
             self._set_state(f"line/{seen.fields['direction']}", facts)
         elif seen.topic == "node/health":
             self._record_health(seen)

@@ -45,9 +45,12 @@ TICK_S = 1.0 / 30.0
 # without a page only what a page that comes later needs is collected
 IDLE_S = 0.25
 # A page sends the force of its hand 60 times a second, from a thread of its own, but on a busy machine a browser pauses
-# for a tenth of a second and more. What it said last holds for this long, and is repeated to the haptic node, which
-# waits for less.
-HAND_DEADLINE_S = 0.25
+# for a tenth of a second and more. What it said last holds for the first time and is repeated to the haptic node, which
+# waits for less; then it fades over the second time, and rises again as slowly. A frame that is later than the first
+# time is dropped: over a queue that grows, old forces would be those of now.
+HAND_FRESH_S, HAND_FADE_S = 0.1, 0.25
+# A page whose hand is too slow is told so this often [s].
+_SLOW_TOLD_S = 0.5
 # Of a standstill of this process no more counts as silence of a page: what the page sent meanwhile is read after it.
 _LONGEST_LOOK_S = 3.0 * TICK_S
 # Of one page, with the one that is being carried out.
@@ -194,7 +197,9 @@ class Hub:
         self._holder: Session | None = None
         # since when the hand was looked after, and how long the page has said nothing
         self._looked_s = self._silent_s = 0.0
+        # what was said last, and the share of it that is in force
         self._force: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
+        self._share = 1.0
         self._picture = ParticipantPicture()
         # the age of the loop by its parts, as it was taken last [s], and what it is of
         self._age, self._age_s, self._parts = LoopAge(), time.monotonic(), list[Part]()
@@ -385,6 +390,7 @@ class Hub:
             way_s = session.heard_s - request.stamp_s - request.waited_s
             if request.stamp_s and 0.0 <= way_s < _LONGEST_WAY_S:
                 session.ways_s.append(way_s)
+                session.way_at_s = session.heard_s
             return
         # A request that was read of a page before its end gives it no hand.
         if session.ended or (session not in self.sessions and isinstance(request, HandRequest | LeaseRequest)):
@@ -572,7 +578,9 @@ class Hub:
         """Pass on the force of the page that has the hand; one at a time has it."""
         if not session.may_ask(time.monotonic()):
             return
+        # A hand is let go at any age and in any order.
         if not request.held:
+            session.hand.number = max(session.hand.number, request.number)
             if session is self._holder:
                 self._release()
             if self.desk.has(session):
@@ -582,16 +590,42 @@ class Hub:
             if self._open_hand is None or session.role is Role.OBSERVER:
                 self.desk.refused.note("role", f"{session.party.label}: the force of a hand")
                 raise RefusedError("this page cannot hold the hand")
+            if self._is_old(session, request):
+                return
             if session is not self._holder or request.lease not in (0, self.desk.lease.number):
                 self.desk.act(session, request.lease, presses=True)
                 if self._holder not in (None, session):
                     raise RefusedError("another page holds the hand")
             outlet = self._outlet()
+            if self._holder is not session:
+                self._share, self._looked_s = 1.0, time.monotonic()
             self._holder, self._force = session, (request.force_n, (request.across_x_n, request.across_y_n))
-            self._looked_s, self._silent_s = time.monotonic(), 0.0
-            outlet.push(*self._force, session.party.name)
+            self._fade()
+            self._silent_s = 0.0
+            self._push_share(outlet)
         except TelenanoError as error:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
+
+    def _is_old(self, session: Session, request: HandRequest) -> bool:
+        """Return whether a force is no longer of now, or was overtaken; its page is told how late it is."""
+        late_s, hand = session.hand_late_s(request.stamp_s, time.monotonic()), session.hand
+        is_old = late_s > HAND_FRESH_S or 0 < request.number <= hand.number
+        hand.number = max(hand.number, request.number)
+        if is_old:
+            self.desk.refused.note("late", f"{session.party.label}: a force that is {late_s:.2f} s late")
+            self._tell_slow(session, late_s)
+        return is_old
+
+    def _tell_slow(self, session: Session, late_s: float) -> None:
+        """Tell a page how late its hand is [s], twice a second, and once that it is late no longer, for 0."""
+        told_s, now_s = session.slow_told_s, time.monotonic()
+        if late_s > 0.0 and (told_s is None or now_s - told_s >= _SLOW_TOLD_S):
+            session.slow_told_s = now_s
+        elif late_s > 0.0 or told_s is None or now_s - told_s < _SLOW_TOLD_S:
+            return
+        else:
+            session.slow_told_s = None
+        session.answer(_packed({"k": "hand", "held": True, "text": "", "late_s": late_s}))
 
     def _end_act(self, session: Session) -> None:
         """Let a page that has not taken the hand have it no longer than its acts last."""
@@ -603,14 +637,30 @@ class Hub:
         """Repeat the force of the page that holds the hand, and let go for one that has said nothing for too long."""
         if self._holder is None or self._hand is None:
             return
-        now_s = time.monotonic()
-        self._silent_s += min(_LONGEST_LOOK_S, now_s - self._looked_s)
-        self._looked_s = now_s
-        if self._silent_s > HAND_DEADLINE_S:
+        self._fade()
+        late_s = max(self._silent_s, self._holder.hand.late_s)
+        self._tell_slow(self._holder, late_s if late_s > HAND_FRESH_S else 0.0)
+        if self._silent_s > HAND_FRESH_S + HAND_FADE_S:
             self._release()
             return
         with contextlib.suppress(TelenanoError):
-            self._hand.push(*self._force, self._holder.party.name)
+            self._push_share(self._hand)
+
+    def _fade(self) -> None:
+        """Go on with the share of the force that is in force: less in a silence, and more while a page is heard."""
+        now_s = time.monotonic()
+        passed_s = min(_LONGEST_LOOK_S, now_s - self._looked_s)
+        self._silent_s, self._looked_s = self._silent_s + passed_s, now_s
+        # Of what passed since the last look only what is beyond the first time is silence.
+        over_s = min(passed_s, self._silent_s - HAND_FRESH_S)
+        change = -over_s if over_s > 0.0 else passed_s
+        self._share = min(1.0, max(0.0, self._share + change / HAND_FADE_S))
+
+    def _push_share(self, outlet: HandOutlet) -> None:
+        """Publish the force of the page that holds the hand, as much of it as is in force."""
+        (force_n, (x_n, y_n)), share, holder = self._force, self._share, self._holder
+        if holder is not None:
+            outlet.push(share * force_n, (share * x_n, share * y_n), holder.party.name)
 
     def _release(self) -> None:
         """Let go of the hand: the force at the device is none. The endpoint stays open for the next time."""

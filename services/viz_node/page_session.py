@@ -6,6 +6,7 @@ from collections import deque
 
 from services.console.lease import Party
 from services.viz_node.access import Role
+from services.viz_node.hand_age import HandAge
 from services.viz_node.people import Person
 
 # two seconds: a page that is further behind begins anew
@@ -27,6 +28,11 @@ class Session:
         self.heard_s = 0.0
         # the newest ways to the page and back [s]
         self.ways_s: deque[float] = deque(maxlen=9)
+        # When the newest of them was known, and how late the frames of its hand are.
+        self.way_at_s = 0.0
+        self.hand = HandAge()
+        # When it was told last that its hand is too slow [s]; None where that is not so.
+        self.slow_told_s: float | None = None
         # An address that is revoked ends its pages, after the frame that says so.
         self.ended = False
         self.ready = asyncio.Event()
@@ -49,6 +55,12 @@ class Session:
         """Queue an answer, which comes before what changes and is not dropped with it."""
         self._answers.append(frame)
         self.ready.set()
+
+    def hand_late_s(self, stamp_s: float, now_s: float) -> float:
+        """Take a frame of its hand with its stamp, and return how late that is [s]; 0 for one without a stamp."""
+        if not stamp_s:
+            return 0.0
+        return self.hand.take(stamp_s, now_s, (self.way_at_s, self.ways_s[-1]) if self.ways_s else None)
 
     def end(self, frame: bytes) -> None:
         """Send a last frame, after which the connection of the page is closed."""

@@ -85,7 +85,8 @@ class PartRequest(_Frame, tag="part", frozen=True):
 class HandRequest(_Frame, tag="hand", frozen=True):
     """The force of the operator at the page [N], towards the sample; `held` is false when the hand lets go.
 
-    across_x_n, across_y_n: that across the sample [N]; none from a page that only presses.
+    across_x_n, across_y_n: that across the sample [N]; none from a page that only presses. number, stamp_s: of the
+    frame, counted from 1, and when it was sent, by the page's clock [s]; 0 from one that does not say.
     """
 
     force_n: float
@@ -93,6 +94,8 @@ class HandRequest(_Frame, tag="hand", frozen=True):
     across_x_n: float = 0.0
     across_y_n: float = 0.0
     lease: _Number = 0
+    number: _Number = 0
+    stamp_s: float = 0.0
 
 
 class LeaseRequest(_Frame, tag="lease", frozen=True):

@@ -119,7 +119,7 @@ def test_falling_back_to_tcp_stands_still_for_no_more_than_a_tenth_of_a_second(
     start(sites, 600.0)
     sites.wait_until(sites.running, "a running session")
     time.sleep(2.0)
-    before, begin_ns = cable.change(block_udp=True), time.time_ns()
+    before, begin_ns = cable.change(block_udp_there=True, block_udp_back=True), time.time_ns()
     sites.wait_until(lambda: sites.slave.has_log(ENDS["slave"], "goes on over TCP"), "the slave to say so")
     time.sleep(0.5)
     end_ns = time.time_ns()

@@ -102,8 +102,11 @@ def test_a_session_over_a_relay_is_whole_and_can_be_fetched_again(rig: RelayedSi
     assert json.loads(again.stdout)["messages"] == summary["recording"]["messages"]
 
 
+@pytest.mark.parametrize("rate_hz", [250, pytest.param(1000, marks=pytest.mark.endurance)])
 @pytest.mark.parametrize("rig", [True], indirect=True)
-def test_a_relay_that_is_killed_leaves_both_sides_safe_and_is_taken_up_again(rig: RelayedSites) -> None:
+def test_a_relay_that_is_killed_leaves_both_sides_safe_and_is_taken_up_again(rig: RelayedSites, rate_hz: int) -> None:
+    for site in rig.sites:
+        site.rate = ("--set", f"realtime.rate_hz={rate_hz}")
     rig.start_relay()
     rig.start("--duration", "600")
     rig.wait_until(lambda: both(rig, "as datagrams"), "datagrams both ways")
@@ -140,8 +143,8 @@ def test_a_relay_that_is_killed_leaves_both_sides_safe_and_is_taken_up_again(rig
     rig.end_session()
     record(
         "the relay is killed and started again",
-        f"tip held after {held_s * 1e3:.0f} ms, withdrawn after {withdrawn_s * 1e3:.0f} ms, hand off after "
-        f"{let_go_s * 1e3:.0f} ms; datagrams again {back_s:.0f} s after its start command, armed and going on",
+        f"at {rate_hz} Hz: tip held after {held_s * 1e3:.0f} ms, withdrawn after {withdrawn_s * 1e3:.0f} ms, hand off "
+        f"after {let_go_s * 1e3:.0f} ms; datagrams again {back_s:.0f} s after its start command, armed and going on",
     )
 
 

@@ -89,14 +89,14 @@ def test_blocked_udp_and_another_address_in_mid_session(rig: tuple[TwoSites, Wid
         return all(site.has_log(node, text, times) for site, node in ends)
 
     sites.wait_until(lambda: both("as datagrams", 1), "datagrams in both directions")
-    cable.change(block_udp=True)
+    cable.change(block_udp_there=True, block_udp_back=True)
     sites.wait_until(lambda: both("goes on over TCP, and tries again", 1), "both ends to fall back to TCP")
     at_ns = time.time_ns()
     sites.wait_until(
         lambda: any(True for _ in sites.master.recording().messages("teleop/backward@master", at_ns)),
         "the slave over TCP",
     )
-    cable.change(block_udp=False)
+    cable.change(block_udp_there=False, block_udp_back=False)
     sites.wait_until(lambda: both("as datagrams", 2), "datagrams once more")
     # a datagram from another address of the slave's machine, with the next number of its own end
     cable.ip("slave", "addr", "add", "10.77.0.9/24", "dev", "wan0")

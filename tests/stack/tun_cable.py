@@ -3,7 +3,7 @@
     python tests/stack/tun_cable.py NAMESPACE_A ADDRESS_A NAMESPACE_B ADDRESS_B [--delay-s S] [--loss P] [--seed N]
 
 Each end is a TUN device `wan0` with its address (`10.78.0.1/24`, or IPv6), in a namespace that exists. A line of JSON
-on standard input changes what holds from then on, such as `{"delay_s": 0.05, "loss": 0.02, "block_udp": true}`; the
+on standard input changes what holds from then on, such as `{"delay_s": 0.05, "block_udp_there": true}`; the
 answer on standard output is a line with the packets taken, delivered and dropped so far, how late the cable was itself,
 and what it did as an attacker. It needs root.
 
@@ -65,7 +65,9 @@ class Impairment:
 
     delay_s: float = 0.0
     loss: float = 0.0
-    block_udp: bool = False
+    # What is sent from the first end and from the second.
+    block_udp_there: bool = False
+    block_udp_back: bool = False
     cut: bool = False
     tamper: float = 0.0
     rate_bit_per_s: float = 0.0
@@ -267,7 +269,8 @@ class Cable:
             counts.bytes_taken[place] += len(packet)
             # drawn for every packet, so that a change of one rule does not change the draws of the others
             lost = self._is_lost(place)
-            if lost or rules.cut or (rules.block_udp and is_udp(packet)):
+            blocked = rules.block_udp_back if place else rules.block_udp_there
+            if lost or rules.cut or (blocked and is_udp(packet)):
                 counts.dropped += 1
                 continue
             if rules.rate_bit_per_s:

@@ -30,7 +30,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +158,28 @@ def one_way_ms(folder: Path, begin_ns: int, end_ns: int) -> dict[str, float]:
     }
 
 
+def tip_of(recording: Path, begin_ns: int, end_ns: int) -> dict[str, Any]:
+    """Give what became of the tip between two times, by the slave's recording.
+
+    `stood_ms`: the longest time for which it followed no newer sample of the hand [ms]; `withdrawn`: whether it was.
+    """
+    stood_ms, newest, since_ns, modes = 0.0, 0, 0, set()
+    for message in Recording(recording).messages(("afm/state",)):
+        fields = message.fields()
+        if not begin_ns <= message.publish_ns < end_ns:
+            continue
+        modes.add(fields["mode"])
+        if fields["hand_t_ns"] > newest:
+            if since_ns:
+                stood_ms = max(stood_ms, (message.publish_ns - since_ns) * 1e-6)
+            newest, since_ns = fields["hand_t_ns"], message.publish_ns
+    return {
+        "stood_ms": round(stood_ms, 1),
+        "withdrawn": bool(modes & {"retracting", "retracted"}),
+        "modes": sorted(modes),
+    }
+
+
 def injected_ms(folder: Path) -> dict[str, list[float]]:
     """Give by direction the quantiles of the delays that the link applied to the samples of the loop [ms]."""
     recording = recording_of(folder)
@@ -192,12 +214,15 @@ def fig12(
     duration_s: float = DURATION_S,
     rules: Mapping[str, float | bool] | None = None,
     first_hold_s: float | None = None,
+    rate_hz: float | None = None,
+    changes: Sequence[tuple[float, Mapping[str, float | bool]]] = (),
 ) -> dict[str, Any]:
     """Run fig12 at both sites and give what became of it.
 
     Parameters: injected, the network is perfect and the link injects delay and loss in its place; seed, of the losses;
     probe_into, folder for what `telenano link probe` makes meanwhile; measured, such a folder, injected in their place;
-    rules, further ones of the cable; first_hold_s, a length of the programme's first hold, None is its own.
+    rules, further ones of the cable; first_hold_s, a length of the programme's first hold, None is its own; rate_hz,
+    the rate of all nodes; changes, rules that hold from a time of the session on [s], in order.
     """
     injected = injected or measured is not None
     folder.mkdir(parents=True, exist_ok=True)
@@ -207,6 +232,8 @@ def fig12(
     rules = dict(rules or {})
     far = "fetch" if rules.get("rate_bit_per_s") else "stream"
     law_of = ["--set", f"controller.law={law}", "--set", f"recorder.far={far}"]
+    if rate_hz is not None:
+        law_of += ["--set", f"realtime.rate_hz={rate_hz:g}"]
     chosen = {site: [*law_of, "--set", f"recorder.exclude={json.dumps(EXCLUDED[site])}"] for site in EXCLUDED}
     if first_hold_s is not None:
         operator, programme_s = programme(first_hold_s)
@@ -239,6 +266,9 @@ def fig12(
         )
         rig.wait_until(rig.running, "a running session", 60.0)
         before, begin_ns = cable.change(), time.time_ns()
+        for at_s, change in changes:
+            time.sleep(max(0.0, at_s - (time.time_ns() - begin_ns) * 1e-9))
+            cable.change(**change)
         if probe_into is not None:
             done = rig.master.telenano("link", "probe", "--duration", "3", "--out", str(probe_into))
             assert done.returncode == 0, done.stderr
@@ -253,7 +283,8 @@ def fig12(
         cable_late = lateness(counts, before, begin_ns, end_ns)
         rig.slave.stop()
         summary = rig.master.summary()
-        recording = recording_of(rig.slave.out)
+        # Where the slave's recording was fetched, that of both sites has the instrument.
+        recording, both = recording_of(rig.slave.out), rig.master.out / "both.mcap"
         events = events_of_session(recording)
         deadlines = [event for event in events if "command_deadline" in str(event["data"].get("reason", ""))]
         delays = {site.name: one_way_ms(site.out, begin_ns, end_ns) for site in (rig.master, rig.slave)}
@@ -272,6 +303,8 @@ def fig12(
             "one_way_ms_at": delays,
             "injected_ms": injected_ms(rig.master.out) if measured is not None else {},
             "deadlines_missed": len(deadlines),
+            "lines": summary.get("lines", []),
+            "tip": tip_of(both if both.exists() else recording, begin_ns, end_ns),
             "cable": cable_late,
             "distorted": distorted(cable_late),
             "sent_bytes": counts["bytes_taken"],

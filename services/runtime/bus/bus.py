@@ -134,6 +134,9 @@ class Subscriber:
         latest = {frame: topic for frame, topic in self._names.items() if TOPICS[topic].delivery == "latest"}
         self._conflated = latest if newest_only else {}
         self._aside: dict[str, Callable[[Message], None]] = {}
+        # Looks at each message first, and returns its frames, or None where it is not wanted; only a reader that the
+        # link's datagrams feed as well has one.
+        self.sift: Callable[[list[bytes]], list[bytes] | None] | None = None
         for topic in self.topics:
             self.socket.subscribe(topic.encode())
         for endpoint in connections if connect else ():
@@ -170,7 +173,11 @@ class Subscriber:
 
     def receive(self, *, signalled: bool = False) -> list[Received]:
         """Return the messages that have arrived: valid, not overtaken on `latest` topics, repeated only if commands."""
-        return self.take(self.receive_raw(signalled=signalled))
+        waiting = self.receive_raw(signalled=signalled)
+        if self.sift is not None:
+            sifted = ((self.sift(frames), received_ns) for frames, received_ns in waiting)
+            return self.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
+        return self.take(waiting)
 
     def take(self, waiting: Sequence[Taken]) -> list[Received]:
         """Decode, validate and track what waited together, each message with the time of reception [ns]."""

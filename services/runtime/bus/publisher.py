@@ -26,6 +26,9 @@ FIRST_THREAD = 1
 # Messages of these topics have one version, whatever keys they have.
 _VERSIONS = {name: row.model.version for name, row in TOPICS.items() if not row.model.additions}
 _FRAMES = {topic: topic.encode() for topic in TOPICS}
+# A few samples of the link's datagrams are also sent under their topic with one of these before it, by turns, and a
+# reader has a connection for each (datagram/sparse.py).
+SPARSE = (b"sparse/", b"sparse2/")
 # A node that ends goes on sending for so long to a reader that is behind, its recorder above all. It stays within the
 # grace that a supervisor gives.
 LINGER_S = 20.0
@@ -105,8 +108,9 @@ class ZmqPublisher(_NumberingPublisher):
         # Call the C base class directly: the method of the subclass first checks options that a PUB socket does not
         # have.
         self.send_frame = super(zmq.Socket, self.socket).send
-        # It is called first with topic and bytes of each message: some cross to another machine on this other way.
-        self.carry: Callable[[str, bytes], None] | None = None
+        # It is called first with topic and bytes of each message, some of which cross to another machine on this other
+        # way, and returns one of SPARSE for the few of those that are sent so as well.
+        self.carry: Callable[[str, bytes], bytes | None] | None = None
         # Whether the thread that carries a message has this processor before the next one is taken up.
         self.yields = False
         prepare(self.socket)
@@ -118,12 +122,14 @@ class ZmqPublisher(_NumberingPublisher):
 
     def send(self, topic: str, payload: bytes) -> None:
         """Send bytes as they are: what the link forwards keeps the header of its publisher."""
-        if self.carry is not None:
-            self.carry(topic, payload)
+        sparse = None if self.carry is None else self.carry(topic, payload)
         # a player may send under another name
         frame = _FRAMES.get(topic) or topic.encode()
         self.send_frame(frame, SNDMORE)
         self.send_frame(payload)
+        if sparse is not None:
+            self.send_frame(sparse + frame, SNDMORE)
+            self.send_frame(payload)
         if self.yields:
             os.sched_yield()
 

@@ -11,12 +11,13 @@ import heapq
 import itertools
 import socket
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any, Literal, cast
 
 from proto.messages import InputHealth, Message
 from proto.network_messages import LinkKey
 from services.runtime.bus.address_book import LinkTransport
-from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber
+from services.runtime.bus.bus import ConnectionEvent, Received, Subscriber, Taken
 from services.runtime.clock import NEVER_NS, Clock
 from services.runtime.datagram.agreement import Agreement
 from services.runtime.datagram.arrivals import ArrivalRecord
@@ -34,12 +35,13 @@ from services.runtime.datagram.body import (
 )
 from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import Outgoing
-from services.runtime.datagram.pacing import NETWORK_BYTES
+from services.runtime.datagram.pacing import NETWORK_BYTES, Repeats
 from services.runtime.datagram.place import Address, Outlets, Place
 from services.runtime.datagram.play_out import PlayOut
 from services.runtime.datagram.reception import Reception, Way
 from services.runtime.datagram.report import network_report
 from services.runtime.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
+from services.runtime.datagram.sparse import SparseSamples, carried_by_tcp
 from services.runtime.datagram.touch import Touch
 from services.runtime.loop.clock_offset import Exchange, OffsetFilter
 from services.runtime.relay.path import RelayPath
@@ -55,10 +57,14 @@ _PUT_OFF_NS = 20_000_000
 # A process that took no turn for the first time stood still. What waited for it says nothing of the line until it has
 # taken all of that, for the second time at most: one that is slower is a queue itself.
 _STOOD_STILL_NS, _BEHIND_NS = 2 * _MAINTAIN_NS, 2_000_000_000
-# After so long without an acknowledgement only a few datagrams are sent, to find out when they arrive again.
+# After so long without an acknowledgement, and where the other end receives over TCP, only a few datagrams are sent, to
+# find out when they arrive again.
 _UNHEARD_NS = 1_000_000_000
+# Datagrams are blocked if none arrives and the other end says over TCP that it has sent so many since the newest.
+_BLOCKED = 5
+_BETWEEN = {"forward": "from the master to the slave", "backward": "from the slave to the master"}
 # The key is offered at the first interval while none is agreed or nothing comes under it, and at the second once
-# datagrams flow. An end that is started anew falls silent first.
+# datagrams flow and are answered. An end that is started again falls silent first.
 _OFFER_NS, _CALM_OFFER_NS = 500_000_000, 5_000_000_000
 # seconds of exchanges of time stamps in view
 _CLOCK_WINDOW = 64
@@ -139,6 +145,9 @@ class DatagramEnd:
         self._incoming = incoming
         topics = [topic for topic in subscriber.topics if topic in DATAGRAMS_OF[incoming]]
         falls_back, peer = settings.transport == "auto", (machine, place.port)
+        self._sparse = SparseSamples()
+        # Losses of what is received, over the time of some reports.
+        self._losses = Repeats(None)
         self._sent_topics = frozenset(DATAGRAMS_OF["forward" if is_master else "backward"])
         self._recent: list[bytes] = [b""] * _REMEMBERED
         self._recent_place = 0
@@ -146,7 +155,13 @@ class DatagramEnd:
         self._heard = (0, 0)
         self._turned_ns, self._behind_until_ns = now, 0
         self._sent_ns = now
-        self._acknowledged_ns = now - 2 * _UNHEARD_NS
+        # When the other end was last known, by either way, to have received further datagrams from here, and when by
+        # one of its own.
+        self._acknowledged_ns = self._answered_ns = now - 2 * _UNHEARD_NS
+        # How the other end receives, by its last word over TCP, and what was offered to it last of this end.
+        self._peer_receives: Way = "stream"
+        self._offered: Way = "stream"
+        self._blocked_since_ns: int | None = None
         self._expected = 0
         self._acknowledged_counts = (0, 0)
         self._maintain_ns = self._report_ns = now
@@ -167,6 +182,7 @@ class DatagramEnd:
         if self._relay is not None:
             self._relay.send = self._send_plain
         subscriber.set_aside("link/key", self._hear_offer)
+        subscriber.sift = self._sift
         self._reception = Reception(subscriber, topics, peer, self._tell, falls_back=falls_back, now_ns=now)
 
     @property
@@ -178,21 +194,25 @@ class DatagramEnd:
 
     @property
     def acknowledged(self) -> bool:
-        """Whether the other end has lately said that datagrams arrive there."""
+        """Whether the other end has lately said, by datagram or over TCP, that datagrams arrive there."""
         return self._clock.monotonic_ns() - self._acknowledged_ns < _UNHEARD_NS and self._expected > 0
 
-    def carry(self, topic: str, payload: bytes) -> None:
-        """Send a sample that was published, at once, if it is one of those that cross as datagrams."""
-        if topic not in self._sent_topics or self._agreement.sealer is None or self._peer is None:
-            return
-        if not self._touch.is_kept:
-            return
+    def carry(self, topic: str, payload: bytes) -> bytes | None:
+        """Send a sample that was published, at once, if it is one of those that cross as datagrams.
+
+        Returns:
+            By which of SPARSE it is sent over TCP as well, None for most.
+        """
+        if topic not in self._sent_topics:
+            return None
         now = self._clock.monotonic_ns()
-        if now - self._acknowledged_ns > _UNHEARD_NS:
-            # No acknowledgement comes: the signs of life that `maintain` sends will tell when that changes.
-            return
-        if samples := self.outgoing.samples(topic, payload, now):
+        # Where no acknowledgement comes and the other end receives over TCP, the signs of life that `maintain` sends
+        # will tell when that changes.
+        sends = now - self._acknowledged_ns <= _UNHEARD_NS or self._peer_receives == "datagram"
+        sends = sends and self._agreement.sealer is not None and self._peer is not None and self._touch.is_kept
+        if sends and (samples := self.outgoing.samples(topic, payload, now)):
             self._send(samples, now)
+        return self._sparse.takes(topic, len(payload), now)
 
     def _send(self, samples: bytes, now_ns: int) -> None:
         sealer, peer = self._agreement.sealer, self._peer
@@ -291,8 +311,7 @@ class DatagramEnd:
             # the oldest first, each once
             for topic, payload in reversed(found.samples):
                 if payload not in self._recent:
-                    self._recent[self._recent_place] = payload
-                    self._recent_place = (self._recent_place + 1) % _REMEMBERED
+                    self._remember(payload)
                     waiting.append(([topic, payload], now))
             if self._play_out is not None:
                 self._hold(self._play_out, found.report, now, waiting)
@@ -323,7 +342,7 @@ class DatagramEnd:
         report = body.report
         monotonic_ns = now_ns - self._clock.epoch_offset_ns
         is_behind = monotonic_ns < self._behind_until_ns or monotonic_ns - self._turned_ns > _STOOD_STILL_NS
-        self._reception.record(monotonic_ns, self.incoming.capacity)
+        self._reception.record(monotonic_ns)
         if opener is not self._agreement.opener:
             return
         self.arrivals.record(number, report.sent_ns, now_ns)
@@ -337,13 +356,19 @@ class DatagramEnd:
             self._heard = self._heard if is_behind else (report.sent_ns, now_ns)
             if self._relay is None and (self._peer is None or address[:2] != self._peer[:2]):
                 self._follow(address)
-            if report.heard_sent_ns and report.expected != self._expected:
-                self._expected, self._acknowledged_ns = report.expected, monotonic_ns
-                self._acknowledged_counts = (report.expected, report.arrived)
+            if report.heard_sent_ns and report.expected > self._expected:
+                self._acknowledge(report.expected, report.arrived, monotonic_ns)
+                if monotonic_ns - self._answered_ns > _UNHEARD_NS:
+                    # Nothing may be concluded from what arrived before and after a time without answers.
+                    self.outgoing.forget_reports(new_process=False)
+                self._answered_ns = monotonic_ns
         if report.heard_sent_ns and not is_behind:
             exchange = Exchange(report.heard_sent_ns, report.heard_ns, report.sent_ns, now_ns)
             self.outgoing.record_heard(exchange, report)
             self.offset.record(exchange)
+
+    def _acknowledge(self, expected: int, arrived: int, now_ns: int) -> None:
+        self._expected, self._acknowledged_ns, self._acknowledged_counts = expected, now_ns, (expected, arrived)
 
     def _follow(self, address: Address) -> None:
         if self._peer is not None:
@@ -372,7 +397,9 @@ class DatagramEnd:
         self._exchange_keys(now_ns)
         if self._agreement.sealer is not None and now_ns - self._sent_ns >= _MAINTAIN_NS:
             self._send(b"", now_ns)
-        self._reception.choose(now_ns, has_peer_key=bool(self._agreement.peer_public))
+        if not self._reception.is_silent(now_ns):
+            self._blocked_since_ns = None
+        self._reception.choose(now_ns, self._why_silent())
         self.arrivals.settle(now_ns)
         self._adapt(now_ns)
         if now_ns >= self._report_ns:
@@ -382,6 +409,7 @@ class DatagramEnd:
                 self._send(mark(CARRIES, b"".join(figure.to_bytes(8, "big") for figure in figures)), now_ns)
             if self._expected:
                 self.outgoing.adapt_repeats(*self._acknowledged_counts)
+            self._weigh_tcp()
             if self._agreement.peer_public:
                 self._publish_report()
 
@@ -389,13 +417,34 @@ class DatagramEnd:
         sending = "datagram" if self.acknowledged else "stream"
         ways = {"direction": self._incoming, "receiving": self.receiving, "sending": sending}
         parts = self.offset.estimate(), self.arrivals, self.outgoing, self.incoming.capacity
-        self._outlets.reports.publish("link/network", **network_report(ways, *parts), refused=dict(self.rejected))
+        said = network_report(ways, *parts) | {"blocked_since_ns": self._blocked_since_ns}
+        self._outlets.reports.publish("link/network", **said, refused=dict(self.rejected))
+
+    def _weigh_tcp(self) -> None:
+        """Take what TCP can carry each way, by what is known of the datagrams."""
+        offset, settled = self.offset.estimate(), self.arrivals.settled
+        self._losses.adapt(settled, settled - max(0, self.arrivals.lost))
+        round_trip_s = 0.0 if offset is None else offset.round_trip_s
+        self._reception.weigh(carried_by_tcp(self.incoming.capacity, self._losses.loss_share, round_trip_s))
+        known = self.outgoing.control.carried_while_full or self._known
+        self._sparse.carried = carried_by_tcp(known, self.outgoing.repeats.loss_share, round_trip_s)
+
+    def _why_silent(self) -> str:
+        """Return what may be said of the UDP port while no datagram comes."""
+        if not self._agreement.peer_public:
+            return "may be in use by no link there: it has offered no key"
+        if self._blocked_since_ns is None:
+            return "is blocked on the way"
+        since = datetime.fromtimestamp(self._blocked_since_ns // 1_000_000_000, UTC)
+        return f"is blocked {_BETWEEN[self._incoming]} since {since:%H:%M:%S} UTC"
 
     def _adapt(self, now_ns: int) -> None:
         """Adapt what is sent to the line, and tell of a line that is full."""
-        if self.acknowledged:
+        if now_ns - self._answered_ns < _UNHEARD_NS:
+            # What was reported before that says nothing of the queue now.
             offset = self.offset.estimate()
             self.outgoing.update(now_ns, 0 if offset is None else round(offset.round_trip_s * 1e9))
+        if self.acknowledged:
             seems_narrow = 0 < min(self.incoming.measured, self._known) < _NARROW
             if self._is_master and self._trains and (self._trains > _FURTHER_TRAINS or seems_narrow):
                 self._trains -= self.outgoing.send_train(now_ns, self._send, ASKING_TRAIN)
@@ -427,21 +476,70 @@ class DatagramEnd:
             except ValueError as error:
                 self._refuse_key(str(error))
                 continue
+            self._hear_word(message, now_ns)
             if new and agreement.opener is not None:
                 self.arrivals.begin(agreement.opener.window)
                 self.outgoing.forget_reports(new_process=silent)
                 self._expected = 0
                 self._reception.begin_keys(now_ns)
             changed = changed or new
-        calm = not silent and agreement.sealer is not None
+        # Where no datagram answers, what arrives here is said over TCP.
+        calm = not silent and agreement.sealer is not None and now_ns - self._answered_ns < _OFFER_NS
+        changed = changed or self.receiving != self._offered
         if changed or now_ns - self._offered_ns >= (_CALM_OFFER_NS if calm else _OFFER_NS):
-            self._offered_ns = now_ns
+            self._offered_ns, self._offered = now_ns, self.receiving
             answers = b"" if self._is_master else agreement.peer_public
-            self._outlets.keys.publish("link/key", public_key=agreement.public.hex(), answers=answers.hex())
+            expected, arrived = self.arrivals.of_keys
+            self._outlets.keys.publish(
+                "link/key",
+                public_key=agreement.public.hex(),
+                answers=answers.hex(),
+                receiving=self.receiving,
+                sent=0 if agreement.sealer is None else agreement.sealer.number,
+                arrived=arrived,
+                lost=expected - arrived,
+                capacity_bit_per_s=self.incoming.measured,
+            )
 
     def _hear_offer(self, message: Message) -> None:
         # One offer at a time is enough, because offers are repeated.
         self._offers = [cast(LinkKey, message)]
+
+    def _hear_word(self, word: LinkKey, now_ns: int) -> None:
+        """Take what the other end says over TCP: what arrives there, and what it has sent that does not arrive here."""
+        if word.receiving is None or word.public_key != self._agreement.peer_public.hex():
+            return
+        arrived = word.arrived or 0
+        expected = arrived + (word.lost or 0)
+        self._peer_receives = word.receiving
+        self._sparse.alone = word.receiving == "stream"
+        self._known = word.capacity_bit_per_s or self._known
+        if expected > self._expected:
+            self._acknowledge(expected, arrived, now_ns)
+        is_blocked = self._reception.is_silent(now_ns) and (word.sent or 0) >= self.arrivals.of_keys[0] + _BLOCKED
+        if is_blocked and self._blocked_since_ns is None:
+            self._blocked_since_ns = self._reception.arrived_ns + self._clock.epoch_offset_ns
+            self._reception.remind(now_ns)
+
+    def take_sparse(self, waiting: Sequence[Taken]) -> list[Received]:
+        """Return what brings something new of the sparse samples that came by a connection beside the subscriber's."""
+        sifted = [(self._sift(list(frames)), received_ns) for frames, received_ns in waiting]
+        return self.subscriber.take([(frames, received_ns) for frames, received_ns in sifted if frames is not None])
+
+    def connect_beside(self, beside: Subscriber) -> None:
+        """Take a further connection to the other machine, for the sparse samples that go by it."""
+        self._reception.connect_beside(beside)
+
+    def _sift(self, frames: list[bytes]) -> list[bytes] | None:
+        sifted = self._reception.sift(frames, self._clock.monotonic_ns())
+        if sifted is not None and sifted is not frames:
+            # Its datagram may still come.
+            self._remember(sifted[-1])
+        return sifted
+
+    def _remember(self, payload: bytes) -> None:
+        self._recent[self._recent_place] = payload
+        self._recent_place = (self._recent_place + 1) % _REMEMBERED
 
     def _refuse_key(self, reason: str) -> None:
         self.rejected["key"] = self.rejected.get("key", 0) + 1

@@ -93,8 +93,14 @@ class PeerConnections:
         clock: Clock,
         access_control: AccessControl,
         rejections: RejectionCounter,
+        *,
+        is_reported: bool = True,
     ) -> None:
-        """Connect a subscriber to the endpoint of each node, where the machine has a valid key."""
+        """Connect a subscriber to the endpoint of each node, where the machine has a valid key.
+
+        What happens to the connections is an event where `is_reported`.
+        """
+        self._is_reported = is_reported
         now = clock.monotonic_ns()
         self.machine = machine
         self.subscriber = subscriber
@@ -271,4 +277,5 @@ class PeerConnections:
 
     def _report(self, level: str, text: str, peer: PeerConnection, state: str, **data: float) -> None:
         facts: dict[str, bool | float | str] = {"peer": peer.node, "endpoint": peer.endpoint, "connection": state}
-        self._events.append(ConnectionEvent(level, text, {**facts, **data}))
+        if self._is_reported:
+            self._events.append(ConnectionEvent(level, text, {**facts, **data}))

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from proto.errors import ConfigError
 from proto.nodes import FAR_END, LINK
 from services.runtime.bus.address_book import AddressBook, split_tcp
-from services.runtime.bus.bus import Subscriber
+from services.runtime.bus.bus import Reader, Subscriber
 from services.runtime.bus.publisher import ZmqPublisher
 from services.runtime.datagram.end import DatagramEnd
 from services.runtime.datagram.place import Outlets, Place
+from services.runtime.datagram.sparse import BesideConnection
 from services.runtime.relay.path import RelayPath
 from services.runtime.relay.protocol import TO_RELAY, TO_SITE, SharedKeys, raw_key, split_host_port
 from services.runtime.security.access_control import AccessControl, relay_key
@@ -21,8 +22,10 @@ NEAR_END = f"{LINK}@slave"
 
 def open_end(
     key: str, network: Transport, outgoing: ZmqPublisher, reports: ZmqPublisher, readers: Sequence[Subscriber]
-) -> DatagramEnd | None:
-    """Return the end of the node `key`, attached to what it sends and receives with; None where there can be none.
+) -> list[Reader]:
+    """Return the end of the node `key`, attached to what it sends and receives with, and a connection beside it.
+
+    There is nothing where there can be no end.
 
     Raises:
         OSError: Another process has the port, or the name of the relay has no address.
@@ -31,12 +34,12 @@ def open_end(
     """
     book = network.book
     if not {NEAR_END, FAR_END} <= set(book.nodes):
-        return None
+        return []
     is_master = key != FAR_END
     machine = book.machine_of(FAR_END if is_master else NEAR_END)
     reader = network.reader_of(machine, readers)
     if reader is None or machine == network.machine:
-        return None
+        return []
     access = network.access_control
     end = DatagramEnd(
         network.clock,
@@ -54,7 +57,10 @@ def open_end(
     outgoing.carry = end.carry
     # closed with the other handlers of the network
     network.look_after(end)
-    return end
+    beside = BesideConnection(network.context, network.clock, end.take_sparse)
+    network.connect_beside(FAR_END if is_master else NEAR_END, beside)
+    end.connect_beside(beside)
+    return [end, beside]
 
 
 def place_of(book: AddressBook, machine: str, *, is_master: bool) -> Place:

@@ -114,11 +114,10 @@ class Participant:
             )
             return []
         try:
-            end = open_end(self.key, self.network, outgoing, reports, readers)
+            return open_end(self.key, self.network, outgoing, reports, readers)
         except (OSError, ValueError, ConfigError) as error:
             self.log.warning(f"the link sends no datagrams: {error}; everything crosses over TCP")
             return []
-        return [] if end is None else [end]
 
     def estop_inlet(self) -> list[Subscriber]:
         """Open the inlet for emergency stops; without an ipc endpoint there is none, and a console has to send them."""

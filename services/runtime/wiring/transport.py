@@ -126,7 +126,7 @@ class Transport:
         self.machine = machine
         self.access_control = AccessControl(machine, keyring or Keyring(), requires_keys=book.requires_keys)
         self.has_pending = False
-        self._context = context
+        self.context = context
         self.clock = clock
         self.book = book
         self._rejections = RejectionCounter()
@@ -160,21 +160,21 @@ class Transport:
         if self.book.uses_runtime_directory:
             check_runtime_directory(make=True)
         if network is None:
-            return ZmqPublisher(self._context, self.clock, key, local or "", kind=kind)
+            return ZmqPublisher(self.context, self.clock, key, local or "", kind=kind)
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
             _set_network_options(socket, _READER_SILENCE_MS, network)
-            if self._context.get(zmq.IO_THREADS) > 1:
+            if self.context.get(zmq.IO_THREADS) > 1:
                 socket.set(zmq.AFFINITY, _SECOND_THREAD)
                 self._lowered = False
             self._authenticator.prepare(socket, key)
 
         try:
             if local is None:
-                publisher = ZmqPublisher(self._context, self.clock, key, network, kind=kind, prepare=prepare)
+                publisher = ZmqPublisher(self.context, self.clock, key, network, kind=kind, prepare=prepare)
             else:
                 # A bound endpoint keeps the options that the socket had at that moment, so ipc stays plain.
-                publisher = ZmqPublisher(self._context, self.clock, key, local, kind=kind)
+                publisher = ZmqPublisher(self.context, self.clock, key, local, kind=kind)
                 prepare(publisher.socket)
                 publisher.also_bind(network)
         except EndpointError:
@@ -219,6 +219,15 @@ class Transport:
         """Return whether some node of another machine is connected now."""
         return any(peer.up for peers in self._peers if peers.machine == machine for peer in peers.connections)
 
+    def connect_beside(self, node: str, subscriber: Subscriber) -> None:
+        """Connect a socket to a node that another socket is connected to as well, which alone reports what happens."""
+        endpoint, machine = self.book.connect_endpoint(node, self.machine), self.book.machine_of(node)
+        _set_network_options(subscriber.socket, _LOOP_SILENCE_MS, endpoint)
+        parts = {node: endpoint}, subscriber, self.clock, self.access_control, RejectionCounter()
+        peers = PeerConnections(machine, *parts, is_reported=False)
+        self._peers.append(peers)
+        self._handlers.append(peers)
+
     def look_after(self, handler: NetworkHandler) -> None:
         """Have a further kind of connection take part in what is done from time to time."""
         self._handlers.append(handler)
@@ -226,7 +235,7 @@ class Transport:
     def estop_inlet(self, key: str) -> EstopInlet | None:
         """Bind where a node takes emergency stops; None where it has no ipc endpoint."""
         endpoint = self.book.estop_endpoint(key)
-        return None if endpoint is None else EstopInlet(self._context, self.clock, key, endpoint)
+        return None if endpoint is None else EstopInlet(self.context, self.clock, key, endpoint)
 
     def process_events(self) -> list[ConnectionEvent]:
         """Process authentication requests and connection events, and reload the list of keys if it has changed."""
@@ -251,8 +260,8 @@ class Transport:
             endpoints |= {node: endpoint for node, endpoint in further.items() if is_bound(endpoint)}
         by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
-            return Subscriber(self._context, self.clock, by_endpoint, newest_only=newest_only)
-        subscriber = Subscriber(self._context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
+            return Subscriber(self.context, self.clock, by_endpoint, newest_only=newest_only)
+        subscriber = Subscriber(self.context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
         subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
         _set_network_options(subscriber.socket, silence_ms, *by_endpoint)
         machine = self.book.machine_of(next(iter(plan)))

@@ -1,6 +1,7 @@
 """`telenano link`: show and change the link of a running rig."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -133,6 +134,8 @@ def network_rows(network: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     ways = [network.get(direction, {}) for direction in _DIRECTIONS]
     rows = [_row(f"network: {key}", *(way.get(key, "") for way in ways)) for key in _NETWORK_COUNTS]
     rows.append(_row("network: lost of settled [%]", *map(_lost_percent, ways)))
+    if any(way.get("blocked_since_ns") for way in ways):
+        rows.append(_row("network: UDP blocked since", *map(_blocked_since, ways)))
     queues_s = [way.get("queue_s") for way in ways]
     rows.append(_row("network: queue [ms]", *("" if each is None else f"{1e3 * each:.1f}" for each in queues_s)))
     rows.append(_row("network: line carries [Mbit/s]", *(_mbit(way.get("capacity_bit_per_s")) for way in ways)))
@@ -150,6 +153,11 @@ def _lost_percent(way: dict[str, Any]) -> str:
     """Return the share lost of what is settled: datagrams of the last second may still arrive."""
     settled = way.get("settled")
     return f"{100.0 * way['lost'] / settled:.1f}" if settled else ""
+
+
+def _blocked_since(way: dict[str, Any]) -> str:
+    since_ns = way.get("blocked_since_ns")
+    return f"{datetime.fromtimestamp(since_ns * 1e-9, UTC):%H:%M:%S} UTC" if since_ns else ""
 
 
 def _mbit(bit_per_s: float | str | None) -> str:

@@ -49,8 +49,9 @@ class Made:
     incidents: session time and text of what the slave's launcher does; end_s: when the recording ends, None if the
     programme is ended; set_s: when the tip has acknowledged a setting; queue_s: by which the way there grows in a
     second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s];
-    hand_mode: of the device at a session time; killed_s: when the hand's process is killed, from which on its numbers
-    begin anew and its programme does not run, until anew_s if that is given.
+    blocked_s: from when to when UDP is blocked from the slave to the master [s]; hand_mode: of the device at a session
+    time; killed_s: when the hand's process is killed, from which on its numbers begin anew and its programme does not
+    run, until anew_s if that is given.
     """
 
     ahead_s: float = 0.0
@@ -70,6 +71,7 @@ class Made:
     queue_s: float = 0.0
     told_s: float = 0.0
     full_s: float | None = None
+    blocked_s: tuple[float, float] | None = None
     hand_mode: Callable[[float], str] = lambda time_s: "position"
     killed_s: float | None = None
     anew_s: float | None = None
@@ -200,3 +202,9 @@ class Made:
                 # Both ways are delayed as much, and the slave alone takes its own for full.
                 for source, way, sends in ((LINK, "backward", "free"), ("controller@slave", "forward", "full")):
                     add("link/network", source, 0.1 * tenth, direction=way, **counts, **line, line=sends)
+            if self.blocked_s is not None and tenth % 5 == 0:
+                begin_s, end_s = self.blocked_s
+                since = {"blocked_since_ns": BEGAN_NS + round(begin_s * NS)} if begin_s < 0.1 * tenth < end_s else {}
+                # Nothing is known of a queue where no datagram was ever answered.
+                unknown = {"queue_s": None, "capacity_bit_per_s": None, "line": "free"}
+                add("link/network", LINK, 0.1 * tenth, direction="backward", **{**unknown, **since})

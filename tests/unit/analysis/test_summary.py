@@ -32,6 +32,7 @@ MADE: dict[str, Made] = {
     "of_two_readings": Made(told_s=0.02),
     "set": Made(set_s=2.0),
     "of_a_full_line": Made(full_s=0.05),
+    "of_a_blocked_line": Made(blocked_s=(1.2, 3.3)),
     "cut_off": Made(end_s=3.0),
     "without_answers": Made(answers=0.0),
     "without_tip": Made(without=lambda topic, time_s: topic in ("afm/state", "haptic/command")),
@@ -134,9 +135,13 @@ def test_the_sessions_show_what_a_summary_can_say(summaries: dict[str, dict[str,
     assert not summaries["cut_off"]["recording"]["complete"]
     figures = {"queue_max_ms": 50.0, "capacity_mbit": 1.0, "datagrams_per_s": 500.0, "lost_share": 0.1}
     assert summaries["of_a_full_line"]["lines"] == [
-        {"direction": "forward", "full_share": 0.0, **figures},
-        {"direction": "backward", "full_share": 1.0, **figures},
+        {"direction": "forward", "full_share": 0.0, "blocked_s": [], **figures},
+        {"direction": "backward", "full_share": 1.0, "blocked_s": [], **figures},
     ]
+    (line,) = summaries["of_a_blocked_line"]["lines"]
+    assert line["direction"] == "backward"
+    # The last report of the block is the one at 3 s.
+    assert [tuple(span) for span in line["blocked_s"]] == [pytest.approx((1.2, 3.0), abs=0.01)]
     assert "lines" not in summaries["wave"]
     assert len(summaries["in_parts"]["recording"]["parts"]) == 2
     assert "parts" not in summaries["wave"]["recording"]

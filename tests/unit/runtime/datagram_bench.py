@@ -13,6 +13,7 @@ from proto import compose
 from proto.messages import Message
 from services.runtime.bus.address_book import LinkTransport
 from services.runtime.bus.bus import Received, Subscriber
+from services.runtime.bus.publisher import SPARSE
 from services.runtime.datagram.end import DatagramEnd
 from services.runtime.datagram.place import Outlets, Place
 from telenano.extend.testing import VirtualClock
@@ -46,6 +47,11 @@ class SocketLog:
 
     def subscribe(self, topic: bytes) -> None:
         self.topics.add(topic.decode())
+
+    @property
+    def whole(self) -> set[str]:
+        """The topics of which all is subscribed to, and not only the sparse samples."""
+        return {topic for topic in self.topics if not topic.encode().startswith(SPARSE)}
 
     def unsubscribe(self, topic: bytes) -> None:
         self.topics.discard(topic.decode())

@@ -29,7 +29,7 @@ from services.runtime.datagram.body import (
 from services.runtime.datagram.incoming import Incoming
 from services.runtime.datagram.outgoing import LEAST_HZ, TRAIN_DATAGRAMS, Outgoing
 from services.runtime.datagram.rate import Mode
-from services.runtime.datagram.reception import MISSED_NS, SILENCE_NS
+from services.runtime.datagram.reception import DEADLINE_NS, SILENCE_NS
 from services.runtime.datagram.replay_window import ReplayWindow
 from services.runtime.loop.clock_offset import Exchange
 from services.runtime.security.sealed import RejectedError
@@ -242,9 +242,12 @@ def test_only_its_sender_calls_a_line_full_and_names_what_it_carries_now(
 # --- falling back ---
 
 
-def test_tcp_is_subscribed_to_before_a_silence_is_called_one(ends: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("step_ms", [1, 4, 8])
+def test_tcp_is_subscribed_to_before_a_deadline_can_fire_at_every_rate(
+    ends: Pair, monkeypatch: pytest.MonkeyPatch, step_ms: int
+) -> None:
     ends.joined()
-    monkeypatch.setattr(datagram_bench, "STEP_NS", MS)
+    monkeypatch.setattr(datagram_bench, "STEP_NS", step_ms * MS)
     ends.turns(300)
     sockets = [side.end.socket for side in ends.sides]
     for side in ends.sides:
@@ -255,16 +258,19 @@ def test_tcp_is_subscribed_to_before_a_silence_is_called_one(ends: Pair, monkeyp
         ends.turn()
         waited += 1
         assert waited * MS < SILENCE_NS / 3
-    assert waited * MS == pytest.approx(MISSED_NS, abs=3 * MS)
+    # Half the deadline and two pauses, or nine tenths of it.
+    silence_ns = min(DEADLINE_NS / 2 + 2 * step_ms * MS, 0.9 * DEADLINE_NS)
+    assert waited * step_ms * MS == pytest.approx(silence_ns, abs=2 * step_ms * MS)
+    assert (waited - 1) * step_ms * MS < DEADLINE_NS
     # a node that sleeps is woken for it
-    assert ends.master.end.due_ns <= ends.master.clock.monotonic_ns() + MISSED_NS or "law/status" in (
+    assert ends.master.end.due_ns <= ends.master.clock.monotonic_ns() + DEADLINE_NS or "law/status" in (
         ends.master.log.topics
     )
     assert [side.end.receiving for side in ends.sides] == ["datagram", "datagram"]
     for side, real in zip(ends.sides, sockets, strict=True):
         side.end.socket = real
     ends.turns(700)
-    assert [side.log.topics for side in ends.sides] == [{"link/key"}, {"link/key"}]
+    assert [side.log.whole for side in ends.sides] == [{"link/key"}, {"link/key"}]
     assert [event.text for side in ends.sides for event in side.events] == []
 
 

@@ -25,6 +25,15 @@ def test_what_the_network_did_is_shown_for_both_directions() -> None:
     assert network_rows({}) == []
 
 
+def test_a_way_on_which_udp_is_blocked_is_named_with_its_time() -> None:
+    way = {"receiving": "stream", "sent": 10, "arrived": 10, "late": 0, "lost": 0, "settled": 0, "refused": {}}
+    since_ns = 1_795_696_265 * 10**9
+    ways = {"forward": {**way, "blocked_since_ns": None}, "backward": {**way, "blocked_since_ns": since_ns}}
+    rows = {row["what"]: (row["forward"], row["backward"]) for row in network_rows(ways)}
+    assert rows["network: UDP blocked since"] == ("", "12:31:05 UTC")
+    assert "network: UDP blocked since" not in {row["what"] for row in network_rows({"forward": way, "backward": way})}
+
+
 def test_the_state_of_the_line_is_shown_with_the_share_lost_of_what_is_settled() -> None:
     forward = {
         "receiving": "datagram", "sent": 1000, "arrived": 980, "late": 0, "lost": 20, "settled": 200, "refused": {},

@@ -237,7 +237,7 @@ def test_the_queue_of_a_line_is_a_fact_of_its_direction_and_an_earlier_end_has_n
     feed.record(seen("link/network", "controller@slave", **line))
     feed.record(seen("link/network", "delay_node@master", START_NS + 1, direction="backward"))
     assert feed.snapshot()["state"] == {
-        "line/forward": {"queue_s": 0.052, "capacity_bit_per_s": 10**6, "sends": "full"},
-        "line/backward": {"queue_s": None, "capacity_bit_per_s": None, "sends": None},
+        "line/forward": {"queue_s": 0.052, "capacity_bit_per_s": 10**6, "sends": "full", "blocked_since_ns": None},
+        "line/backward": {"queue_s": None, "capacity_bit_per_s": None, "sends": None, "blocked_since_ns": None},
     }
     assert feed.left_out.rejected == {}

@@ -43,7 +43,7 @@ def people(tmp_path: Path) -> People:
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
     monkeypatch.setattr(hubs, "VALIDITY_S", 60.0)
-    monkeypatch.setattr(hubs, "HAND_DEADLINE_S", 60.0)
+    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
     return Rig()
 
 

@@ -134,7 +134,7 @@ def test_the_hand_of_a_page_that_is_killed_is_free_when_its_connection_ends_and_
 ) -> None:
     # by silence nobody loses the hand here
     monkeypatch.setattr(lease, "VANISHED_NS", 10**15)
-    monkeypatch.setattr(hubs, "HAND_DEADLINE_S", 1e6)
+    monkeypatch.setattr(hubs, "HAND_FRESH_S", 1e6)
     rig, order = Rig(), list[str]()
     rig.hub.on_lease = lambda party: order.append(party.label if party else "nobody")
     with bind(port=0) as bound, ExitStack() as stack:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -502,7 +502,7 @@ def changes(rig: Rig) -> list[float]:
 def test_one_page_holds_the_hand_until_it_lets_go(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_DEADLINE_S", 60.0)
+    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
     first, second = Page(stack, client), Page(stack, client)
     push(first, 1.5)
     until(lambda: changes(rig) == [1.5])
@@ -519,13 +519,15 @@ def test_the_hand_of_a_page_that_falls_silent_or_closes_is_let_go(
 ) -> None:
     silent = Page(stack, client)
     push(silent, 1.0)
-    until(lambda: changes(rig) == [1.0, 0.0])
+    until(lambda: changes(rig)[-1:] == [0.0])
+    assert changes(rig) == sorted(changes(rig), reverse=True)
+    assert changes(rig)[0] == 1.0
     # who pressed and has vanished has the tip withdrawn, and the hand is anybody's
     until(lambda: rig.commander.sent == [("stop", "afm_node@slave", {})])
     with ExitStack() as short:
         push(Page(short, client), 2.0)
         until(lambda: 2.0 in rig.hand)
-    until(lambda: changes(rig) == [1.0, 0.0, 2.0, 0.0])
+    until(lambda: rig.hand[-1] == 0.0)
     until(lambda: len(rig.commander.sent) == 2)
 
 
@@ -543,7 +545,7 @@ def test_what_is_read_of_a_page_that_has_left_gives_the_hand_to_nobody(rig: Rig,
 def test_a_page_that_pauses_for_a_moment_keeps_its_force(
     rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hubs, "HAND_DEADLINE_S", 60.0)
+    monkeypatch.setattr(hubs, "HAND_FRESH_S", 60.0)
     push(Page(stack, client), 1.5)
     until(lambda: rig.hand[:4] == [1.5] * 4)
     # the haptic node lets go when it hears nothing for longer than two of these
@@ -556,13 +558,72 @@ def test_a_server_that_stood_still_does_not_take_that_for_silence_of_the_page(
     now_s = 50.0
     monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
     rig.hub._push(Session(server.Role.OPERATOR), HandRequest(1.5, True))
-    now_s += 20.0 * hubs.HAND_DEADLINE_S
+    now_s += 20.0 * hubs.HAND_FADE_S
     rig.hub.tick()
     assert changes(rig) == [1.5]
-    for _ in range(2 * round(hubs.HAND_DEADLINE_S / hubs.TICK_S)):
+    for _ in range(20):
         now_s += hubs.TICK_S
         rig.hub.tick()
-    assert changes(rig) == [1.5, 0.0]
+    assert changes(rig)[0] == 1.5
+    assert changes(rig)[-1] == 0.0
+
+
+def test_the_force_of_a_silent_page_fades_and_comes_back_as_slowly(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 50.0
+    monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
+    session = Session(server.Role.OPERATOR)
+    forces: list[tuple[float, float]] = []
+
+    def go_on(until_s: float, frames: bool) -> None:
+        nonlocal now_s
+        while now_s < until_s:
+            now_s += hubs.TICK_S
+            if frames:
+                rig.hub._push(session, HandRequest(2.0, True, across_x_n=1.0))
+            rig.hub.tick()
+            forces.append((now_s, rig.hand[-1][0] if isinstance(rig.hand[-1], tuple) else rig.hand[-1]))
+
+    go_on(51.0, frames=True)
+    assert {force for _, force in forces} == {2.0}
+    go_on(51.3, frames=False)
+    faded = [force for _, force in forces if force < 2.0]
+    # Never more than what passes in a tick of the time in which it fades.
+    most = 2.0 * hubs.TICK_S / hubs.HAND_FADE_S + 1e-9
+    steps = [abs(after - before) for (_, before), (_, after) in pairwise(forces)]
+    assert max(steps) <= most
+    assert 0.0 < faded[-1] < 1.0
+    go_on(52.0, frames=True)
+    steps = [abs(after - before) for (_, before), (_, after) in pairwise(forces)]
+    assert max(steps) <= most
+    assert forces[-1][1] == 2.0
+    # It is nothing after the fresh time and the fading.
+    go_on(52.0 + hubs.HAND_FRESH_S + hubs.HAND_FADE_S + 2 * hubs.TICK_S, frames=False)
+    assert forces[-1][1] == 0.0
+    told = [msgpack.unpackb(frame) for frame in session._answers]
+    late = [frame["late_s"] for frame in told if frame["k"] == "hand"]
+    assert [late_s > hubs.HAND_FRESH_S for late_s in late] == [True, False, True]
+
+
+def test_a_force_that_waited_or_was_overtaken_is_dropped_and_counted_and_a_hand_is_let_go_at_any_age(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 50.0
+    monkeypatch.setattr(hubs.time, "monotonic", lambda: now_s)
+    session = Session(server.Role.OPERATOR)
+    # The clock of the page is another one.
+    rig.hub._push(session, HandRequest(1.0, True, number=1, stamp_s=7.0))
+    now_s = 50.2
+    rig.hub._push(session, HandRequest(2.0, True, number=2, stamp_s=7.15))
+    assert rig.hand == [1.0, 2.0 * rig.hub._share]
+    pushed = len(rig.hand)
+    rig.hub._push(session, HandRequest(3.0, True, number=3, stamp_s=7.05))
+    rig.hub._push(session, HandRequest(4.0, True, number=2, stamp_s=7.2))
+    assert len(rig.hand) == pushed
+    assert rig.hub.desk.refused.rejected == {"late": 2}
+    rig.hub._push(session, HandRequest(0.0, held=False, number=1, stamp_s=0.1))
+    assert rig.hand[-1] == 0.0
+    (frame,) = [msgpack.unpackb(frame) for frame in session._answers]
+    assert frame == {"k": "hand", "held": True, "text": "", "late_s": pytest.approx(0.15)}
 
 
 def test_the_server_ends_with_a_source_that_cannot_be_read(

@@ -6,6 +6,7 @@ model is computed anew while everything else is taken from the file.
 
 import contextlib
 import json
+import logging
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -24,8 +25,10 @@ from telenano_studies.loops.cells import Cell, CellResult, run_cell
 JOURNAL_NAME = "journal.jsonl"
 # cells handed over together: one takes about 20 ms, a message to a process or a machine a good part of that
 _BATCH = 8
-# a cluster without a worker for so long [s] is said to have none
+# A cluster without a worker for so long [s] is said to have none, and one without a result, where it has the work of
+# others, to be busy with that.
 _WORKER_S = 5.0
+_CONTINUES = "the journal keeps the finished cells, and the same command continues once one answers there"
 
 Progress = Callable[[int, int], None]
 
@@ -187,12 +190,14 @@ def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterato
 
 
 def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callable[[str], None]) -> Iterator[list[Any]]:
-    """Run on a cluster whose workers have this project installed; ConfigError when it does not answer.
+    """Run on a cluster whose workers have this project installed; ConfigError when it does not answer, or is lost.
 
-    `warn` gets a sentence where the cluster has no worker yet: the work waits for the first one.
+    `warn` gets a sentence where the work waits: for a first worker, or for the work of others.
     """
     # dask has types for a part of itself only
     cluster: Any = import_module("dask.distributed")
+    # It writes a traceback of each connection that is lost, beside what is said of it here.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         client = cluster.Client(address, timeout="10s")
     except (OSError, ValueError) as error:
@@ -205,5 +210,23 @@ def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callab
                 f"--scheduler {address}: it has no worker; the study begins when one is started: dask worker {address}"
             )
         futures: list[Any] = client.map(run_batch, batches, run=kind.run, pure=False)
-        for _, results in cluster.as_completed(futures, with_results=True):
-            yield results
+        try:
+            cluster.wait(futures, timeout=_WORKER_S, return_when="FIRST_COMPLETED")
+        except TimeoutError:
+            own = {future.key for future in futures}
+            others = {key for keys in client.processing().values() for key in keys} - own
+            if others:
+                busy = f"its workers have tasks of others, which come first: {len(others)} now"
+                warn(f"--scheduler {address}: {busy}")
+        came = 0
+        try:
+            for future, results in cluster.as_completed(futures, with_results=True):
+                if not future.cancelled():
+                    came += 1
+                    yield results
+        except cluster.KilledWorker as error:
+            raise ConfigError(f"--scheduler {address}: cells ended one worker after the other: {error}") from error
+    # What a scheduler had is cancelled when it is lost, and comes no more.
+    if came < len(batches):
+        lost = f"{len(batches) - came} of {len(batches)} batches of cells did not come"
+        raise ConfigError(f"--scheduler {address}: the Dask scheduler was lost, {lost}: {_CONTINUES}")

@@ -38,15 +38,26 @@ export function adviceFor(ways: readonly (Way | undefined)[], losses: readonly n
   return `${measured}: any law suits it.`;
 }
 
-/** The state of the line between two sites in one row: queue [s], capacity [bit/s] and what its receiver takes the
- * other way for, of each way; empty if unknown. */
+const WAY_NAMES = ["from the master to the slave", "from the slave to the master"];
+
+/** Which way UDP is blocked between two sites and since when (epoch [ns] of each way, by UTC); empty where it is not. */
+function blockedText(ways: readonly (readonly unknown[])[]): string {
+  const named = ways.flatMap(([, , , since], way) =>
+    typeof since === "number" ? [`UDP is blocked ${WAY_NAMES[way]} since ${new Date(since / 1e6).toISOString().slice(11, 19)} UTC`] : [],
+  );
+  return named.length ? `${named.join(", ")}: the link goes on over TCP. ` : "";
+}
+
+/** The state of the line between two sites in one row: queue [s], capacity [bit/s], what its receiver takes the other
+ * way for, and since when UDP is blocked, of each way; empty if unknown. */
 export function lineText(ways: readonly (readonly unknown[])[]): string {
   const queues = ways.map(([queue]) => (typeof queue === "number" ? queue : NaN));
-  if (!queues.some(Number.isFinite)) return "";
+  const blocked = blockedText(ways);
+  if (!queues.some(Number.isFinite)) return blocked.trim();
   const carried = ways.map(([, carries]) => (typeof carries === "number" ? (carries * 1e-6).toPrecision(2) : "?"));
   const shown = queues.map((queue) => (Number.isFinite(queue) ? (queue * 1e3).toFixed(0) : "?"));
   const full = ways.some(([, , sends]) => sends === "full") ? ": the line is full, and samples are that much older" : "";
-  return `Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
+  return `${blocked}Line: queue ${shown.join(" and ")} ms, carries ${carried.join(" and ")} Mbit/s${full}`;
 }
 
 /** Pictures are taken for those of the loop's own delay within so much of it, or so many milliseconds: their steps are of 5 ms. */

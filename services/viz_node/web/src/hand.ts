@@ -1,5 +1,6 @@
 import type { Connection } from "./connection";
 import { colour, make } from "./dom";
+import type { HandNotice } from "./protocol";
 import { LIMIT_N, springForce } from "./spring";
 import type { Store } from "./store";
 
@@ -35,6 +36,13 @@ export function whyLetGo(mode: unknown, program: string, runs: boolean): string 
   return mode === "follow" || mode === "hold" ? "" : "the tip was withdrawn";
 }
 
+/** That the hand of a page is too late to count, and how late [s], with the way there and back [s]; empty for 0. */
+export function slowText(late_s: number, way_s: number): string {
+  if (!(late_s > 0)) return "";
+  const age = late_s + (Number.isFinite(way_s) ? way_s / 2 : 0);
+  return `Too slow: this page is ${(1e3 * age).toFixed(0)} ms behind, and its force fades`;
+}
+
 /** A hand for those who have no device: drag down to push, and see the arm lag behind the pointer. */
 export class Hand {
   private readonly canvas = make("canvas", { "aria-hidden": "true" });
@@ -58,6 +66,8 @@ export class Hand {
   private across: [number, number] | undefined;
   private grabbedAt = { y: 0, arm: 0 };
   private refusal = "";
+  /** How late the server finds this hand [s]; 0 where it counts. */
+  private lateS = 0;
   private rumbledAt = 0;
   private followed = false;
 
@@ -172,6 +182,12 @@ export class Hand {
     this.hold(this.grabbedAt.arm + down_m);
   }
 
+  /** Take what the server says of the hand: why it was let go, or how late this page is. */
+  notice(frame: HandNotice): void {
+    if (frame.late_s === undefined) this.refuse(frame.text);
+    else this.lateS = frame.late_s;
+  }
+
   refuse(text: string): void {
     this.refusal = text;
     this.letGo();
@@ -226,7 +242,13 @@ export class Hand {
     }
     const isFar = this.meant !== undefined && this.meant >= TOP_M + TRAVEL_M;
     const own = this.meant === undefined ? "Drag down, here or in the scene" : isFar ? "Held at the end of the way: no more force" : "Held: let go, or Keep holding";
-    const text = this.refusal || own;
+    const slow = this.meant === undefined ? "" : slowText(this.lateS, this.store.wayS);
+    if (slow) {
+      pen.fillStyle = colour("stop");
+      pen.fillText("too slow", 4, height - 6);
+    }
+    this.pad.dataset["slow"] = String(slow !== "");
+    const text = this.refusal || slow || own;
     if (this.text.textContent !== text) this.text.textContent = text;
     this.pad.dataset["held"] = String(this.meant !== undefined);
     this.pad.setAttribute("aria-valuenow", force.toFixed(2));

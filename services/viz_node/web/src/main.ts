@@ -18,7 +18,7 @@ import { Regions } from "./regions";
 import type { View } from "./scene";
 import { Store } from "./store";
 import { Tip } from "./tip";
-import { takeToken } from "./token";
+import { socketUrl, takeToken } from "./token";
 
 const WRITE_MS = 200;
 const BANNERS_MS = 50;
@@ -28,7 +28,7 @@ const FRAMES_KEPT = 3600;
 const token = takeToken(location, history, () => sessionStorage);
 // another address of the same server, as after it was started anew, is another token
 addEventListener("hashchange", () => location.reload());
-const url = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/bus`;
+const url = socketUrl(location.href);
 const store = new Store();
 const connection = new Connection(url, token);
 const commands = new Commands(connection, store);
@@ -103,7 +103,7 @@ connection.onFrame = (frame: ServerFrame) => {
     if (!had && hasExperiment(cockpit)) regions.begin();
   }
   else if (frame.k === "way") store.wayS = frame.way_s ?? NaN;
-  else if (frame.k === "hand") cockpit.hand.refuse(frame.text);
+  else if (frame.k === "hand") cockpit.hand.notice(frame);
   dirty = true;
   taken += performance.now() - begun;
 };

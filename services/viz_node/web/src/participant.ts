@@ -10,7 +10,7 @@ import type { ServerFrame } from "./protocol";
 import { View } from "./scene";
 import { Store } from "./store";
 import { Surface } from "./surface";
-import { takeToken } from "./token";
+import { socketUrl, takeToken } from "./token";
 
 /** The page of a participant: what to do, the target, the hand, and questions. It is told nothing of the condition. */
 const CUE = "experiment/cue";
@@ -18,7 +18,7 @@ const AGAIN_MS = 500;
 const token = takeToken(location, history, () => sessionStorage);
 addEventListener("hashchange", () => location.reload());
 const store = new Store();
-const connection = new Connection(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/bus`, token);
+const connection = new Connection(socketUrl(location.href), token);
 const hand = new Hand(connection, store);
 const remaining = new Remaining();
 const [sheet, trial, note] = [part("sheet"), part("trial"), part("note")];
@@ -42,7 +42,7 @@ connection.onState = (state, text) => {
 connection.onFrame = (frame: ServerFrame) => {
   if (frame.k === "snapshot") store.begin(frame);
   else if (frame.k === "tick") store.take(frame);
-  else if (frame.k === "hand") hand.refuse(frame.text);
+  else if (frame.k === "hand") hand.notice(frame);
   dirty = true;
   const found = cueOf(store.state.get(CUE));
   if (found && remaining.take(found, performance.now())) {

@@ -134,6 +134,8 @@ export interface HandNotice {
   k: "hand";
   held: boolean;
   text: string;
+  /** How late the hand of this page is [s], where it is too late to count; 0 where it is so no longer. */
+  late_s?: number;
 }
 
 /** A question for the way to this page and back, and what it was found to be last [s]. */

@@ -64,11 +64,14 @@ function here(): void {
   send(pack({ k: "here", ...way }));
 }
 
+/** Frames of the hand since the page was loaded. */
+let number = 0;
+
 function push(): void {
   const force = spring.next(performance.now());
   if (force === undefined) return;
   const [across_x_n, across_y_n] = spring.acrossForce;
-  send(pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null, lease }));
+  send(pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null, lease, number: ++number, stamp_s: performance.now() / 1e3 }));
 }
 
 function send(frame: Uint8Array<ArrayBuffer>): void {

@@ -4,6 +4,13 @@ type Place = Pick<Location, "hash" | "pathname" | "search">;
 type Past = Pick<History, "replaceState">;
 type Kept = Pick<Storage, "getItem" | "setItem">;
 
+/** Where the server takes the socket of a page: beside the page, also where a proxy has it in a sub-folder. */
+export function socketUrl(page: string): string {
+  const url = new URL("bus", page);
+  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+  return url.href;
+}
+
 /**
  * The token of the address that was opened, which is then taken out of the address bar, where a screenshot or a glance
  * would show it. It is kept for this tab alone, so that the page can be loaded again.

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { takeToken } from "../src/token";
+import { socketUrl, takeToken } from "../src/token";
 
 class Kept {
   private readonly values = new Map<string, string>();
@@ -34,4 +34,11 @@ describe("the token of the address", () => {
     expect(takeToken(place(""), past, none)).toBe("");
     expect(takeToken(place("#%E0%A4%A"), past, () => new Kept())).toBe("%E0%A4%A");
   });
+});
+
+test("the socket is beside the page, also behind a proxy in a sub-folder", () => {
+  expect(socketUrl("http://127.0.0.1:8650/")).toBe("ws://127.0.0.1:8650/bus");
+  expect(socketUrl("http://127.0.0.1:8650/participant.html?x=1#token")).toBe("ws://127.0.0.1:8650/bus");
+  expect(socketUrl("https://lab.example/rigs/telenano/")).toBe("wss://lab.example/rigs/telenano/bus");
+  expect(socketUrl("https://lab.example/rigs/telenano/participant.html#t")).toBe("wss://lab.example/rigs/telenano/bus");
 });

@@ -60,7 +60,7 @@ export class LinkPanel implements Panel {
     const losses = ["forward_loss", "backward_loss"].map((column) => store.last("link", column));
     const text = adviceFor(ways, losses, String(store.fact("law/status/master", "law") ?? ""));
     if (this.advice.textContent !== text) this.advice.textContent = text;
-    const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends"].map((key) => store.fact(`line/${way}`, key))));
+    const line = lineText(WAYS.map((way) => ["queue_s", "capacity_bit_per_s", "sends", "blocked_since_ns"].map((key) => store.fact(`line/${way}`, key))));
     if (this.line.textContent !== line) this.line.textContent = line;
     const { short, long } = ageText(agesOf(store.age, store.wayS, store.pictureS, store.frameS));
     if (this.age.textContent !== short) this.age.textContent = short;
