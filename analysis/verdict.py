@@ -177,7 +177,7 @@ def _by_modes(
         mode = max(lasting, key=lambda one: one.end_n)
         # harmonics make the motion another than its largest mode
         cycle = math.ceil(len(values) / (length_s * min(one.frequency_hz for one in lasting)))
-        size = max(_moved(values[-cycle:], noise_n), mode.end_n)
+        size = _moved(values[-cycle:], noise_n) or mode.end_n
         words = f"a motion of {size:.3g} N from peak to peak at {mode.frequency_hz:.3g} Hz neither grows nor dies out"
         return Verdict("limit_cycle", mode.growth_per_s, size, noise_n, words)
     if unsure:

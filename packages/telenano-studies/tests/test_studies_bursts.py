@@ -109,6 +109,8 @@ def hand_at_hz(law: str, frequency_hz: float) -> float:
 def test_a_hand_below_26_hz_gets_no_energy_from_the_device_and_one_above_does(law: str) -> None:
     for frequency_hz in (8.0, 20.0, 25.0):
         assert hand_at_hz(law, frequency_hz) > LEAST_J
-    # the lag of the servo, and none of the law: it is in the document with these figures
+    # the lag of the servo, and none of the law: it is in the document with these figures; wave spends no more than the
+    # hand has worked at its device, and makes none
     for frequency_hz in (40.0, 60.0):
-        assert -1e-3 < hand_at_hz(law, frequency_hz) < -1e-4
+        found_j = hand_at_hz(law, frequency_hz)
+        assert found_j > LEAST_J if law == "wave" else -1e-3 < found_j < -1e-4

