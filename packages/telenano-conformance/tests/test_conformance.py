@@ -541,7 +541,8 @@ for frames in itertools.cycle(sent):
 def flooding(kind: str, folder: Path) -> Iterator[str]:
     """Run a client that sends as fast as it can, in a process of its own; yield its address."""
     address = f"ipc://{folder}/flood"
-    code = FLOOD.format(path=[path for path in sys.path if path], address=address, kind=kind)
+    folders = [str(Path(__file__).parent), *filter(None, sys.path)]
+    code = FLOOD.format(path=folders, address=address, kind=kind)
     client = subprocess.Popen([sys.executable, "-c", code])
     try:
         while not (folder / "flood").exists() and client.poll() is None:

@@ -112,8 +112,8 @@ def test_the_messages_of_the_loop_take_the_fast_way_with_the_same_bytes(topic: s
 
 def test_messages_of_the_loop_have_optional_keys() -> None:
     extended = [topic for topic in _TYPED if TOPICS[topic].model.additions]
-    assert extended == ["haptic/state", "operator/force", "teleop/forward", "afm/command", "afm/state"]
-    assert [len(subsets(topic)) for topic in extended] == [1 + 11 + 55 + 1, 2**1, 2**1, 2**2, 1 + 9 + 36 + 1]
+    assert extended == ["haptic/state", "operator/force", "teleop/forward", "afm/command", "afm/state", "link/key"]
+    assert [len(subsets(topic)) for topic in extended] == [1 + 11 + 55 + 1, 2**1, 2**1, 2**2, 1 + 9 + 36 + 1, 2**5]
 
 
 @pytest.mark.parametrize("topic", [topic for topic in _TYPED if TOPICS[topic].model.additions])
