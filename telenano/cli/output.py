@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import sys
+import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -82,11 +83,12 @@ def system_error_text(error: OSError) -> str:
         return f"{error.filename}: {reason}"
     if error.errno not in _WRITE_ERRORS:
         return reason
-    try:
-        sys.stdout.flush()
-    except OSError:
-        return f"standard output cannot be written: {reason}"
-    return f"a file cannot be written: {reason}"
+    # Files are written by the modules beneath; what prints is a library of terminals, or a command.
+    writer = ""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        writer = str(frame.f_globals.get("__name__", ""))
+    prints = writer.partition(".")[0] in ("click", "rich", "typer") or writer.startswith("telenano.cli.")
+    return f"{'standard output' if prints else 'a file'} cannot be written: {reason}"
 
 
 def usage_text(error: Any) -> str:

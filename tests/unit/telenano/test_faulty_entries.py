@@ -146,7 +146,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("faulty")
     install(folder / "site")
     for name in (*TARGETS, "failing"):
-        (folder / f"a.{name}").touch()
+        (folder / f"a.{name}").write_bytes(b"a file of this package")
         (folder / f"experiment_{name}.yaml").write_text(EXPERIMENT.format(name))
     lines = [line.format(fault) for kind, lines in ASKED.items() for line in lines for fault in faults_of(kind)]
     found = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder / "site"), *sys.path[1:]]), "COLUMNS": "500"}
