@@ -283,7 +283,8 @@ def judge_holds(
         tip = Instrument(always, always, knows_contact=False)
     if not tip.knows_contact:
         tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
-    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest)
+    step_n = rounding_of(scaled_force_n)
+    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest, step_n)
     if spans is not None:
         return [found for hold in spans if (found := _judge_hold(session, hold, spans)) is not None]
     away = absences(tip_time_s, tip, programme)
@@ -316,7 +317,10 @@ def judge_holds(
 
 
 class _Session(NamedTuple):
-    """The series of a session, what is known besides, and the hand's greatest force [N]."""
+    """The series of a session, what is known besides, the hand's greatest force [N], and the step of the read-out [N].
+
+    A read-out that rounds does so throughout, in motion and at rest, so that its step is of the whole session.
+    """
 
     hand_s: Series
     hand_n: Series
@@ -325,11 +329,7 @@ class _Session(NamedTuple):
     tip: Instrument
     known: Programme
     greatest_n: float
-
-    @property
-    def step_n(self) -> float:
-        """The step of the tip's read-out [N]: one that rounds does so throughout, in motion and at rest."""
-        return rounding_of(self.tip_n)
+    step_n: float
 
     @property
     def small_n(self) -> float:
