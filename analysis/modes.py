@@ -15,6 +15,7 @@ sums go in the order of time: no result depends on which kernel a library choose
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -316,6 +317,15 @@ def _refined(times: Series, values: Series, poles: list[tuple[float, float]], he
     return state
 
 
+def _amplitude(times: Series, values: Series, growth: float, turn: float) -> float:
+    """Return the amplitude in the middle of a part of the stretch that a swing of a pole has there, beside a constant."""
+    cosine, sine, _ = _pair(times - 0.5 * float(times[0] + times[-1]), 0.0, max(turn, 1.0))
+    swell = np.exp(growth * (times - 0.5 * float(times[0] + times[-1])))
+    columns = [np.ones_like(times), swell * cosine, swell * sine]
+    found = solved(_normal(columns), [[_total(column * values)] for column in columns])
+    return math.hypot(found[1][0], found[2][0])
+
+
 def _modes(times: Series, values: Series, state: _State, length_s: float, scale: float) -> list[Mode]:
     """Return the poles as modes in units, each with the standard error of its growth."""
     columns = _columns(times, state.poles)
@@ -363,9 +373,8 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
                 near = abs(other - turn) < _TOLD_APART
                 own = own + state.weights[column] * columns[column] if near else own
                 column += 1
-        wave = np.concatenate([[0.0], np.cumsum(own * np.exp(-1j * turn * times))])
-        parts = np.diff(wave[np.linspace(0, len(times), 4).astype(int)])
-        thirds = tuple(scale * 6.0 / len(times) * abs(complex(part)) for part in parts)
+        edges = np.linspace(0, len(times), 4).astype(int).tolist()
+        thirds = tuple(scale * _amplitude(times[i:j], own[i:j], growth, turn) for i, j in pairwise(edges))
         found.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end, thirds))
         place, of_growth = place + (2 if turn else 1), of_growth + (2 if turn else 1)
     return found

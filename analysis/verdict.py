@@ -190,6 +190,9 @@ def _by_modes(
         return Verdict("stable", rate, size, noise_n, "at rest", rest_from_s)
     if rate < 0.0:
         return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}", rest_from_s)
+    if size > small_n:
+        words = f"nothing swings, and the force goes on by {size:.2g} N to one side"
+        return Verdict("stable", rate, size, noise_n, words, None)
     return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
 
 

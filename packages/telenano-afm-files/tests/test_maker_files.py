@@ -275,7 +275,7 @@ def test_what_gwyddion_fills_in_is_told_from_what_was_measured(tmp_path: Path, m
     program.write_text(f'#!/bin/sh\ncp {tmp_path}/made.gwy "$2"\n')
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
-    (tmp_path / "a.opd").touch()
+    (tmp_path / "a.opd").write_bytes(b"heights that the converter reads")
     surface = read_surface(tmp_path / "a.opd", may_lack=True)
     assert np.argwhere(np.isnan(surface.height_m)).tolist() == [[9, 0], [9, 1], [9, 2]]
     # in a file of Gwyddion itself a mask is what its user marked

@@ -136,7 +136,9 @@ def test_a_session_over_dots_that_ends_soon_after_the_touch_is_judged_before_it_
     # the tip has come through 10 nm of air, at the speed of a hand of 1 N
     touched_s = float(short["time_s"][int(short["in_contact"].argmax())])
     assert 1.0 < touched_s < 2.5
-    assert short.verdict == "stable" and "dies out" in short.reason, short.reason
+    # the force of 0.9 N still rises, which is not called rest
+    assert short.verdict == "stable", short.reason
+    assert "dies out" in short.reason or "goes on by" in short.reason, short.reason
     longer = telenano.simulate("image", law=law, operator=PRESS, duration_s=6.0)
     assert longer.verdict == "stable", longer.reason
     assert longer["scaled_tip_force_n"][-1] == pytest.approx(1.0, abs=0.1)
