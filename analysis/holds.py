@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
-from analysis.modes import rms
+from analysis.modes import LEAST_SAMPLES, rms
 from analysis.swings import Swing, swings_of
 from analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, Verdict, judge, rounding_of
 
@@ -210,9 +210,16 @@ def constant_stretches(time_s: Series, force_n: Series, tolerance_n: float) -> l
         if index < len(time_s) and abs(force_n[index] - force_n[first]) <= tolerance_n:
             continue
         if time_s[index - 1] - time_s[first] >= SHORTEST_HOLD_S:
-            stretches.append((float(time_s[first]), float(time_s[index - 1])))
+            stretches.append(_stood(time_s[first:index], force_n[first:index]))
         first = index
     return stretches
+
+
+def _stood(time_s: Series, force_n: Series) -> tuple[float, float]:
+    """Return from when to when [s] a force stands still in a stretch that it comes to and leaves by small steps."""
+    off_n = np.abs(force_n - np.median(force_n))
+    still = np.flatnonzero(off_n <= 3.0 * float(np.median(off_n)))
+    return float(time_s[still[0]]), float(time_s[still[-1]])
 
 
 def gaps_in(times_s: Series, start_s: float, end_s: float) -> list[tuple[float, float]]:
@@ -487,9 +494,9 @@ def _judged_contact(
 ) -> tuple[Episode | None, Verdict]:
     """Return the episode that a hold is judged by, and the verdict: the longest contact that nothing disturbs.
 
-    Growth and decay belong to the loop at any time, and so does rest. A motion that goes on after an interruption, or
-    after machine or link were late, may have been brought about by it, and is a limit cycle only where the motion
-    before does not say otherwise.
+    What a motion does in it belongs to the loop: an interruption before may have brought the motion about, and neither
+    keeps it up nor makes it grow. A machine that was late before may be so again by less than is reported, and keep it
+    up: there it is a limit cycle only where the motion before does not say otherwise.
     """
     if not contacts:
         opened = next((one.why for one in episodes if one.kind == "open"), "")
@@ -513,9 +520,10 @@ def _judged_contact(
     if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and undisturbed):
         return part, verdict
     if verdict.kind == "limit_cycle" and undisturbed:
+        overloaded = any(one.who == "machine" for one in session.late_in(contacts[0].start_s, part.end_s))
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
-        first = part.start_s == contacts[0].start_s
-        if first or (before and _judge_motion(session, before[0], force_n).kind != "stable"):
+        agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"
+        if agrees or not overloaded or part.start_s == contacts[0].start_s:
             return part, verdict
     words = f"{verdict.reason}, from {part.start_s:.3f} s to {part.end_s:.3f} s; {', '.join(causes)}"
     return part, verdict._replace(kind="cannot_say", reason=f"{words}: a hold that nothing interrupts would decide")
@@ -528,15 +536,37 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     """
     own = session.at(part.start_s, part.end_s)
     tip_n = _without_hand(session, part.start_s, part.end_s)
-    verdict = judge(session.tip_s[own], tip_n, session.greatest_n, session.rest_n(force_n), session.step_n)
+    rest_n = session.rest_n(force_n)
+    landed = own.start + _landed(session.tip.in_contact[own])
+    if landed > own.start:
+        verdict = judge(
+            session.tip_s[landed : own.stop], tip_n[landed - own.start :], session.greatest_n, rest_n, session.step_n
+        )
+        if verdict.kind == "stable":
+            return verdict
+    verdict = judge(session.tip_s[own], tip_n, session.greatest_n, rest_n, session.step_n)
     if verdict.kind not in ("diverged", "limit_cycle"):
         return verdict
-    hand_n = session.hand_n[slice(*np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist())]
-    own_n = 2.0 * math.sqrt(2.0) * rms(hand_n - float(np.cumsum(hand_n)[-1]) / len(hand_n)) if len(hand_n) else 0.0
+    first, last = np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist()
+    # a hand trembles now more and now less
+    quarters = [session.hand_n[i:j] for i, j in pairwise(np.linspace(first, last, 5).astype(int).tolist()) if j > i]
+    own_n = max((2.0 * math.sqrt(2.0) * rms(own - float(np.cumsum(own)[-1]) / len(own)) for own in quarters), default=0.0)
     if verdict.peak_to_peak_n > STRUCK_FORCES * own_n:
         return verdict
     words = f"{verdict.reason}, and the hand trembles by {own_n:.2g} N: a hand that rests would decide"
     return verdict._replace(kind="cannot_say", reason=words)
+
+
+def _landed(in_contact: npt.NDArray[np.bool_]) -> int:
+    """Return the sample since which a tip touches that left the surface before; 0 where it may leave it again.
+
+    The surface bounds a swing that leaves it, which is then no sum of exponentials. The last contact is taken for the
+    end of that if it is longer than twice each one before.
+    """
+    edges = np.flatnonzero(np.diff(in_contact, prepend=False, append=False)).reshape(-1, 2)
+    lengths = np.diff(edges, axis=1).ravel().tolist()
+    is_last = len(lengths) > 1 and edges[-1, 1] == len(in_contact) and lengths[-1] > 2 * max(lengths[:-1])
+    return int(edges[-1, 0]) if is_last and lengths[-1] >= LEAST_SAMPLES else 0
 
 
 def _without_hand(session: _Session, start_s: float, end_s: float) -> Series:

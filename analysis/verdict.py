@@ -48,8 +48,8 @@ _WINDOWS = 8
 class Verdict(NamedTuple):
     """What becomes of a motion.
 
-    growth_per_s: of the mode that decides [1/s], None where nothing moves; peak_to_peak_n: of the motion at its end,
-    without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict in words;
+    growth_per_s: of the mode that decides [1/s], None where nothing moves; peak_to_peak_n: of the motion that decides,
+    at its end, without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict in words;
     rest_from_s: from when on the force is at rest, None if it never is [s].
     """
 
@@ -138,13 +138,18 @@ def _by_modes(
     unsure: list[Mode] = []
     left: list[Mode] = []
     left_n = rms(fit.left[-max(2, len(fit.left) // 4) :])
+    moved_n = float(np.ptp(values[-(len(values) // 3) :]))
     for mode in fit.modes:
         if not fit.whole and mode.end_n < 2.0 * math.sqrt(2.0) * left_n:
             # below what the fit leaves it is a part of a motion that is no sum of exponentials
             left.append(mode)
             continue
         change, error = mode.growth_per_s * length_s, SURE_ERRORS * mode.error_per_s * length_s
-        cycles = mode.frequency_hz * length_s
+        # a read-out that rounds shows a size of so many steps, and none between two of them
+        error += rounded_n / (3.0 * max(mode.end_n, rounded_n))
+        # of a growth there is to see what is over what is left
+        seen = min(1.0, math.log(max(mode.end_n / max(SURE_ERRORS * left_n, 1e-300), 1.0)) / max(change, 1e-9))
+        cycles = mode.frequency_hz * length_s * (seen if change > 0.0 else 1.0)
         is_swing = cycles >= 0.5
         if not is_swing and mode.frequency_hz:
             # less than half a swing looks like an exponential: what counts is how far it goes in either half
@@ -154,10 +159,12 @@ def _by_modes(
         if change - error > least:
             # what grows is seen over what is left, and in each part of the stretch more
             rises = not is_swing or _rises(fit, mode, change)
-            reaches = mode.end_n * math.exp(min(change, 50.0)) > small_n
-            is_seen = rises and reaches and mode.end_n > max(2.0 * SURE_ERRORS * left_n, rounded_n)
+            # what has been seen for two swings is said to go on for a stretch more
+            end_n = min(mode.end_n, moved_n)
+            reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= 2.0 else 1.0) > small_n
+            is_seen = rises and reaches and end_n > max(2.0 * SURE_ERRORS * left_n, rounded_n)
             # what may only just be seen is not said to be at rest
-            is_near = mode.end_n > small_n or (rises and reaches and is_swing and mode.end_n > rounded_n)
+            is_near = end_n > small_n or (rises and reaches and is_swing and end_n > rounded_n)
             (growing if is_seen else unsure if is_near else left).append(mode)
         elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
             left.append(mode)
@@ -172,12 +179,13 @@ def _by_modes(
     if growing and max(mode.end_n for mode in growing) >= most_n:
         mode = max(growing, key=lambda one: one.end_n)
         words = f"a motion of {_words(mode, length_s)} grows by {mode.growth_per_s:.3g}/s"
-        return Verdict("diverged", mode.growth_per_s, size, noise_n, words)
+        return Verdict("diverged", mode.growth_per_s, mode.end_n, noise_n, words)
     if lasting:
         mode = max(lasting, key=lambda one: one.end_n)
         # harmonics make the motion another than its largest mode
         cycle = math.ceil(len(values) / (length_s * min(one.frequency_hz for one in lasting)))
-        size = _moved(values[-cycle:], noise_n) or mode.end_n
+        size = _moved(values[-cycle:], noise_n)
+        size = size if size > 0.5 * mode.end_n else mode.end_n
         words = f"a motion of {size:.3g} N from peak to peak at {mode.frequency_hz:.3g} Hz neither grows nor dies out"
         return Verdict("limit_cycle", mode.growth_per_s, size, noise_n, words)
     if unsure:
@@ -252,9 +260,10 @@ def _by_windows(values: Series, period_s: float, noise_n: float, small: float, e
         return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest)
     if falls and slope * _WINDOWS < -LEAST_CHANGE:
         return Verdict("stable", rate, size, noise_n, f"the motion dies out by {-rate:.3g}/s{_left(size)}")
-    words = f"a motion of {max(sizes[4:]):.3g} N from peak to peak goes on irregularly"
+    size = max(sizes[_WINDOWS // 2 :])
+    words = f"a motion of {size:.3g} N from peak to peak goes on irregularly"
     # what goes on is of one size, or comes again and again
-    if min(sizes[4:]) < 0.5 * max(sizes[4:]) and not _recurs(sizes, small):
+    if min(sizes[_WINDOWS // 2 :]) < 0.5 * size and not _recurs(sizes, small):
         return Verdict("cannot_say", rate, size, noise_n, f"{words}: a longer hold would decide")
     return Verdict("limit_cycle", rate, size, noise_n, words)
 
