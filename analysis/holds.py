@@ -506,7 +506,8 @@ def _judged_contact(
     parts: list[Episode] = []
     for one in contacts:
         late = [each.span_s(session.known.transit_s) for each in session.late_in(one.start_s, one.end_s)]
-        parts += [one._replace(start_s=start, end_s=end) for start, end in outside((one.start_s, one.end_s), late)]
+        spans = outside((one.start_s, one.end_s), late) if late else [(one.start_s, one.end_s)]
+        parts += [one._replace(start_s=start, end_s=end) for start, end in spans]
     part = max(parts or contacts, key=lambda each: each.end_s - each.start_s)
     undisturbed = bool(parts) and part.end_s - part.start_s >= SHORTEST_HOLD_S
     verdict = _judge_motion(session, part, force_n)
@@ -519,7 +520,7 @@ def _judged_contact(
                 verdict = again._replace(kind="cannot_say") if again.kind == "diverged" else verdict
     if not causes or verdict.kind == "stable" or (verdict.kind == "diverged" and undisturbed):
         return part, verdict
-    if verdict.kind == "limit_cycle" and undisturbed:
+    if verdict.kind == "limit_cycle" and parts:
         overloaded = any(one.who == "machine" for one in session.late_in(contacts[0].start_s, part.end_s))
         before = [one for one in parts if one.end_s - one.start_s >= SHORTEST_HOLD_S and one.start_s < part.start_s]
         agrees = bool(before) and _judge_motion(session, before[0], force_n).kind != "stable"

@@ -102,7 +102,7 @@ def judge(
             break
         fit = fitted(tail, period_s, floor)
         if _explains(fit, hand_force_n):
-            found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step), float(time_s[-1]), tail, noise)
+            found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step, SMALL_SHARE * hand_force_n), float(time_s[-1]), tail, noise)
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
             if found.kind == "stable" and share < 1.0 and _recurs(_sizes(values, noise), small):
@@ -129,10 +129,11 @@ def _explains(fit: Fit, hand_force_n: float) -> bool:
 
 
 def _by_modes(
-    fit: Fit, length_s: float, least_n: tuple[float, float], end_s: float, values: Series, noise_n: float
+    fit: Fit, length_s: float, least_n: tuple[float, float, float], end_s: float, values: Series, noise_n: float
 ) -> Verdict:
-    """Judge by the modes of a stretch [s] that they explain; least_n: what is small, and what rounding makes [N]."""
-    small_n, rounded_n = least_n
+    """Judge by the modes of a stretch [s] that they explain; least_n: what is small, what
+    rounding makes, and what is small without rounding [N]."""
+    small_n, rounded_n, unrounded_n = least_n
     growing: list[Mode] = []
     lasting: list[Mode] = []
     unsure: list[Mode] = []
@@ -145,13 +146,11 @@ def _by_modes(
             left.append(mode)
             continue
         change, error = mode.growth_per_s * length_s, SURE_ERRORS * mode.error_per_s * length_s
-        # a read-out that rounds shows a size of so many steps, and none between two of them
-        error += rounded_n / (3.0 * max(mode.end_n, rounded_n))
         # of a growth there is to see what is over what is left
         seen = min(1.0, math.log(max(mode.end_n / max(SURE_ERRORS * left_n, 1e-300), 1.0)) / max(change, 1e-9))
         cycles = mode.frequency_hz * length_s * (seen if change > 0.0 else 1.0)
         is_swing = cycles >= 0.5
-        if not is_swing and mode.frequency_hz:
+        if 0.0 < mode.frequency_hz * length_s < 0.5:
             # less than half a swing looks like an exponential: what counts is how far it goes in either half
             change, error = 2.0 * math.log(max(mode.end_n, 1e-300) / max(mode.begin_n, 1e-300)), 0.0
         # of a swing that is seen once the growth has to be as clear on either side
@@ -168,11 +167,15 @@ def _by_modes(
             (growing if is_seen else unsure if is_near else left).append(mode)
         elif change + error < -(LEAST_CHANGE if is_swing or not mode.frequency_hz else ONE_SIDED_CHANGE):
             left.append(mode)
-        elif cycles >= 2.0 and abs(change) + error < 2.0 * LEAST_CHANGE:
-            (lasting if mode.end_n > small_n else left).append(mode)
+        elif cycles >= 2.0 and abs(change) + _stays_within(error, rounded_n / mode.end_n) < 2.0 * LEAST_CHANGE:
+            # friction makes of one swing that dies out a swing that does, less one that stays
+            stays = mode.end_n > small_n and not all(b < a * math.exp(-LEAST_CHANGE) for a, b in pairwise(mode.thirds_n))
+            (lasting if stays else unsure if mode.end_n > unrounded_n else left).append(mode)
         else:
             drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * small_n / SMALL_SHARE
-            is_small = drifts or max(mode.end_n, 0.0 if is_swing else mode.begin_n) <= small_n
+            # a swing within a step of the read-out may grow or die out unseen
+            least_n = unrounded_n if cycles >= 2.0 else small_n
+            is_small = drifts or max(mode.end_n, 0.0 if is_swing else mode.begin_n) <= least_n
             (left if is_small else unsure).append(mode)
     size = max((mode.end_n for mode in fit.modes), default=0.0)
     most_n = max((mode.end_n for mode in lasting), default=0.0)
@@ -202,6 +205,15 @@ def _by_modes(
         words = f"nothing swings, and the force goes on by {size:.2g} N to one side"
         return Verdict("stable", rate, size, noise_n, words, None)
     return Verdict("stable", rate, size, noise_n, f"at rest but for {size:.2g} N from peak to peak", rest_from_s)
+
+
+def _stays_within(error: float, rounded: float) -> float:
+    """Return within what the change of a swing is that may go on: two of its errors, and what rounding hides of it.
+
+    A swing that has died out by just what can be told is rare beside one that goes on; one that a read-out rounds stays
+    at a size of so many steps while it dies out.
+    """
+    return error * 2.0 / SURE_ERRORS + rounded / 3.0
 
 
 def _rises(fit: Fit, mode: Mode, change: float) -> bool:
