@@ -96,6 +96,7 @@ def judge(
         most_n = ERROR_SHARE * hand_force_n
         words = f"noise of {noise:.2g} N hides what moves: a read-out with less than {most_n:.2g} N"
         return Verdict("cannot_say", None, 0.0, noise, f"{words} would decide")
+    swings: list[Mode] = []
     for share in _TAILS:
         tail = values[len(values) - round(share * len(values)) :]
         if len(tail) < LEAST_SAMPLES:
@@ -105,9 +106,14 @@ def judge(
             found = _by_modes(fit, period_s * len(tail), (small, 1.5 * step, SMALL_SHARE * hand_force_n), float(time_s[-1]), tail, noise)
             if found.kind == "cannot_say" and rest_n is not None:
                 found = _approaching(found, tail, rest_n)
-            if found.kind == "stable" and share < 1.0 and _recurs(_sizes(values, noise), small):
+            # a part in which a swing of the whole turns less than twice shows no rest of it
+            hidden = any(mode.frequency_hz * period_s * len(tail) < 2.0 for mode in swings)
+            if found.kind == "stable" and share < 1.0 and (hidden or _recurs(_sizes(values, noise), small)):
                 break
             return found
+        if share == 1.0:
+            lasts = -LEAST_CHANGE / (period_s * len(tail))
+            swings = [mode for mode in fit.modes if mode.end_n > small and mode.frequency_hz and mode.growth_per_s > lasts]
     if len(values) < _WINDOWS**2:
         words = f"{len(values)} samples were taken of a motion of {float(np.ptp(values)):.2g} N"
         return Verdict("cannot_say", None, float(np.ptp(values)), noise, f"{words}: a longer hold would decide")
@@ -139,7 +145,6 @@ def _by_modes(
     unsure: list[Mode] = []
     left: list[Mode] = []
     left_n = rms(fit.left[-max(2, len(fit.left) // 4) :])
-    moved_n = float(np.ptp(values[-(len(values) // 3) :]))
     for mode in fit.modes:
         if not fit.whole and mode.end_n < 2.0 * math.sqrt(2.0) * left_n:
             # below what the fit leaves it is a part of a motion that is no sum of exponentials
@@ -157,9 +162,11 @@ def _by_modes(
         least = LEAST_CHANGE if cycles >= 2.0 else ONE_SIDED_CHANGE * (2.0 if is_swing else 1.0)
         if change - error > least:
             # what grows is seen over what is left, and in each part of the stretch more
-            rises = not is_swing or _rises(fit, mode, change)
+            rises = not is_swing or change > 6.0 * error or _rises(fit, mode, change)
             # what has been seen for two swings is said to go on for a stretch more
-            end_n = min(mode.end_n, moved_n)
+            own = values[-max(2, math.ceil(len(values) * min(1.0, max(cycles, 1.0) / change))) :]
+            # in the time of its growth, or of a turn that is seen, it goes as far as more than half of what it is
+            end_n = min(mode.end_n, 2.0 * float(np.ptp(own)))
             reaches = end_n * (math.exp(min(change, 50.0)) if cycles >= 2.0 else 1.0) > small_n
             is_seen = rises and reaches and end_n > max(2.0 * SURE_ERRORS * left_n, rounded_n)
             # what may only just be seen is not said to be at rest
@@ -175,7 +182,8 @@ def _by_modes(
             drifts = not is_swing and max(mode.begin_n, mode.end_n) < ERROR_SHARE * small_n / SMALL_SHARE
             # a swing within a step of the read-out may grow or die out unseen
             least_n = unrounded_n if cycles >= 2.0 else small_n
-            is_small = drifts or max(mode.end_n, 0.0 if is_swing else mode.begin_n) <= least_n
+            is_over = is_swing or change < -2.0 * ONE_SIDED_CHANGE
+            is_small = drifts or max(mode.end_n, 0.0 if is_over else mode.begin_n) <= least_n
             (left if is_small else unsure).append(mode)
     size = max((mode.end_n for mode in fit.modes), default=0.0)
     most_n = max((mode.end_n for mode in lasting), default=0.0)
