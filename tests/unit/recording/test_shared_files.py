@@ -255,12 +255,12 @@ def test_a_holder_who_vanishes_in_a_full_folder_has_lost_the_hand(tmp_path: Path
         desk.tick((), time.monotonic())
         assert desk.is_to_withdraw()
         # what cannot be kept ends the loop of the page no more than it repeats a withdrawal for ever
-        desk.note_withdrawn()
+        desk.note_withdrawn(desk.lease.number)
         assert not desk.is_to_withdraw()
         assert register.look() == register.look()
         (tmp_path / "disk" / "filler").unlink()
         # it is kept once there is room, which withdraws the tip a last time
         assert desk.is_to_withdraw()
-        desk.note_withdrawn()
+        desk.note_withdrawn(desk.lease.number)
         assert not desk.is_to_withdraw()
         assert register.change(current).holder is None
