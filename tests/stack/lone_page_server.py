@@ -18,8 +18,11 @@ Push = Callable[[float, tuple[float, float]], None]
 
 
 class _Source(NoTransport):
+    def __init__(self, news: Callable[[], list[Seen]]) -> None:
+        self._news = news
+
     def poll(self, *, watched: bool) -> list[Seen]:
-        return []
+        return self._news()
 
     def about(self) -> Mapping[str, Any]:
         return {"kind": "live", "name": "test"}
@@ -54,10 +57,19 @@ class _Commander:
 
 
 class LonePageServer:
-    """Serves a page at an address until `end`; `hub` is what the page speaks to."""
+    """Serves a page at an address until `end`; `hub` is what the page speaks to, `news` what the rig would say."""
 
-    def __init__(self, push: Push, access: Access, *, host: str, port: int, page: Path | None = None) -> None:
-        self.hub = Hub(_Source(), _Commander(), open_hand=lambda: _Device(push))
+    def __init__(
+        self,
+        push: Push,
+        access: Access,
+        *,
+        host: str,
+        port: int,
+        page: Path | None = None,
+        news: Callable[[], list[Seen]] = list,
+    ) -> None:
+        self.hub = Hub(_Source(news), _Commander(), open_hand=lambda: _Device(push))
         app = server.make_app(self.hub, access, page)
         self._server = uvicorn.Server(uvicorn.Config(app, host=host, port=port, log_level="warning"))
 

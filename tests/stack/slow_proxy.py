@@ -36,13 +36,22 @@ class SlowProxy:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(10.0)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
+        self._loop.close()
+
+    async def _end(self) -> None:
+        self._server.close()
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in left:
+            task.cancel()
+        await asyncio.gather(*left, return_exceptions=True)
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        server = self._loop.run_until_complete(asyncio.start_server(self._connection, "127.0.0.1", 0))
-        self.port = server.sockets[0].getsockname()[1]
+        self._server = self._loop.run_until_complete(asyncio.start_server(self._connection, "127.0.0.1", 0))
+        self.port = self._server.sockets[0].getsockname()[1]
         self._ready.set()
         self._loop.run_forever()
 
@@ -62,7 +71,11 @@ class SlowProxy:
                 lines = [line for line in rest.split(b"\r\n") if not line.lower().startswith(b"connection:")]
                 rest = b"\r\n".join([lines[0], b"Connection: close", *lines[1:]])
             to_server.write(b" ".join((method, path, rest)))
-            await asyncio.gather(self._there(page, to_server), self._back(server, to_page))
+            try:
+                await asyncio.gather(self._there(page, to_server), self._back(server, to_page))
+            finally:
+                to_server.close()
+                to_page.close()
 
     async def _there(self, page: asyncio.StreamReader, to_server: asyncio.StreamWriter) -> None:
         queue: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()

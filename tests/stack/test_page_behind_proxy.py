@@ -10,13 +10,13 @@ import pytest
 from browser_page import PAGE_FOLDER, browser, needs_browser, open_page, until
 from free_ports import free_ports
 from slow_proxy import SlowProxy
+from wire_contract import examples
 
+from proto import TOPICS
 from services.viz_node.hub import HAND_FADE_S, HAND_FRESH_S
 
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
 
-# of a server without a rig, which has no streams to show
-WELCOME = "window.telenano && !document.querySelector('#banners').textContent.includes('connecting')"
 FOLDER, TOKEN = "lab/rig", "operator-token-0123"
 
 
@@ -24,6 +24,21 @@ FOLDER, TOKEN = "lab/rig", "operator-token-0123"
 def chromium() -> Iterator[Any]:
     with browser() as found:
         yield found
+
+
+def rig_that_follows() -> list[Any]:
+    """Return what hand and instrument say of a session in which the tip follows."""
+    from services.viz_node.feed import seen
+
+    said = []
+    for topic, src, changes in (
+        ("haptic/state", "haptic_node@master", {"session_s": 1.0}),
+        ("afm/state", "afm_node@slave", {"mode": "follow"}),
+    ):
+        now_ns = time.time_ns()
+        message = examples(TOPICS[topic])["ordinary"].model_copy(update={"t_ns": now_ns, "src": src, **changes})
+        said.append(seen(topic, src, now_ns, message))
+    return said
 
 
 @pytest.fixture
@@ -40,7 +55,7 @@ def forces() -> Iterator[tuple[int, list[tuple[float, float]]]]:
     def push(force_n: float, across_n: tuple[float, float]) -> None:
         found.append((time.monotonic(), force_n))
 
-    server = LonePageServer(push, access, host="127.0.0.1", port=port, page=PAGE_FOLDER)
+    server = LonePageServer(push, access, host="127.0.0.1", port=port, page=PAGE_FOLDER, news=rig_that_follows)
     thread = threading.Thread(target=server.run)
     thread.start()
     yield port, found
@@ -53,7 +68,7 @@ def test_a_page_in_a_sub_folder_has_the_hand_and_says_when_it_is_too_slow(
 ) -> None:
     port, pushed = forces
     with SlowProxy(port, FOLDER) as proxy:
-        page = open_page(chromium, proxy.address(f"#{TOKEN}"), ready=WELCOME)
+        page = open_page(chromium, proxy.address(f"#{TOKEN}"))
         assert page.value("location.pathname") == f"/{FOLDER}/"
         assert proxy.refused == 0, "the page asks for something outside of its folder"
         page.press(10.0)
