@@ -169,7 +169,8 @@ def open_page(watch: Watch) -> Iterator[None]:
         reading.start()
         try:
             yield
-            assert reading.is_alive(), "the page was closed before the end"
+            if not reading.is_alive():
+                sys.stderr.write("the page was closed before the end\n")
         finally:
             server.terminate()
 
@@ -180,7 +181,7 @@ async def read_page(address: str) -> None:
 
     parts = urlsplit(address)
     origin: Any = f"http://{parts.netloc}"
-    async with websockets.connect(f"ws://{parts.netloc}/bus", origin=origin, max_size=None) as page:
+    async with websockets.connect(f"ws://{parts.netloc}/bus", origin=origin, max_size=None, ping_interval=None) as page:
         await page.send(msgpack.packb({"k": "hello", "protocol": PROTOCOL, "token": parts.fragment}))
         with contextlib.suppress(websockets.ConnectionClosed):
             async for _ in page:
@@ -257,10 +258,12 @@ def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0,
         watch.add(rig.pid)
         if page:
             stack.enter_context(open_page(watch))
-        code = rig.wait()
+        try:
+            code = rig.wait()
+        finally:
+            (out / "processes.json").write_text(json.dumps([[*key, looks] for key, looks in watch.looks.items()]))
     if code not in (0, EXIT_INCOMPLETE):
         raise subprocess.CalledProcessError(code, command)
-    (out / "processes.json").write_text(json.dumps([[*key, looks] for key, looks in watch.looks.items()]))
     return judge(out, settled_s, machine) | {"processes": watch.figures(settled_s)}
 
 
