@@ -291,7 +291,8 @@ def judge_holds(
     if not tip.knows_contact:
         tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
     step_n = rounding_of(scaled_force_n)
-    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest, step_n)
+    late = _late(programme)
+    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, programme, greatest, step_n, late)
     if spans is not None:
         return [found for hold in spans if (found := _judge_hold(session, hold, spans)) is not None]
     away = absences(tip_time_s, tip, programme)
@@ -323,10 +324,24 @@ def judge_holds(
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
+def _late(known: Programme) -> list[Late]:
+    """Return when machine or link were late in a session, in the order of time."""
+    found = list(known.late)
+    if known.answered_s is not None and len(known.answered_s) > 1:
+        steps_s = np.diff(known.answered_s)
+        # over a link that is uneven anyway what is usual is not late
+        places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
+        # what did not come had been due at the tip for up to the transit before
+        since_s = known.answered_s[places] - known.transit_s
+        found += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
+    return sorted(found)
+
+
 class _Session(NamedTuple):
     """The series of a session, what is known besides, the hand's greatest force [N], and the step of the read-out [N].
 
-    A read-out that rounds does so throughout, in motion and at rest, so that its step is of the whole session.
+    A read-out that rounds does so throughout, in motion and at rest, so that its step is of the whole session. `late`:
+    when machine or link were late, in the order of time.
     """
 
     hand_s: Series
@@ -337,6 +352,7 @@ class _Session(NamedTuple):
     known: Programme
     greatest_n: float
     step_n: float
+    late: list[Late]
 
     @property
     def small_n(self) -> float:
@@ -349,15 +365,7 @@ class _Session(NamedTuple):
 
     def late_in(self, start_s: float, end_s: float) -> list[Late]:
         """Return when machine or link were late in a span, in the order of time."""
-        found = list(self.known.late)
-        if self.known.answered_s is not None and len(self.known.answered_s) > 1:
-            steps_s = np.diff(self.known.answered_s)
-            # over a link that is uneven anyway what is usual is not late
-            places = np.flatnonzero(steps_s > float(np.percentile(steps_s, 99.0)) + LATE_S)
-            # what did not come had been due at the tip for up to the transit before
-            since_s = self.known.answered_s[places] - self.known.transit_s
-            found += [Late(*pair, "link") for pair in zip(since_s.tolist(), steps_s[places].tolist(), strict=True)]
-        return sorted(one for one in found if start_s <= one.start_s < end_s)
+        return [one for one in self.late if start_s <= one.start_s < end_s]
 
     def at(self, start_s: float, end_s: float) -> slice:
         """Return the tip's samples from a start to before an end."""
@@ -665,12 +673,9 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
         if one.start_s < end and one.end_s > start and one.kind != "process_ended":
             away_s = one.end_s - one.start_s
             found.append(Fact("interrupted", away_s, f"interrupted for {1e3 * away_s:.0f} ms: {in_words([one])}"))
-    whose: tuple[tuple[Literal["machine", "link"], FactKind], ...] = (
-        ("machine", "machine_late"),
-        ("link", "link_late"),
-    )
-    for who, kind in whose:
-        if late := [one for one in session.late_in(start, end) if one.who == who]:
+    kinds: tuple[FactKind, ...] = ("machine_late", "link_late")
+    for kind in kinds:
+        if late := [one for one in session.late_in(start, end) if f"{one.who}_late" == kind]:
             found.append(Fact(kind, max(one.by_s for one in late), _late_words(late)))
     if not session.tip.knows_contact:
         text = f"contact is taken from the force, above {session.small_n:.2g} N"

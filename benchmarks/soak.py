@@ -1,21 +1,34 @@
 """Ten minutes of the whole rig at 1 kHz: memory must not grow, nothing be lost, the rate hold.
 
-    python benchmarks/soak.py [--duration S] [--out DIR] [--json]
+    python benchmarks/soak.py [--duration S] [--rate HZ] [--page] [--out DIR] [--json]
 
 Runs `telenano up` with a hand that presses, holds and lets go every ten seconds, and judges the session by its own
 recording. Loops that do nothing but keep deadlines (`empty_loop.py`) run beside it: what they lose is the machine's,
 and the rig's rate is judged against theirs. A recorder that had to wait for a processor keeps the memory of what queued
 up meanwhile, so its growth counts from its longest wait on. Exit code 1 when a bound is missed.
+
+`processes` has what the kernel counts for each process of the rig, the launcher and the server of the page included:
+resident memory at the end of the settling time and at the end of the run, its slope, and the least and the most open
+descriptors and threads. With `--page` a page of an observer is open all the time.
 """
 
 import argparse
+import asyncio
+import contextlib
 import json
+import os
+import stat
 import subprocess
 import sys
 import tempfile
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
+import msgpack
 import numpy as np
 import yaml
 from empty_loop import EmptyLoops
@@ -24,6 +37,7 @@ from presets import SCENARIO_DIRECTORY
 from proto import TOPICS
 from recording.reader import Recording
 from services.signals import children
+from services.viz_node.requests import PROTOCOL
 from telenano.cli.exit_codes import EXIT_INCOMPLETE
 
 # caches, free lists and the recorder's buffers find their size in the first part of a run
@@ -32,6 +46,8 @@ MOST_GROWTH_BYTES_PER_MIN = 250_000
 # the recorder keeps the index of its chunks, which the file ends with: 2 kB five times a second
 MOST_RECORDER_GROWTH_BYTES_PER_MIN = 1_000_000
 LEAST_RATE_SHARE = 0.999
+# how often the processes are looked at [s]
+LOOK_S = 10.0
 CYCLE = ((0.0, 0.0), (1.0, 1.0), (4.0, 1.0), (5.0, 2.0), (7.0, 2.0), (8.0, 0.0), (10.0, 0.0))
 
 
@@ -44,6 +60,132 @@ def scenario(duration_s: float) -> dict[str, Any]:
     document |= {"name": "soak", "description": "endurance of the rig", "duration_s": duration_s}
     document["haptic_node"]["operator"] = {"kind": "force_profile", "points": points}
     return document
+
+
+class Look(NamedTuple):
+    """What the kernel counts for a process at a moment [s]; memory and the regular files that it has open [bytes]."""
+
+    at_s: float
+    resident_bytes: int
+    descriptors: int
+    threads: int
+    files_bytes: int
+
+
+def look_at(number: int, at_s: float) -> Look:
+    """Return what the kernel counts for a process; OSError where it has ended."""
+    folder = Path(f"/proc/{number}")
+    resident = int((folder / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    opened = list((folder / "fd").iterdir())
+    files: dict[tuple[int, int], int] = {}
+    for each in opened:
+        # closed in the meantime
+        with contextlib.suppress(OSError):
+            found = each.stat()
+            if stat.S_ISREG(found.st_mode):
+                files[found.st_dev, found.st_ino] = found.st_size
+    return Look(at_s, resident, len(opened), len(list((folder / "task").iterdir())), sum(files.values()))
+
+
+def family(parent: int) -> dict[int, str]:
+    """Return a process and those below it by number, with what each one runs."""
+    below: dict[int, list[int]] = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            above = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            below.setdefault(above, []).append(int(entry.name))
+    found, wanted = {}, [parent]
+    while wanted:
+        number = wanted.pop()
+        wanted += below.get(number, [])
+        with contextlib.suppress(OSError):
+            words = Path(f"/proc/{number}/cmdline").read_bytes().decode(errors="replace").split("\0")
+            after = words[words.index("-m") + 1 :] if "-m" in words else words
+            site = after[after.index("--site") + 1] if "--site" in after else ""
+            module = after[0].removeprefix("services.")
+            found[number] = f"telenano {after[1]}" if module == "telenano" else f"{module}@{site}" if site else module
+    return found
+
+
+class Watch:
+    """Looks at processes and those below them while the block runs; `looks` has what was seen, by name and number."""
+
+    def __init__(self) -> None:
+        self.looks: dict[tuple[str, int], list[Look]] = {}
+        self._parents: list[int] = []
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def add(self, process_id: int) -> None:
+        """Look at this process and at those below it from now on."""
+        self._parents.append(process_id)
+
+    def __enter__(self) -> "Watch":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def figures(self, settled_s: float) -> dict[str, dict[str, Any]]:
+        """Return the figures of each process from the settling time [s] on, while the recorder ran."""
+        end_s = max(looks[-1].at_s for (name, _), looks in self.looks.items() if name.startswith("recorder"))
+        rows = {}
+        for (name, number), looks in sorted(self.looks.items()):
+            late = [look for look in looks if settled_s <= look.at_s <= end_s]
+            if len(late) > 2:
+                t_s, size = np.array([(look.at_s, look.resident_bytes) for look in late], dtype=float).T
+                rows[f"{name} {number}"] = {
+                    "span_s": [round(late[0].at_s), round(late[-1].at_s)],
+                    "resident_mb": [round(late[at].resident_bytes * 1e-6, 1) for at in (0, len(late) // 2, -1)],
+                    "growth_mb_per_hour": round(3600e-6 * float(np.polyfit(t_s - t_s[0], size, 1)[0]), 2),
+                    "descriptors": [min(look.descriptors for look in late), max(look.descriptors for look in late)],
+                    "threads": [min(look.threads for look in late), max(look.threads for look in late)],
+                    "files_mb": [round(look.files_bytes * 1e-6, 1) for look in (late[0], late[-1])],
+                }
+        return rows
+
+    def _run(self) -> None:
+        begin_s = time.monotonic()
+        while not self._ended.wait(LOOK_S):
+            for parent in tuple(self._parents):
+                for number, name in family(parent).items():
+                    # one may end between the list and the look at it
+                    with contextlib.suppress(OSError):
+                        self.looks.setdefault((name, number), []).append(look_at(number, time.monotonic() - begin_s))
+
+
+@contextlib.contextmanager
+def open_page(watch: Watch) -> Iterator[None]:
+    """Serve the page of the rig, and keep a page of an observer open that reads all that it is sent."""
+    command = [sys.executable, "-m", "telenano", "view", "--port", "0"]
+    with children.start(command, stdout=subprocess.PIPE, text=True) as server:
+        watch.add(server.pid)
+        assert server.stdout is not None
+        lines = [server.stdout.readline() for _ in range(2)]
+        addresses = dict(line.split() for line in Path(lines[1].split()[-1]).read_text().splitlines())
+        reading = threading.Thread(target=lambda: asyncio.run(read_page(addresses["observer:"])), daemon=True)
+        reading.start()
+        try:
+            yield
+            if not reading.is_alive():
+                sys.stderr.write("the page was closed before the end\n")
+        finally:
+            server.terminate()
+
+
+async def read_page(address: str) -> None:
+    """Read what a page is sent, as the page of an observer does, until the server ends."""
+    import websockets
+
+    parts = urlsplit(address)
+    origin: Any = f"http://{parts.netloc}"
+    async with websockets.connect(f"ws://{parts.netloc}/bus", origin=origin, max_size=None, ping_interval=None) as page:
+        await page.send(msgpack.packb({"k": "hello", "protocol": PROTOCOL, "token": parts.fragment}))
+        with contextlib.suppress(websockets.ConnectionClosed):
+            async for _ in page:
+                await page.send(msgpack.packb({"k": "here"}))
 
 
 def growth_per_min(recording: Recording, settled_s: float) -> tuple[dict[str, float | None], float]:
@@ -104,36 +246,51 @@ def judge(folder: Path, settled_s: float, machine: EmptyLoops) -> dict[str, Any]
     }
 
 
-def run(duration_s: float, out: Path, settled_s: float) -> dict[str, Any]:
+def run(duration_s: float, out: Path, settled_s: float, rate_hz: float = 1000.0, page: bool = False) -> dict[str, Any]:
     """Run the rig and judge it, also where its recording lacks something; CalledProcessError when it failed."""
     out.mkdir(parents=True, exist_ok=True)
     file = out / "soak.yaml"
     file.write_text(yaml.safe_dump(scenario(duration_s)))
     command = [sys.executable, "-m", "telenano", "up", "--scenario", str(file), "--json"]
-    with EmptyLoops() as machine:
-        done = children.run([*command, "--out", str(out), "--overwrite"], stdout=subprocess.DEVNULL)
-    if done.returncode != EXIT_INCOMPLETE:
-        done.check_returncode()
-    return judge(out, settled_s, machine)
+    command += ["--set", f"realtime.rate_hz={rate_hz:g}", "--out", str(out), "--overwrite"]
+    with EmptyLoops() as machine, Watch() as watch, contextlib.ExitStack() as stack:
+        rig = children.start(command, stdout=subprocess.DEVNULL)
+        watch.add(rig.pid)
+        if page:
+            stack.enter_context(open_page(watch))
+        try:
+            code = rig.wait()
+        finally:
+            (out / "processes.json").write_text(json.dumps([[*key, looks] for key, looks in watch.looks.items()]))
+    if code not in (0, EXIT_INCOMPLETE):
+        raise subprocess.CalledProcessError(code, command)
+    return judge(out, settled_s, machine) | {"processes": watch.figures(settled_s)}
 
 
 def main() -> int:
     """Run, print, and return an exit code: whether the bounds were kept."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--duration", type=float, default=600.0, help="length of the session [s]")
+    parser.add_argument("--rate", type=float, default=1000.0, help="rate of the loop [Hz]")
+    parser.add_argument("--page", action="store_true", help="keep a page of an observer open")
     parser.add_argument("--out", type=Path, help="folder of the recording; default: one that is removed again")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args()
     if given.smoke:
         given.duration = 3.0
+    settled_s = min(SETTLED_S, given.duration / 4)
     with tempfile.TemporaryDirectory() as name:
-        figures = run(given.duration, given.out or Path(name), min(SETTLED_S, given.duration / 4))
+        figures = run(given.duration, given.out or Path(name), settled_s, given.rate, given.page)
+    processes = figures["processes"]
     if given.json:
         print(json.dumps(figures))
     else:
         for key, value in figures.items():
-            print(f"{key:20}{value}")
+            if key != "processes":
+                print(f"{key:20}{value}")
+        for name, row in processes.items():
+            print(name, row)
     return 0 if figures["passed"] or given.smoke else 1
 
 

@@ -28,7 +28,9 @@ def main(command: list[str]) -> None:
     """Replace this process by the command if one is given, else by the node that the environment names."""
     cache = Path(os.environ["XDG_CACHE_HOME"])
     if PREPARED.is_dir() and not cache.exists():
-        shutil.copytree(PREPARED, cache)
+        # A container that is killed meanwhile leaves no half of it.
+        shutil.copytree(PREPARED, cache.with_suffix(".part"), dirs_exist_ok=True)
+        cache.with_suffix(".part").rename(cache)
     node = os.environ.get(NODE, "")
     try:
         if node and EPOCH_OFFSET_VARIABLE not in os.environ:

@@ -13,7 +13,7 @@ there and 70 ms back, shows none of these.
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -272,6 +272,8 @@ def _judged(on_clocks: _ClockMessages, topic: str) -> SiteClock | None:
     is_beyond = max(map(abs, clock.ahead_s)) > clock.uncertainty_s
     early_s, early_without_s = _earliest_s(on_clocks, clock)
     limit_s = _EARLY_NS / _NS
+    if set_back_s := _set_back_s(on_clocks, topic):
+        return clock._replace(reason=f"the clock of the recording was set back by {set_back_s:.4g} s within it")
     if early_s < -limit_s <= early_without_s:
         words = f"{_spoken(clock.offset_s)} was measured, but then an answer would come {-early_s:.3g} s too early"
         return clock._replace(reason=words)
@@ -287,6 +289,23 @@ def _judged(on_clocks: _ClockMessages, topic: str) -> SiteClock | None:
         )
         return clock._replace(reason=words)
     return clock._replace(applied=True, reason=words)
+
+
+def _set_back_s(on_clocks: _ClockMessages, topic: str) -> float:
+    """Return by how much the master's clock was set back [s]: a later report has an earlier stamp; 0 if it was not.
+
+    Nothing is said where a number comes twice, because the node was then started again.
+    """
+
+    def is_masters(channel: RecordedChannel) -> bool:
+        return channel.topic == topic and channel.via == "direct" and not is_of_slave(channel.src)
+
+    found = [message for window in on_clocks.windows for message in on_clocks.select(is_masters, *window)]
+    stamps = {message.seq: message.publish_ns for message in found}
+    if len(stamps) < len(found):
+        return 0.0
+    steps_ns = (before - after for before, after in pairwise(stamps[seq] for seq in sorted(stamps)))
+    return max(0, *steps_ns, 0) / _NS
 
 
 def _pieces(on_clocks: _ClockMessages, topic: str) -> list[Bounds]:

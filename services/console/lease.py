@@ -225,9 +225,10 @@ def stood_still(lease: Lease, party: Party, now_ns: int) -> Lease:
     return lease._replace(seen_ns=now_ns)
 
 
-def withdrawn(lease: Lease, now_ns: int) -> Lease:
-    """Note that the tip has been withdrawn."""
-    return current(lease, now_ns)._replace(withdraw=False)
+def withdrawn(lease: Lease, now_ns: int, number: int) -> Lease:
+    """Note that the tip has been withdrawn for the lease of a number; what came after it is still to be done."""
+    lease = current(lease, now_ns)
+    return lease._replace(withdraw=lease.withdraw and lease.number != number)
 
 
 def packed(lease: Lease) -> bytes:

@@ -308,10 +308,11 @@ class Hub:
 
     async def _withdraw(self, commander: Commander) -> None:
         """Withdraw the tip of a holder who has vanished, as that of a hand that is lost, unless somebody has it now."""
+        number = self.desk.lease.number
         send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
         with contextlib.suppress(TelenanoError):
             await asyncio.wrap_future(_in_thread(send))
-            self.desk.note_withdrawn()
+            self.desk.note_withdrawn(number)
 
     def _who_has_it(self) -> str:
         holder = self.desk.lease.holder

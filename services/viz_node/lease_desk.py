@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import Any
 
 from proto.errors import RefusedError, RigError
@@ -141,11 +142,11 @@ class LeaseDesk:
         lease = self._register.look()
         return lease._replace(withdraw=False) if lease.number == self._withdrawn else lease
 
-    def note_withdrawn(self) -> None:
-        """Note that the tip was withdrawn after the holder had vanished."""
-        self._withdrawn = self.lease.number
+    def note_withdrawn(self, number: int) -> None:
+        """Note that the tip was withdrawn after the holder had vanished, as the lease of this number says."""
+        self._withdrawn = number
         with contextlib.suppress(RigError):
-            self.lease = self._register.change(withdrawn)
+            self.lease = self._register.change(partial(withdrawn, number=number))
 
     def is_to_withdraw(self) -> bool:
         """Return whether the tip is to be withdrawn, as the lease is now: not any more once somebody else has it."""

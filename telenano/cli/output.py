@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import json
+import linecache
 import os
 import re
 import shlex
@@ -83,11 +84,13 @@ def system_error_text(error: OSError) -> str:
         return f"{error.filename}: {reason}"
     if error.errno not in _WRITE_ERRORS:
         return reason
-    # Files are written by the modules beneath; what prints is a library of terminals, or a command.
-    writer = ""
-    for frame, _ in traceback.walk_tb(error.__traceback__):
+    # Files are written by the modules beneath; what prints is a library of terminals, a command, or a line that does.
+    writer, line = "", ""
+    for frame, number in traceback.walk_tb(error.__traceback__):
         writer = str(frame.f_globals.get("__name__", ""))
+        line = linecache.getline(frame.f_code.co_filename, number, frame.f_globals)
     prints = writer.partition(".")[0] in ("click", "rich", "typer") or writer.startswith("telenano.cli.")
+    prints = prints or bool(re.search(r"\bstdout\.|\bprint\((?!.*\bfile=)", line))
     return f"{'standard output' if prints else 'a file'} cannot be written: {reason}"
 
 

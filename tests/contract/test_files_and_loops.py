@@ -16,9 +16,27 @@ import pytest
 ROOT = Path(__file__).parents[2]
 ROOMS = ("proto", "presets", "recording", "services", "analysis", "studies", "telenano", "deploy", "packages")
 TABLES = Path(__file__).parent
-# What writes: functions by their name, and methods by theirs.
+# What writes: functions by their name, methods by theirs, and functions of a module alone.
 WRITES = {"write_whole", "changed", "whole_file", "whole_folder", "whole_results", "mkstemp"}
-WRITING_METHODS = {"write_text", "write_bytes", "rename", "truncate", "ftruncate"}
+WRITING_METHODS = {
+    *("write_text", "write_bytes", "rename", "truncate", "ftruncate", "symlink_to", "hardlink_to", "tofile", "savefig"),
+    *(
+        "savez",
+        "savez_compressed",
+        "savetxt",
+        "savemat",
+        "imsave",
+        "to_csv",
+        "to_parquet",
+        "write_table",
+        "ParquetWriter",
+    ),
+}
+_COPIES = ("copy", "copy2", "copyfile", "copyfileobj", "copytree", "move", "make_archive", "unpack_archive")
+WRITES_OF = {("shutil", name) for name in _COPIES}
+WRITES_OF |= {("np", "save"), ("os", "link"), ("os", "symlink"), ("os", "sendfile"), ("os", "copy_file_range")}
+# These open a file for reading or for writing, as `open` does, by their second argument or by `mode`.
+OPENERS = {"open", "fdopen", "ZipFile", "TarFile", "File", "GzipFile", "LZMAFile", "BZ2File", "memmap", "open_memmap"}
 # A reader: what takes something of a socket, a pipe or a device, or waits for it.
 READS = {"recv", "recv_multipart", "recv_into", "recvfrom", "recvfrom_into", "recvmsg", "recv_monitor_message", "poll",
          "accept", "recv_string", "recv_bytes"}  # fmt: skip
@@ -26,7 +44,8 @@ READS = {"recv", "recv_multipart", "recv_into", "recvfrom", "recvfrom_into", "re
 READS_OF = {("select", "select"), ("zmq", "select"), ("os", "read")}
 # To parse all modules takes seconds, and most have none of these.
 _MAYBE_WRITES = re.compile(
-    r"os\.open\(|open\([^)]*[\"'][rb]*[wax+]|\.replace\((?![\"'])|\.rename\(|truncate\(|\.write_text|\.write_bytes|whole_|mkstemp"
+    r"os\.open\(|(open|File|memmap)\([^)]*[\"'][rb]*[wax+]|\.replace\((?![\"'])|whole_|mkstemp|np\.save\(|\bshutil\.|"
+    r"\bos\.(link|symlink|sendfile|copy_file)|\.(" + "|".join(WRITING_METHODS) + r")\("
 )
 _MAYBE_READS = re.compile(r"\.(recv\w*|poll|accept)\b|\bos\.read|recv_monitor|\bselect\.select|zmq\.select")
 
@@ -38,7 +57,9 @@ def name_of(call: ast.Call) -> str:
 
 def mode_of(call: ast.Call) -> str:
     """Return the mode with which a call of `open` opens a file."""
-    is_method = isinstance(call.func, ast.Attribute) and getattr(call.func.value, "id", "") not in ("io", "os")
+    modules = ("io", "os", "gzip", "lzma", "bz2")
+    is_method = name_of(call) == "open" and isinstance(call.func, ast.Attribute)
+    is_method = is_method and getattr(getattr(call.func, "value", None), "id", "") not in modules
     places = call.args[0 if is_method else 1 :][:1] + [word.value for word in call.keywords if word.arg == "mode"]
     return next((str(each.value) for each in places if isinstance(each, ast.Constant)), "r")
 
@@ -48,8 +69,10 @@ def writes(call: ast.Call) -> bool:
     name, owner = name_of(call), ast.unparse(getattr(call.func, "value", ast.Constant("")))
     if name == "open" and owner == "os":
         return any(flag in ast.unparse(call) for flag in ("O_CREAT", "O_WRONLY", "O_RDWR", "flags", "_OPEN"))
-    if name in ("open", "fdopen"):
+    if name in OPENERS:
         return any(letter in mode_of(call) for letter in "wax+")
+    if (owner, name) in WRITES_OF:
+        return True
     if name == "replace":
         # that of a path has one argument, that of a text two, and that of a structure only named ones
         return owner == "os" or (len(call.args) == 1 and not call.keywords and bool(owner))
@@ -141,6 +164,9 @@ def test_every_place_is_in_its_table(name: str, loops: bool) -> None:
     [
         ("os.replace(a, b)", False), ("a.replace(b)", False), ("open(a, 'w')", False), ("a.open(mode='ab')", False),
         ("a.write_text(b)", False), ("os.open(a, os.O_RDWR | os.O_CREAT)", False), ("changed(a, b)", False),
+        ("shutil.copyfile(a, b)", False), ("np.savez(a, b=c)", False), ("np.save(a, b)", False),
+        ("zipfile.ZipFile(a, 'w')", False), ("h5py.File(a, 'w')", False), ("figure.savefig(a)", False),
+        ("Path(a).write_bytes(b)", False), ("os.link(a, b)", False), ("np.memmap(a, mode='w+')", False),
         ("while a.poll(0): b()", True), ("for _ in range(9): a.recv()", True), ("while 1: zmq.select(a)", True),
         ("recv = a.recv\n    while b: recv()", True), ("while b: os.read(a, 9)", True),
     ],
@@ -153,7 +179,19 @@ def test_a_place_is_found(line: str, loops: bool) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    ["a.replace('x', 'y')", "replace(a, b=1)", "open(a)", "a.open('rb')", "while b: c()", "a.recv()", "a.select(b)"],
+    [
+        "shutil.which(a)",
+        "zipfile.ZipFile(a)",
+        "h5py.File(a, 'r')",
+        "self.save(a)",
+        "a.replace('x', 'y')",
+        "replace(a, b=1)",
+        "open(a)",
+        "a.open('rb')",
+        "while b: c()",
+        "a.recv()",
+        "a.select(b)",
+    ],
 )
 def test_what_writes_and_reads_nothing_is_not_found(line: str) -> None:
     tree = ast.parse(f"def f():\n    {line}\n")

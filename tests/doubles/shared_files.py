@@ -80,6 +80,24 @@ def small_disk(folder: Path) -> Iterator[Callable[[int], None]]:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+class SharedFiles:
+    """The tests of shared files, for a class that has them as the parameter `shared`; `rounds`: of a race."""
+
+    rounds = 12
+
+    def test_no_change_of_two_processes_is_lost(self, shared: Shared, tmp_path: Path) -> None:
+        tmp_path.chmod(0o700)
+        shared.prepare(tmp_path)
+        done = race(shared, tmp_path, self.rounds)
+        assert done[0] | done[1] == set(range(self.rounds))
+        assert not shared.lost(tmp_path, done)
+
+    def test_a_full_disk_is_a_sentence_with_the_path_and_leaves_the_file_as_it_was(
+        self, shared: Shared, tmp_path: Path
+    ) -> None:
+        assert fill_at_each_write(shared, tmp_path / "disk") > 0
+
+
 def fill_at_each_write(shared: Shared, disk: Path) -> int:
     """Change a file while 0, 1, 2 … pages of the disk are free; return how often that was refused.
 

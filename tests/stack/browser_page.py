@@ -17,6 +17,7 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 ROOT = Path(__file__).resolve().parents[2]
+PAGE_FOLDER = ROOT / "services" / "viz_node" / "web" / "dist"
 _PACKAGES = ROOT / "services" / "viz_node" / "web" / "node_modules"
 # of WebXR
 EMULATOR = _PACKAGES / "iwer" / "build" / "iwer.min.js"
@@ -27,6 +28,8 @@ PATIENCE_S = 60.0
 # Of a rig beside a browser, which draws in software: at 1000 Hz the rig leaves it nothing of two processors, and the
 # server of the page is held up for longer than the usual tenth of a second.
 BESIDE_A_BROWSER = (*machine.LOWER_RATE, "--set", "haptic_node.operator.force_deadline_s=1")
+# what a page has once it is connected with a rig or a recording
+CONNECTED = "window.telenano?.store.streams.size"
 # lines that the surface on the page has
 FILLED = "telenano.view.surface.filled.filter(Boolean).length"
 # a software renderer: the machines of tests have no graphics
@@ -44,7 +47,7 @@ def missing() -> str:
     for package in ("playwright", "starlette", "uvicorn"):
         if importlib.util.find_spec(package) is None:
             return f"{package} is not installed"
-    if not (ROOT / "services" / "viz_node" / "web" / "dist" / "index.html").is_file():
+    if not (PAGE_FOLDER / "index.html").is_file():
         return "the page has not been built: make page"
     return ""
 
@@ -199,8 +202,8 @@ def browser() -> Iterator[Any]:
             found.close()
 
 
-def open_page(found: Any, address: str, *, headset: bool = False, **context: Any) -> Page:
-    """Open an address in a window of its own, where asked with an emulated headset (`headset` in its scripts)."""
+def open_page(found: Any, address: str, *, headset: bool = False, ready: str = CONNECTED, **context: Any) -> Page:
+    """Open an address in a window of its own until it is `ready`, where asked with an emulated `headset`."""
     view = {"viewport": {"width": 1360, "height": 850}, **context}
     window = found.new_context(**view)
     if headset:
@@ -209,7 +212,7 @@ def open_page(found: Any, address: str, *, headset: bool = False, **context: Any
         window.add_init_script(f"{EMULATOR.read_text()}\n{device} headset.installRuntime({{forceInstall: true}});")
     page = Page(window.new_page())
     page.page.goto(address, timeout=PATIENCE_S * 1e3, wait_until="commit")
-    page.until("window.telenano?.store.streams.size", "a page that is connected")
+    page.until(ready, "a page that is connected")
     return page
 
 

@@ -9,6 +9,7 @@ reliability` does both.
 import json
 import os
 import sys
+from datetime import date
 from pathlib import Path
 
 VARIABLE = "TELENANO_LEDGER"
@@ -94,13 +95,13 @@ def record(fault: str, happened: str) -> None:
     path = os.environ.get(VARIABLE)
     if path:
         with Path(path).open("a", encoding="utf-8") as out:
-            out.write(json.dumps({"fault": fault, "happened": happened}) + "\n")
+            out.write(json.dumps({"fault": fault, "happened": happened, "day": f"{date.today()}"}) + "\n")
 
 
-def table(entries: dict[str, str]) -> str:
-    """Give the table in Markdown; a fault that nothing was entered for is left out of it."""
-    rows = [f"| {fault} | {FAULTS[fault]} | {entries[fault]} |" for fault in FAULTS if fault in entries]
-    return "\n".join(["| fault | promised | happened |", "|---|---|---|", *rows])
+def table(entries: dict[str, tuple[str, str]]) -> str:
+    """Give the table in Markdown, with what happened and on which day; a fault without an entry is left out of it."""
+    rows = [f"| {fault} | {FAULTS[fault]} | {' | '.join(entries[fault])} |" for fault in FAULTS if fault in entries]
+    return "\n".join(["| fault | promised | happened | on |", "|---|---|---|---|", *rows])
 
 
 def main(entered: Path, page: Path) -> None:
@@ -109,10 +110,10 @@ def main(entered: Path, page: Path) -> None:
     head, _, rest = text.partition(BEGIN)
     old, _, tail = rest.partition(END)
     cells = [line.strip("| ").split(" | ") for line in old.strip().splitlines()[2:]]
-    entries = {cell[0]: cell[2] for cell in cells}
+    entries = {cell[0]: (cell[2], cell[3]) for cell in cells}
     for line in entered.read_text(encoding="utf-8").splitlines():
         entry = json.loads(line)
-        entries[entry["fault"]] = entry["happened"]
+        entries[entry["fault"]] = (entry["happened"], entry["day"])
     page.write_text(f"{head}{BEGIN}\n{table(entries)}\n{END}{tail}", encoding="utf-8")
 
 

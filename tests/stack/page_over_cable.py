@@ -15,12 +15,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lone_page_server import LonePageServer
 from two_sites import MASTER
 from wide_area_cable import WideAreaCable
+
+from services.viz_node.access import Access
 
 PORT = 8650
 TOKEN = "operator-token-0123"
@@ -37,46 +39,12 @@ def say(document: Any) -> None:
 
 def serve() -> None:
     """Serve the page, and print each force that reaches the device: when, the share in force, and its age [s]."""
-    import uvicorn
 
-    from services.viz_node import server
-    from services.viz_node.access import Access
-    from services.viz_node.feed import Seen
-    from services.viz_node.hub import Hub
-    from services.viz_node.source import NoTransport
-
-    class Source(NoTransport):
-        def poll(self, *, watched: bool) -> list[Seen]:
-            return []
-
-        def about(self) -> Mapping[str, Any]:
-            return {"kind": "live", "name": "test"}
-
-        def close(self) -> None:
-            pass
-
-    class Device:
-        def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
-            # The page says its time as the force down, and 1 N across, of which the share in force is left.
-            if (share := across_n[0]) > 0.0:
-                now_s = time.monotonic()
-                say([now_s, share, now_s - force_n / share])
-
-        def answer(self, **fields: Any) -> None:
-            pass
-
-        def now_ns(self) -> int:
-            return time.time_ns()
-
-        def close(self) -> None:
-            pass
-
-    class Commander:
-        def send(self, *given: Any) -> dict[str, tuple[str, str]]:
-            return {}
-
-        def estop(self, by: str) -> dict[str, tuple[str, str]]:
-            return {}
+    def push(force_n: float, across_n: tuple[float, float]) -> None:
+        # The page says its time as the force down, and 1 N across, of which the share in force is left.
+        if (share := across_n[0]) > 0.0:
+            now_s = time.monotonic()
+            say([now_s, share, now_s - force_n / share])
 
     def drain() -> None:
         """Take what another transfer sends."""
@@ -86,13 +54,11 @@ def serve() -> None:
                 pass
 
     threading.Thread(target=drain, daemon=True).start()
-    hub = Hub(Source(), Commander(), open_hand=Device)
     access = Access(TOKEN, "observer-token-0123", hosts=(MASTER,), networks=("10.0.0.0/8",))
-    config = uvicorn.Config(server.make_app(hub, access, None), host=MASTER, port=PORT, log_level="warning")
-    running = uvicorn.Server(config)
-    threading.Timer(DURATION_S + 6.0, lambda: setattr(running, "should_exit", True)).start()
-    running.run()
-    say(hub.desk.refused.rejected)
+    server = LonePageServer(push, access, host=MASTER, port=PORT)
+    threading.Timer(DURATION_S + 6.0, server.end).start()
+    server.run()
+    say(server.hub.desk.refused.rejected)
 
 
 async def page() -> None:

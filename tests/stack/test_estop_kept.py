@@ -88,10 +88,12 @@ def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: py
     with ThreadPoolExecutor(1) as turns:
         with stopped(rig, SLAVE_HALF):
             setting = Command("set", SLAVE_HALF, parameters={"virtual_impedance.force_gain": 20.0})
-            turns.submit(ask, setting, time.monotonic_ns())
+            before = turns.submit(ask, setting, time.monotonic_ns())
             waiting = turns.submit(ask, Command("arm", "afm_node"), time.monotonic_ns())
             time.sleep(0.5)
             assert rig.telenano("estop").returncode == 0
+            if before.done():
+                pytest.skip("the command before the arm was given up before the stop was sent: the machine was late")
             time.sleep(1.0)
         text = waiting.result(60.0)
     assert text.startswith(f"arm is void: an emergency stop came to {TIP} after it"), text

@@ -2,6 +2,7 @@
 
 import json
 import re
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,8 @@ from ledger import FAULTS, VARIABLE, main, record, table
 def test_a_run_replaces_what_it_entered_and_keeps_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entered, page = tmp_path / "faults.jsonl", tmp_path / "page.md"
     first, second, *_ = FAULTS
-    page.write_text(
-        f"before\n<!-- faults begin -->\n{table({first: 'old', second: 'kept'})}\n<!-- faults end -->\nafter\n"
-    )
+    before = table({first: ("old", "2026-01-02"), second: ("kept", "2026-01-02")})
+    page.write_text(f"before\n<!-- faults begin -->\n{before}\n<!-- faults end -->\nafter\n")
     # `make reliability` sets it: this test must not write into the table of that run
     monkeypatch.delenv(VARIABLE, raising=False)
     record(first, "nobody asked for a table")
@@ -22,11 +22,11 @@ def test_a_run_replaces_what_it_entered_and_keeps_the_rest(tmp_path: Path, monke
     record(first, "new")
     main(entered, page)
     text = page.read_text()
-    assert f"| {first} | {FAULTS[first]} | new |" in text
-    assert f"| {second} | {FAULTS[second]} | kept |" in text
+    assert f"| {first} | {FAULTS[first]} | new | {date.today()} |" in text
+    assert f"| {second} | {FAULTS[second]} | kept | 2026-01-02 |" in text
     assert text.startswith("before\n")
     assert text.endswith("after\n")
-    assert json.loads(entered.read_text()) == {"fault": first, "happened": "new"}
+    assert json.loads(entered.read_text()) == {"fault": first, "happened": "new", "day": f"{date.today()}"}
 
 
 def test_a_fault_without_a_promise_is_refused() -> None:

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.extend.commands import ConfigError
+from telenano.extend.exports import whole_file
 from telenano.extend.readers import read_in_child
 from telenano_afm_files.igor_waves import load_wave, notes_of
 
@@ -130,7 +131,8 @@ def main() -> None:
     """Fit the image that is named on the command line, and write the figure into the file that is named after it."""
     path, out = Path(sys.argv[1]), Path(sys.argv[2])
     curve = amplitude_phase(*read_amplitude_phase(path))
-    amplitude_phase_figure(curve).savefig(out, dpi=110)
+    with whole_file(out) as part:
+        amplitude_phase_figure(curve).savefig(part, dpi=110, format=out.suffix[1:] or "png")
     left = curve.phase_deg - curve.model_deg
     sys.stdout.write(
         f"{len(curve.amplitude)} spans of {curve.amplitude[0]:.3f} to {curve.amplitude[-1]:.3f} of the free amplitude\n"

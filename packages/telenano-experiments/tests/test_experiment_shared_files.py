@@ -8,7 +8,7 @@ from telenano_experiments.journal import Journal
 from telenano_experiments.people import People
 
 from proto.errors import RigError
-from tests.doubles.shared_files import Shared, fill_at_each_write, race, small_disk
+from tests.doubles.shared_files import Shared, SharedFiles, small_disk
 
 ROUNDS = 40
 
@@ -48,19 +48,11 @@ SHARED = (
     Shared("journal", lambda folder: None, append, lost_records),
     Shared("journal that is replaced", lambda folder: None, replace, lost_records),
 )
-OF_EACH = pytest.mark.parametrize("shared", SHARED, ids=[shared.name for shared in SHARED])
 
 
-@OF_EACH
-def test_no_change_of_two_processes_is_lost(shared: Shared, tmp_path: Path) -> None:
-    done = race(shared, tmp_path, ROUNDS)
-    assert done[0] | done[1] == set(range(ROUNDS))
-    assert not shared.lost(tmp_path, done)
-
-
-@OF_EACH
-def test_a_full_disk_is_a_sentence_with_the_path_and_leaves_the_file_as_it_was(shared: Shared, tmp_path: Path) -> None:
-    assert fill_at_each_write(shared, tmp_path / "disk") > 0
+@pytest.mark.parametrize("shared", SHARED, ids=[shared.name for shared in SHARED])
+class TestEachSharedFile(SharedFiles):
+    rounds = ROUNDS
 
 
 def test_a_journal_goes_on_when_there_is_room_again(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ import matplotlib as mpl
 mpl.use("Agg")
 from matplotlib.figure import Figure
 
+from telenano.extend.exports import whole_file
+
 # over these the bar allows a tracking error of 0.35, over all others of 0.2
 LONG_NETWORKS = frozenset({"satellite"})
 # Every law is good without a delay, so these are left out.
@@ -109,7 +111,8 @@ def main() -> None:
     given = parser.parse_args()
     with given.runs.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    frontier(rows).savefig(given.picture, dpi=110)
+    with whole_file(given.picture) as part:
+        frontier(rows).savefig(part, dpi=110, format=given.picture.suffix[1:] or "png")
 
 
 if __name__ == "__main__":

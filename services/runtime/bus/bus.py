@@ -31,6 +31,8 @@ _LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
 # A node looks at its deadline again after so many messages, so that a flood cannot hold a loop.
 _BATCH = 256
+# A message has two frames. Of one with more so many are read in a turn, and those of the first turn are refused.
+_MOST_FRAMES = 1000
 # A reader expects more messages after so many.
 _FEW = 3
 # Plain numbers are used, because the enumerations of the binding make the call half as expensive again.
@@ -115,6 +117,8 @@ class Subscriber:
         self.last_error = ""
         # It is true once everything was read; before that, ZeroMQ's descriptor may be silent although messages wait.
         self.drained = True
+        # What comes next is the rest of a message of more frames than are read in a turn.
+        self._is_in_rest = False
         # Other code calls the socket as well, which may consume the signal of its descriptor.
         self.shared = not connect
         self.socket = context.socket(zmq.SUB)
@@ -165,10 +169,14 @@ class Subscriber:
                 self.drained = True
                 break
             frames = [frame.bytes]
-            while frame.more:
+            while frame.more and len(frames) < _MOST_FRAMES:
                 frame = receive(0, False)
                 frames.append(frame.bytes)
-            waiting.append((frames, now_ns()))
+            if not self._is_in_rest:
+                waiting.append((frames, now_ns()))
+            self._is_in_rest = frame.more
+            if frame.more:
+                break
         return waiting
 
     def receive(self, *, signalled: bool = False) -> list[Received]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
 from wire_contract import examples
 
@@ -51,7 +52,8 @@ class Made:
     second [s]; told_s: added to the offset that the link reports [s]; full_s: queue of the way back that stands [s];
     blocked_s: from when to when UDP is blocked from the slave to the master [s]; hand_mode: of the device at a session
     time; killed_s: when the hand's process is killed, from which on its numbers begin anew and its programme does not
-    run, until anew_s if that is given.
+    run, until anew_s if that is given; set_back_s: when the one clock of both sites is set back, and by how much, both
+    in [s].
     """
 
     ahead_s: float = 0.0
@@ -75,6 +77,7 @@ class Made:
     hand_mode: Callable[[float], str] = lambda time_s: "position"
     killed_s: float | None = None
     anew_s: float | None = None
+    set_back_s: tuple[float, float] | None = None
 
     def hand_at(self, time_s: float) -> tuple[float, float]:
         """Return session_s [s], and F_m [N], of the hand at a session time."""
@@ -172,9 +175,20 @@ class Made:
             if (topic, src) not in channels:
                 channels[topic, src] = writer.channel(topic, src, src.partition("@")[2])
             channel = channels[topic, src]
+            if self.set_back_s is not None:
+                fields = self._set_back(msgpack.unpackb(payload))
+                log_ns, t_ns, payload = self._set_back(log_ns), fields["t_ns"], msgpack.packb(fields)
             writer.write(channel, log_ns, t_ns, seq, payload)
         writer.finish()
         return writer.path
+
+    def _set_back(self, value: Any) -> Any:
+        """Return a stamp, and each within a message, as the clock that is set back has it."""
+        assert self.set_back_s is not None
+        at_s, by_s = self.set_back_s
+        if isinstance(value, dict):
+            return {key: self._set_back(one) if key.endswith("_ns") else one for key, one in value.items()}
+        return value - round(by_s * NS) if isinstance(value, int) and value >= BEGAN_NS + round(at_s * NS) else value
 
     def _clock(self, add: Callable[..., None], dice: random.Random) -> None:
         """Add what the link measures of the other clock, ten times a second, by the link's own filter."""

@@ -349,3 +349,12 @@ def test_the_clock_of_one_machine_is_left_alone(tmp_path: Path, way_s: float) ->
     assert clock is not None
     assert clock.applied is False
     assert abs(clock.offset_s) < 1e-4
+
+
+@pytest.mark.parametrize(("at_s", "by_s"), [(2.0, 0.3), (5.0, 3.0), (3.5, 3600.0)])
+def test_a_clock_that_steps_back_inside_a_file_is_not_blamed_on_the_sites(
+    tmp_path: Path, at_s: float, by_s: float
+) -> None:
+    summary = report(tmp_path, set_back_s=(at_s, by_s))
+    assert summary["clocks"]["applied"] is False, summary["clocks"]
+    assert clock_warning(summary) == ""

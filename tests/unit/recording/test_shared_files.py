@@ -20,7 +20,7 @@ from services.runtime.security.keyring import Keyring
 from services.viz_node.lease_desk import LeaseDesk
 from services.viz_node.people import People
 from services.viz_node.serve import announced
-from tests.doubles.shared_files import Shared, fill_at_each_write, race, small_disk
+from tests.doubles.shared_files import Shared, SharedFiles, race, small_disk
 
 ROUNDS = 12
 KEYS = [f"{'0' * 36}{number:04}" for number in range(300)]
@@ -91,21 +91,11 @@ SHARED = (
     Shared("people of the page", people, change_people, lambda *a: [each for each in lost_people(*a) if each]),
     Shared("the lease of the hand", lambda folder: None, count, lost_counts),
 )
-OF_EACH = pytest.mark.parametrize("shared", SHARED, ids=[shared.name for shared in SHARED])
 
 
-@OF_EACH
-def test_no_change_of_two_processes_is_lost(shared: Shared, tmp_path: Path) -> None:
-    tmp_path.chmod(0o700)
-    shared.prepare(tmp_path)
-    done = race(shared, tmp_path, ROUNDS)
-    assert done[0] | done[1] == set(range(ROUNDS))
-    assert not shared.lost(tmp_path, done)
-
-
-@OF_EACH
-def test_a_full_disk_is_a_sentence_with_the_path_and_leaves_the_file_as_it_was(shared: Shared, tmp_path: Path) -> None:
-    assert fill_at_each_write(shared, tmp_path / "disk") > 0
+@pytest.mark.parametrize("shared", SHARED, ids=[shared.name for shared in SHARED])
+class TestEachSharedFile(SharedFiles):
+    rounds = ROUNDS
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
@@ -255,12 +245,12 @@ def test_a_holder_who_vanishes_in_a_full_folder_has_lost_the_hand(tmp_path: Path
         desk.tick((), time.monotonic())
         assert desk.is_to_withdraw()
         # what cannot be kept ends the loop of the page no more than it repeats a withdrawal for ever
-        desk.note_withdrawn()
+        desk.note_withdrawn(desk.lease.number)
         assert not desk.is_to_withdraw()
         assert register.look() == register.look()
         (tmp_path / "disk" / "filler").unlink()
         # it is kept once there is room, which withdraws the tip a last time
         assert desk.is_to_withdraw()
-        desk.note_withdrawn()
+        desk.note_withdrawn(desk.lease.number)
         assert not desk.is_to_withdraw()
         assert register.change(current).holder is None

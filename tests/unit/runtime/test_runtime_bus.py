@@ -31,6 +31,7 @@ from telenano.extend.testing import VirtualClock
 Context = zmq.Context[zmq.Socket[bytes]]
 MOST_TRACKERS = 1024
 BATCH = 256
+MOST_FRAMES = 1000
 NEWEST_MARK = 256
 ENCODED = {topic: encode(examples(row)["ordinary"]) for topic, row in TOPICS.items()}
 WAIT_S = 20.0
@@ -473,6 +474,25 @@ def test_a_flood_is_taken_a_bounded_part_at_a_time(context: Context) -> None:
         flood.socket.close()
         reader.close()
     assert parts == [BATCH, BATCH, BATCH, 1000 - 3 * BATCH, 0]
+
+
+def test_a_message_of_endless_frames_is_taken_a_bounded_part_at_a_time_and_refused_once(context: Context) -> None:
+    flood = Sender(context, "inproc://frames")
+    reader = Subscriber(context, SystemClock(), {"inproc://frames": ["haptic/state"]})
+    try:
+        flood.connected()
+        parts = 20
+        flood.send(b"haptic/state", GOOD, *[b"x"] * (parts * MOST_FRAMES - 2))
+        flood.send(b"haptic/state", GOOD)
+        taken = []
+        while len(taken) < 2 * parts and (not taken or not reader.drained):
+            taken.append(reader.receive_raw())
+    finally:
+        flood.socket.close()
+        reader.close()
+    # the first part is what is refused, and nothing of the parts after it is kept
+    assert [len(part) for part in taken] == [1] + [0] * (parts - 2) + [1]
+    assert [len(frames) for part in taken for frames, _ in part] == [MOST_FRAMES, 2]
 
 
 def test_a_reader_that_stops_for_longer_than_its_mark_counts_what_it_missed(context: Context) -> None:

@@ -176,6 +176,29 @@ def test_what_the_system_refuses_without_the_name_of_a_file_is_said_in_its_words
     assert output.system_error_text(FileNotFoundError(2, "No such file", "a.txt")) == "a.txt: No such file"
 
 
+_PRINTS = {
+    "print('a row' * 9999)": "standard output",
+    "sys.stdout.write('a row' * 9999)": "standard output",
+    "print('a row' * 9999, file=open('/dev/full', 'w'))": "a file",
+    "open('/dev/full', 'w').write('a row' * 9999)": "a file",
+}
+
+
+@needs_full
+@pytest.mark.parametrize(("line", "said"), _PRINTS.items(), ids=_PRINTS)
+def test_what_a_package_prints_is_standard_output_and_what_it_writes_is_a_file(
+    line: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "some_package.py").write_text(f"import sys\n\n\ndef run():\n    {line}\n")
+    code = "from telenano.cli import output\nimport some_package as some\nwith output.report_errors(False): some.run()"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    with FULL.open("w") as full:
+        out = full if said == "standard output" else subprocess.DEVNULL
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=environment, stdout=out, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.stderr.splitlines()[0] == f"telenano: {said} cannot be written: No space left on device"
+
+
 # --- what is typed ---
 
 

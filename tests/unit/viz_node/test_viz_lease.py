@@ -128,7 +128,7 @@ class World:
                 if self.desk.lease.withdraw:
                     assert self.desk.lease.holder is None
                     self.withdrawn.append(self.now_ns)
-                    self.desk.note_withdrawn()
+                    self.desk.note_withdrawn(self.desk.lease.number)
                 for page in self.pages:
                     page.presses = page.presses and self.desk.has(page.session)
             for page in self.pages:
@@ -223,3 +223,25 @@ def test_pages_that_ask_are_shown_for_as_long_as_they_are_open_and_not_after_a_k
     world.do("restart server", 0)
     world.pass_time(round(1.5 * ASKED_NS / TICK_NS))
     assert world.desk.facts()["asking"] == []
+
+
+def test_the_end_of_a_withdrawal_leaves_that_of_a_later_holder_to_be_done() -> None:
+    world = World()
+    numbers = []
+    # a teacher, and while the stop is on its way another operator
+    for index in (0, 3):
+        world.do("take", index)
+        world.desk.act(world.pages[index].session, world.lease.number, presses=True)
+        world.desk.leave(world.pages[index].session)
+        assert world.desk.is_to_withdraw()
+        numbers.append(world.desk.lease.number)
+    world.desk.note_withdrawn(numbers[0])
+    assert world.desk.is_to_withdraw()
+    # a holder who vanishes in the moment in which a withdrawal ends
+    world.do("take", 0)
+    world.desk.act(world.pages[0].session, world.lease.number, presses=True)
+    world.now_ns += VANISHED_NS + 1
+    world.desk.note_withdrawn(numbers[1])
+    assert world.desk.is_to_withdraw()
+    world.desk.note_withdrawn(world.desk.lease.number)
+    assert not world.desk.is_to_withdraw()

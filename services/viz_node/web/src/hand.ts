@@ -245,7 +245,8 @@ export class Hand {
     const slow = this.meant === undefined ? "" : slowText(this.lateS, this.store.wayS);
     if (slow) {
       pen.fillStyle = colour("stop");
-      pen.fillText("too slow", 4, height - 6);
+      // at the right edge, because the marks of the way are at the left one
+      pen.fillText("too slow", width - pen.measureText("too slow").width - 4, height - 6);
     }
     this.pad.dataset["slow"] = String(slow !== "");
     const text = this.refusal || slow || own;

@@ -1,0 +1,80 @@
+"""The server of the page without a rig: what a page sends with its hand is given to a function."""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+
+from services.viz_node import server
+from services.viz_node.access import Access
+from services.viz_node.feed import Seen
+from services.viz_node.hub import Hub
+from services.viz_node.source import NoTransport
+
+# Takes the force down [N] and across [N, N].
+Push = Callable[[float, tuple[float, float]], None]
+
+
+class _Source(NoTransport):
+    def __init__(self, news: Callable[[], list[Seen]]) -> None:
+        self._news = news
+
+    def poll(self, *, watched: bool) -> list[Seen]:
+        return self._news()
+
+    def about(self) -> Mapping[str, Any]:
+        return {"kind": "live", "name": "test"}
+
+    def close(self) -> None:
+        pass
+
+
+class _Device:
+    def __init__(self, push: Push) -> None:
+        self._push = push
+
+    def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
+        self._push(force_n, across_n)
+
+    def answer(self, **fields: Any) -> None:
+        pass
+
+    def now_ns(self) -> int:
+        return time.time_ns()
+
+    def close(self) -> None:
+        pass
+
+
+class _Commander:
+    def send(self, *given: Any) -> dict[str, tuple[str, str]]:
+        return {}
+
+    def estop(self, by: str) -> dict[str, tuple[str, str]]:
+        return {}
+
+
+class LonePageServer:
+    """Serves a page at an address until `end`; `hub` is what the page speaks to, `news` what the rig would say."""
+
+    def __init__(
+        self,
+        push: Push,
+        access: Access,
+        *,
+        host: str,
+        port: int,
+        page: Path | None = None,
+        news: Callable[[], list[Seen]] = list,
+    ) -> None:
+        self.hub = Hub(_Source(news), _Commander(), open_hand=lambda: _Device(push))
+        app = server.make_app(self.hub, access, page)
+        self._server = uvicorn.Server(uvicorn.Config(app, host=host, port=port, log_level="warning"))
+
+    def run(self) -> None:
+        self._server.run()
+
+    def end(self) -> None:
+        self._server.should_exit = True
