@@ -14,11 +14,7 @@ _DIRECTIONS = re.compile(
     r"meas(?:ured)?|piezo|sensor|\d+)"
 )
 # units at the end of a name behind a low line, which are often written small
-_SUFFIXES = {
-    **{unit: unit for unit in ("s", "ms", "us", "ns", "m", "mm", "um", "nm", "pm", "Hz", "kHz", "MHz", "V", "mV", "N")},
-    **{"hz": "Hz", "khz": "kHz", "v": "V", "mv": "mV", "uv": "uV", "µs": "us", "µm": "um", "nN": "nN", "pN": "pN"},
-    **{"nn": "nN", "pn": "pN", "un": "uN", "uN": "uN", "percent": "%"},
-}
+_SUFFIX = re.compile(r"[munpkM\u00b5]?(?:s|m|V|v|Hz|hz|N)|[nup]n|percent")
 # A line of a head that is longer says no units: to look for them takes the square of its length.
 LONGEST_LINE = 4000
 
@@ -99,8 +95,8 @@ def named(title: str, unit: str) -> tuple[str, str]:
         if len(parts) == 2 and parts[0] and unit_of(parts[1]) and not parts[1].isdigit():
             return parts[0], parts[1]
     name, mark, suffix = title.rpartition("_")
-    if mark and suffix in _SUFFIXES:
-        return name, _SUFFIXES[suffix]
+    if mark and _SUFFIX.fullmatch(suffix):
+        return name, re.sub("n$", "N", suffix.replace("percent", "%"))
     if mark and suffix == "n" and re.match(r"(?i)f(orce)?_|load", title):
         return name, "N"
     return title, ""

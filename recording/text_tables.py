@@ -9,6 +9,7 @@ import math
 import re
 from array import array
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -79,13 +80,12 @@ class TextTable(NamedTuple):
             ConfigError: There is none; the message names those that there are.
         """
         word = word.strip()
-        named_so = next((one for one in self.columns if word in (one.title, one.name)), None)
-        if named_so is None and word.isdecimal() and 0 < int(word) <= len(self.columns):
-            return self.columns[int(word) - 1]
-        if named_so is None:
+        by_number = {str(number): one for number, one in enumerate(self.columns, start=1)}
+        found = next((one for one in self.columns if word in (one.title, one.name)), by_number.get(word))
+        if found is None:
             known = ", ".join(one.title or "without a name" for one in self.columns[:20])
             raise ConfigError(f"{self.name}: has no column {word!r}; it has {len(self.columns)}, {known}")
-        return named_so
+        return found
 
     def in_si(self, column: Column, wanted: Sequence[str], given: str = "", option: str = "") -> Array | None:
         """Return the values of a column in SI units; None where neither its head nor `given` names a unit.
@@ -234,14 +234,11 @@ class _Folding:
     """Splits the lines of a file by what separates its columns, and notes which decimal marks it has."""
 
     def __init__(self, separator: str) -> None:
-        self._separator = separator
+        self.split = partial(split, separator=separator)
         # the first line with a decimal comma, and with a decimal point
         self.commas, self.points = 0, 0
         # whether a whole number begins with a 0
         self.zeros = False
-
-    def split(self, row: str) -> list[str]:
-        return split(row, self._separator)
 
     def number(self, cell: str, line: int) -> float | None:
         value = as_number(cell)

@@ -101,5 +101,16 @@ PROFILES: Mapping[str, Profile] = _Profiles()
 def profile_named(name: str) -> Profile:
     """Return a profile by its name in any case; ConfigError names the profiles that there are."""
     if name.lower() not in PROFILES:
-        raise ConfigError(f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}")
+        raise ConfigError(refusal_of(name))
     return PROFILES[name.lower()]
+
+
+def refusal_of(name: str) -> str:
+    """Return why a name is that of no profile; of a file, how a network is made of it, or how its folder is named."""
+    path = Path(name)
+    if not path.exists():
+        return f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}"
+    if path.suffix == ".yaml":
+        return f"{name} is a file: set TELENANO_NETWORKS={path.parent} and name it as {path.stem}"
+    fit = f"`telenano link fit {name} --out out/line` makes out/line/profile.yaml of a log or a table of delays"
+    return f"{name} is a file, and no network: {fit}; set TELENANO_NETWORKS=out/line and name it as profile"

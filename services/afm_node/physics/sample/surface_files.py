@@ -202,12 +202,9 @@ def _whole(header: Mapping[str, str], key: str) -> int:
 
 
 def _real(header: Mapping[str, str], key: str) -> float:
-    try:
-        value = float(header[key])
-    except (KeyError, ValueError):
-        raise ValueError(f"{key} is {header.get(key, 'missing')}; it must be the length of that side") from None
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{key} is {value}; it must be positive and finite")
+    value = as_number(header.get(key, "missing"))
+    if value is None or not value > 0.0:
+        raise ValueError(f"{key} is {header.get(key, 'missing')}; it must be the length of that side, above 0")
     return value
 
 
