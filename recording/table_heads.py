@@ -15,6 +15,7 @@ _DIRECTIONS = re.compile(
 )
 # units at the end of a name behind a low line, which are often written small
 _SUFFIX = re.compile(r"[munpkM\u00b5]?(?:s|m|V|v|Hz|hz|N)|[nup]n|percent")
+_WAY = re.compile(r"(?i)_(?:ex|rt|extend|retract|approach|withdraw|trace|retrace|fwd|bwd|forward|backward)$")
 # A line of a head that is longer says no units: to look for them takes the square of its length.
 LONGEST_LINE = 4000
 
@@ -94,9 +95,11 @@ def named(title: str, unit: str) -> tuple[str, str]:
     for parts in (title.split("/", 1), title.rsplit(None, 1)):
         if len(parts) == 2 and parts[0] and unit_of(parts[1]) and not parts[1].isdigit():
             return parts[0], parts[1]
-    name, mark, suffix = title.rpartition("_")
+    # a unit before a word for the way, as in Defl_pN_Ex
+    way = _WAY.search(title)
+    name, mark, suffix = title[: way.start() if way else None].rpartition("_")
     if mark and _SUFFIX.fullmatch(suffix):
-        return name, re.sub("n$", "N", suffix.replace("percent", "%"))
+        return name + (way[0] if way else ""), re.sub("n$", "N", suffix.replace("percent", "%"))
     if mark and suffix == "n" and re.match(r"(?i)f(orce)?_|load", title):
         return name, "N"
     return title, ""

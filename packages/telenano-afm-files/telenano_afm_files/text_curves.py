@@ -6,6 +6,7 @@ the units and the values: against the sample the force is greatest, and there it
 """
 
 import json
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +21,10 @@ from telenano_afm_files.recorded import Array, Curves, Recorded, Way
 SUFFIXES = (".asc", ".csv", ".dat", ".tsv", ".txt")
 _HEIGHT = ("z", "height", "piezo", "dist", "sep", "way", "pos", "ramp", "x")
 _VALUE = ("force", "f", "defl", "vertical", "d", "volt", "signal", "y")
+_THERE_AND_BACK = tuple(
+    re.compile(rf"(?i)(?:^|[\W_])(?:{words})(?:$|[\W_\d])")
+    for words in ("approach|extend|ext|ex|trace|fwd|forward", "retract|withdraw|ret|rt|retrace|bwd|backward")
+)
 _VALUES = ("N", "m", "V")
 _FEWEST_POINTS = 16
 # The deflection on the way back has at least this correlation with that on the way there, at the same heights.
@@ -122,8 +127,9 @@ def _pairs(table: TextTable, said: Said) -> Iterator[tuple[Column, Column]]:
         yield from zip(chosen[::2], chosen[1::2], strict=True)
         return
     # a column whose unit is not known, or not named, is that of its name
-    heights = [column for column in columns if _is(column, "m") and column.name.lower().startswith(_HEIGHT)]
-    heights = heights or [column for column in columns if _is(column, "m")][:1] or _named(columns, _HEIGHT)
+    lengths = [column for column in columns if _is(column, "m")]
+    heights = [column for column in lengths if column.name.lower().startswith(_HEIGHT)]
+    heights = heights or _both_ways(lengths) or lengths[:1] or _named(columns, _HEIGHT)
     forces = [column for column in columns if _is(column, "N")]
     forces = forces or [column for column in columns if _is(column, "V")]
     forces = forces or [
@@ -132,12 +138,21 @@ def _pairs(table: TextTable, said: Said) -> Iterator[tuple[Column, Column]]:
     forces = forces or [one for one in _named(columns, _VALUE) if one not in heights]
     if len(columns) == 2 and not any(column.title for column in columns):
         heights, forces = [columns[0]], [columns[1]]
-    if len(heights) == 1 or len(forces) == 1:
+    both = _both_ways(forces)
+    if both and heights:
+        yield from zip(_both_ways(heights) or [heights[0]] * 2, both, strict=True)
+    elif len(heights) == 1 or len(forces) == 1:
         yield from zip(heights[:1], forces[:1], strict=False)
     elif len(heights) == len(forces) == 2:
         yield from zip(heights, forces, strict=True)
     elif heights and forces:
         yield heights[0], forces[0]
+
+
+def _both_ways(columns: list[Column]) -> list[Column]:
+    """Return the columns of an approach and of a retraction, by a word for each; nothing where they are not these."""
+    there, back = ([one for one in columns if words.search(one.title)] for words in _THERE_AND_BACK)
+    return [there[0], back[0]] if len(there) == len(back) == 1 else []
 
 
 def _named(columns: tuple[Column, ...], words: tuple[str, ...]) -> list[Column]:

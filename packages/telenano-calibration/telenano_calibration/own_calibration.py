@@ -37,6 +37,7 @@ BY_ANGLE = 0.971 / 1.09**2
 AIR_DENSITY_KG_PER_M3, AIR_VISCOSITY_PA_S = 1.204, 1.825e-5
 # Units of a density, as columns are named: of a power or of its root, in volts or in metres.
 DENSITIES = ("V^2/Hz", "V/sqrt(Hz)", "m^2/Hz", "m/sqrt(Hz)")
+_NO_DECIBELS = "decibels are not taken, so write the density itself, in"
 # files with other names are those of an instrument, which packages read
 TEXTS = ("", ".asc", ".csv", ".dat", ".tsv", ".txt")
 # numerator and denominator of the correction of a rectangular beam, in powers of log10 of the Reynolds number
@@ -212,7 +213,7 @@ def _density_of(table: TextTable, column: Column, unit: str) -> tuple[Array, boo
         if found is None or found.powers not in kinds:
             raise ConfigError(
                 f"{table.name}, line {column.line}: the unit {column.unit!r} of {column.title!r} is that of no density:"
-                f" give --unit, {known}"
+                f" {_NO_DECIBELS if column.unit.startswith('dB') else 'give --unit,'} {known}"
             )
         return _power_of(values, column.unit, table.name)
     words = table.units_in_head(*DENSITIES)
@@ -229,6 +230,8 @@ def _power_of(density: Array, word: str, where: str) -> tuple[Array, bool]:
         kind = unit_of(name)
         if unit and kind and unit.powers == kind.powers:
             values = density * unit.factor
+            if np.any(values < 0.0):
+                raise ConfigError(f"{where}: a density in {word} is below 0: is it in decibels? Then write it without")
             return (values if "^2" in name else values**2), name.startswith("m")
     raise ConfigError(f"{where}: {word!r} is no unit of a density; known are {', '.join(DENSITIES)}")
 
