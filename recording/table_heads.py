@@ -13,9 +13,8 @@ _DIRECTIONS = re.compile(
     r"(?i)(?:fwd|bwd|forward|backward|avg|filt|raw|trace|retrace|approach|retract|extend|rel|abs(?:olute)?|"
     r"meas(?:ured)?|piezo|sensor|\d+)"
 )
-# units at the end of a name behind a low line, which are often written small
-_SUFFIX = re.compile(r"[munpkM\u00b5]?(?:s|m|V|v|Hz|hz|N)|[nup]n|percent")
-_WAY = re.compile(r"(?i)_(?:ex|rt|extend|retract|approach|withdraw|trace|retrace|fwd|bwd|forward|backward)$")
+# a unit at the end of a name behind a low line, often written small, before a word for the way: z_nm, Defl_pN_Ex
+_SUFFIX = re.compile(r"(.+)_([munpkMµ]?(?:s|m|[Vv]|[Hh]z|N)|[nup]n|percent)(_(?i:ex|rt|extend|re\w+|approach|trace))?")
 # A line of a head that is longer says no units: to look for them takes the square of its length.
 LONGEST_LINE = 4000
 
@@ -95,13 +94,10 @@ def named(title: str, unit: str) -> tuple[str, str]:
     for parts in (title.split("/", 1), title.rsplit(None, 1)):
         if len(parts) == 2 and parts[0] and unit_of(parts[1]) and not parts[1].isdigit():
             return parts[0], parts[1]
-    # a unit before a word for the way, as in Defl_pN_Ex
-    way = _WAY.search(title)
-    name, mark, suffix = title[: way.start() if way else None].rpartition("_")
-    if mark and _SUFFIX.fullmatch(suffix):
-        return name + (way[0] if way else ""), re.sub("n$", "N", suffix.replace("percent", "%"))
-    if mark and suffix == "n" and re.match(r"(?i)f(orce)?_|load", title):
-        return name, "N"
+    if by := _SUFFIX.fullmatch(title):
+        return by[1] + (by[3] or ""), re.sub("n$", "N", by[2].replace("percent", "%"))
+    if title.endswith("_n") and re.match(r"(?i)f(orce)?_|load", title):
+        return title[:-2], "N"
     return title, ""
 
 

@@ -8,9 +8,9 @@ order of bytes are left out. Whatever is taken in another way than it stands the
 import math
 import re
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
-from itertools import islice
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -70,8 +70,7 @@ class TextTable(NamedTuple):
 
     def find(self, *beginnings: str) -> Column | None:
         """Return the first column whose name begins with a word, in the order of the words, whatever its capitals."""
-        columns = ((word, column) for word in beginnings for column in self.columns)
-        return next((column for word, column in columns if column.name.lower().startswith(word)), None)
+        return next((one for word in beginnings for one in self.columns if one.name.lower().startswith(word)), None)
 
     def column(self, word: str) -> Column:
         """Return the column with a title or name, or with a number, the first being 1.
@@ -104,9 +103,8 @@ class TextTable(NamedTuple):
         if not word:
             return None
         unit, kinds = unit_of(word), [unit_of(one) for one in wanted]
-        where = (
-            f"{option} {given}" if given else f"{self.name}, line {column.line}: the unit {word!r} of {column.title!r}"
-        )
+        in_head = f"{self.name}, line {column.line}: the unit {word!r} of {column.title!r}"
+        where = f"{option} {given}" if given else in_head
         remedy = f"; {option} gives another" if option and not given else ""
         if unit is None:
             raise ConfigError(f"{where}: is not known; known are such as {', '.join(wanted)}, with a prefix{remedy}")
@@ -157,7 +155,10 @@ def parse_table(content: bytes, name: str) -> TextTable:
         raise ConfigError(f"{name}: is empty")
     first, separator = _first_row(rows, name)
     fold = _Folding(separator)
-    width, ends_whole = fold.width_of(islice(rows, first, first + 50)), text.endswith(("\n", "\r"))
+    ends_whole = text.endswith(("\n", "\r"))
+    # as most of the rows have
+    counts = [len(cells) for row in rows[first : first + 50] if row.strip() and _is_data(cells := fold.split(row))]
+    width = max(set(counts), key=lambda count: (counts.count(count), count), default=0)
     # rows of numbers with another width, such as a count of points, belong to the head
     while width and len(fold.split(rows[first])) != width:
         first += 1
@@ -178,8 +179,7 @@ def parse_table(content: bytes, name: str) -> TextTable:
             raise ConfigError(f"{name}, line {number}: is no line of numbers, after {len(lines)} that are")
         if count > width or (count < width and not separator):
             raise ConfigError(f"{name}, line {number}: has {count} columns, where the others have {width}")
-        for place in range(width):
-            value = numbers[place] if place < count else math.nan
+        for place, value in enumerate([*numbers, *[math.nan] * (width - count)]):
             if value is None:
                 bad.setdefault(place, (number, cells[place]))
                 value = math.nan
@@ -251,11 +251,6 @@ class _Folding:
     def is_numeric(self, row: str) -> bool:
         return all(as_number(cell) is not None for cell in self.split(row))
 
-    def width_of(self, rows: Iterator[str]) -> int:
-        """Return how many columns most of these rows have."""
-        counts = [len(cells) for row in rows if row.strip() for cells in [self.split(row)] if _is_data(cells)]
-        return max(set(counts), key=lambda count: (counts.count(count), count), default=0)
-
 
 def decoded(content: bytes, name: str) -> str:
     """Return the text of a file in UTF-8, in UTF-16 with its mark, or of an older Windows; ConfigError for no text."""
@@ -278,20 +273,18 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 def _first_row(rows: Sequence[str], name: str) -> tuple[int, str]:
     """Return the place of the first row of numbers, and what separates its columns."""
-    for place, row in enumerate(rows[:_LONGEST_HEAD]):
+    begin = rows[:_LONGEST_HEAD]
+    for place, row in enumerate(begin):
         for separator in _SEPARATORS:
-            if separator and separator not in row:
-                continue
             cells = split(row, separator)
             # 1,5 alone may be two columns; with another beside it, it is not
-            if _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
+            if separator in row and _is_data(cells) and (separator or len(cells) > 1 or "," not in row):
                 return place, separator
     # A column of texts, such as the name of a machine, beside columns of numbers: below a head without a number.
-    for place, row in enumerate(rows[1:_LONGEST_HEAD], start=1):
+    for place, (head, row) in enumerate(pairwise(begin), start=1):
         for separator in _SEPARATORS:
-            cells, above = split(row, separator), split(rows[place - 1], separator)
-            numbers = [as_number(cell) for cell in cells]
+            above, numbers = split(head, separator), [as_number(cell) for cell in split(row, separator)]
             has_number = any(value is not None and not math.isnan(value) for value in numbers)
-            if len(cells) == len(above) > 1 and has_number and all(as_number(cell) is None for cell in above):
+            if len(numbers) == len(above) > 1 and has_number and all(as_number(cell) is None for cell in above):
                 return place, separator
     raise ConfigError(f"{name}: has no line of numbers in its first {min(len(rows), _LONGEST_HEAD)} lines")

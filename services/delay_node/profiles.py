@@ -85,8 +85,7 @@ def _names() -> tuple[str, ...]:
 
 def _folders() -> list[Path]:
     """Return the folder of the package, whose names come first, and that of the environment."""
-    own = os.environ.get("TELENANO_NETWORKS")
-    return [NETWORK_DIRECTORY, *([Path(own)] if own else [])]
+    return [Path(folder) for folder in (NETWORK_DIRECTORY, os.environ.get("TELENANO_NETWORKS")) if folder]
 
 
 @cache
@@ -112,5 +111,5 @@ def refusal_of(name: str) -> str:
         return f"unknown profile {name!r}; {known_names(name.lower(), PROFILES)}"
     if path.suffix == ".yaml":
         return f"{name} is a file: set TELENANO_NETWORKS={path.parent} and name it as {path.stem}"
-    fit = f"`telenano link fit {name} --out out/line` makes out/line/profile.yaml of a log or a table of delays"
-    return f"{name} is a file, and no network: {fit}; set TELENANO_NETWORKS=out/line and name it as profile"
+    made = f"`telenano link fit {name} --out out/line` makes one of a log or table of delays"
+    return f"{name} is no network: {made}; then set TELENANO_NETWORKS=out/line and name it as profile"

@@ -127,8 +127,9 @@ def _kind(path: Path, table: TextTable, said: Said) -> tuple[str, list[str], dic
         return "a force curve", takes, _curve(path, NOTHING)
     if any(_DELAY.match(column.name or column.title) for column in columns):
         return "a log of a line", [f"telenano link fit {path}"], {}
-    titles = [column.title for column in columns if column.title]
-    if len(columns) > 2 and any(as_number(title) is None for title in titles):
+    # the last line of the head is one of facts, such as `Width: 1 µm`, and not one of names
+    is_named = all(column.title and as_number(column.title) is None and ":" not in column.title for column in columns)
+    if len(columns) > 2 and is_named:
         return (
             f"a table of {len(columns)} columns whose head names no units that are known; of a curve --set columns=1,2"
             " --set way_unit=nm --set value_unit=nN give them",

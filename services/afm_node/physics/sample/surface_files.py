@@ -93,8 +93,9 @@ def read_surface(
 def _metres(unit: str, what: str) -> float:
     found = unit_of(unit)
     if found is None or found.powers != _LENGTH:
-        said = f"{unit!r}" if unit else "none"
-        raise ValueError(f"the unit of {what} is {said}; it must be a length: {', '.join(METRES)}")
+        raise ValueError(
+            f"the unit of {what} is {repr(unit) if unit else 'none'}; it must be a length: {', '.join(METRES)}"
+        )
     return found.factor
 
 
@@ -144,11 +145,10 @@ def _read_text(path: Path, size_m: float | None) -> list[_Channel]:
     values = np.array([table.numbers(column) for column in table.columns]).T[::-1]
     _check_pixels(values.shape)
     said = {key: found[0] for key, words in _SAID.items() if (found := re.findall(words, "\n".join(table.head)))}
-    sides: list[float | None] = []
-    for key in ("width", "height"):
-        number, word = said.get(key, ("", ""))
-        side = as_number(number) if number else None
-        sides.append(None if side is None else side * _metres(word, f"the {key} in its head"))
+    sides = [
+        (as_number(said[key][0]) or 0.0) * _metres(said[key][1], f"the {key} in its head") if key in said else None
+        for key in ("width", "height")
+    ]
     width = sides[0] if size_m is None else size_m
     if width is None:
         raise ValueError(
