@@ -421,6 +421,7 @@ def test_the_command_writes_settings_profile_and_page(tmp_path: Path) -> None:
     assert "data:image/png" in (tmp_path / "line" / "fit.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.check("fits and draws a log of four minutes with each option")
 @pytest.mark.parametrize(
     "options", [(), ("--without-memory",), ("--round-trip",), ("--round-trip", "--without-memory"), ("--seed", "7")]
 )
